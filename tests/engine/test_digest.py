@@ -43,7 +43,8 @@ def nudged(value: Any) -> Any:
         case Phase():
             return Phase.DORMANT
         case str():
-            return "x" + value
+            # The kind of a fit is one of a few words.
+            return "panels" if value == "solid" else "x" + value
         case int():
             return value + 1
         case float():
