@@ -14,13 +14,12 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
-from hickory_stream.changes.evidence import clear_points, evidence_at, seen_places, thinned
+from hickory_stream.changes.evidence import clear_points, compared_objects, evidence_at, seen_places, thinned
 from hickory_stream.changes.likeness import likeness, probability_same
 from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, ObjectChange, Verdict
 from hickory_stream.geometry.boxes import box_iou
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.mapping.moved import moved_object
-from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -74,10 +73,7 @@ def compare_maps(
         with_feature: whether the features of both were made by the same extractor.
     """
     config = config or ChangesConfig()
-    a_objects, b_objects = (
-        tuple(item for item in one.objects if item.phase is not Phase.TENTATIVE and len(item.points_world))
-        for one in (a, b)
-    )
+    a_objects, b_objects = compared_objects(a), compared_objects(b)
     both = _Compared(
         a=seen_places(a_objects, a.submaps),
         b=seen_places(b_objects, b.submaps),

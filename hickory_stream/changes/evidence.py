@@ -15,13 +15,14 @@ from scipy.spatial import cKDTree
 from hickory_stream.changes.records import Evidence
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import contains, keys_of_cells
+from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.records import Submap, TrackedObject
+    from hickory_stream.records import MapSnapshot, Submap, TrackedObject
 
 _POINTS_OF_SURFACE = 2500
 _POINTS_OF_EVIDENCE = 200
@@ -39,6 +40,11 @@ class SeenPlaces:
     submaps: tuple[Submap, ...]
     tree: cKDTree | None
     owners: NDArray[np.int64]
+
+
+def compared_objects(snapshot: MapSnapshot) -> tuple[TrackedObject, ...]:
+    """Return the objects of a map that can be compared: tentative ones and those without points cannot."""
+    return tuple(item for item in snapshot.objects if item.phase is not Phase.TENTATIVE and len(item.points_world))
 
 
 def seen_places(objects: Sequence[TrackedObject], submaps: Sequence[Submap]) -> SeenPlaces:

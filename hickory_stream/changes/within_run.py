@@ -14,14 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.changes.compare import compare_maps
-from hickory_stream.changes.evidence import clear_points, evidence_at, not_in_free_space, seen_places
+from hickory_stream.changes.evidence import clear_points, compared_objects, evidence_at, not_in_free_space, seen_places
 from hickory_stream.changes.records import ChangesConfig, Verdict
 from hickory_stream.engine.history.time_travel import Change, changes
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
+    from hickory_stream.changes.evidence import SeenPlaces
     from hickory_stream.changes.records import ObjectChange
-    from hickory_stream.records import MapSnapshot, TrackedObject
+    from hickory_stream.records import MapSnapshot
 
 
 def changes_within_run(
@@ -43,10 +44,11 @@ def changes_within_run(
     lost = {one.object_id for one in listed if one.kind == "dropped"} | not_seen
     came = {one.object_id for one in listed if one.kind == "appeared"}
     seen_again = replace(after, objects=tuple(item for item in after.objects if item.id not in not_seen))
+    was, is_now = (seen_places(compared_objects(one), one.submaps) for one in (before, seen_again))
     said: dict[int, Change | None] = {}
     for one in compare_maps(before, seen_again, np.eye(4), 0.0, config).changes:
         if one.id_a in lost | {None} and one.id_b in came | {None}:
-            is_unproven = one.id_a in not_seen and not _is_seen_through_since(before, seen_again, one.id_a, config)
+            is_unproven = one.id_a in not_seen and not _is_seen_through_since(was, is_now, one.id_a, config)
             said |= {} if is_unproven else _told(one)
     # Of what was not seen since nothing else is listed: nothing of it changed.
     told = [said.get(one.object_id, one) if one.kind in ("dropped", "appeared") else one for one in listed]
@@ -76,14 +78,8 @@ def _not_seen_since(before: MapSnapshot, after: MapSnapshot) -> set[int]:
     return {item.id for item in after.objects if sightings.get(item.id) == item.sightings}
 
 
-def _is_seen_through_since(before: MapSnapshot, after: MapSnapshot, object_id: int, config: ChangesConfig) -> bool:
+def _is_seen_through_since(before: SeenPlaces, after: SeenPlaces, object_id: int, config: ChangesConfig) -> bool:
     """Return whether an object's place became free: points that were in free space before do not count."""
-    objects = _compared(before)
-    at = next(i for i, item in enumerate(objects) if item.id == object_id)
-    places = seen_places(objects, before.submaps)
-    points = not_in_free_space(places, clear_points(places, at, config.near_m))
-    return evidence_at(seen_places(_compared(after), after.submaps), points, config.near_m).free >= config.min_free
-
-
-def _compared(snapshot: MapSnapshot) -> tuple[TrackedObject, ...]:
-    return tuple(item for item in snapshot.objects if item.phase is not Phase.TENTATIVE and len(item.points_world))
+    at = next(i for i, item in enumerate(before.objects) if item.id == object_id)
+    points = not_in_free_space(before, clear_points(before, at, config.near_m))
+    return evidence_at(after, points, config.near_m).free >= config.min_free

@@ -59,10 +59,10 @@ def world_of_day(world: World, seed: int, day: int, is_walkable: Callable[[World
     return world
 
 
-def elsewhere_before(before: World, after: World) -> tuple[WorldObject, ...]:
-    """Return the objects of a world that are not in a later one as they were: moved, removed or exchanged."""
-    places = {item.id: item.world_from_object.tolist() for item in after.objects}
-    return tuple(item for item in before.objects if places.get(item.id) != item.world_from_object.tolist())
+def placed_otherwise(world: World, other: World) -> tuple[WorldObject, ...]:
+    """Return the objects of a world that are elsewhere in another one, or not in it at all."""
+    places = {item.id: item.world_from_object.tolist() for item in other.objects}
+    return tuple(item for item in world.objects if places.get(item.id) != item.world_from_object.tolist())
 
 
 def _changed(world: World, rng: np.random.Generator, first_id: int) -> World:

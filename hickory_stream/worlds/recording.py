@@ -27,7 +27,7 @@ from hickory_stream.evaluation.truth import (
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from hickory_stream.json_text import dumps_exactly
-from hickory_stream.worlds.days import elsewhere_before
+from hickory_stream.worlds.days import placed_otherwise
 from hickory_stream.worlds.drift import drifted
 from hickory_stream.worlds.layouts import drawn_mounting, layout_files, open_layout
 from hickory_stream.worlds.object_models import model_mesh
@@ -140,7 +140,7 @@ def _make(
     processes: int,
 ) -> Truth:
     world = filming.world if filming.change is None else filming.change.world
-    elsewhere = () if filming.change is None else elsewhere_before(filming.world, world)
+    elsewhere = () if filming.change is None else placed_otherwise(filming.world, world)
     truth_folder = folder / f"{name}.truth"
     for part in ("meshes", "instances"):
         (truth_folder / part).mkdir(parents=True)

@@ -13,7 +13,7 @@ from hickory_stream.worlds.building.building import BuildingSize, building
 from hickory_stream.worlds.building.walk import building_walk
 from hickory_stream.worlds.clutter.room import clutter_room
 from hickory_stream.worlds.clutter.walk import wander
-from hickory_stream.worlds.days import world_of_day
+from hickory_stream.worlds.days import placed_otherwise, world_of_day
 from hickory_stream.worlds.orbit import orbit
 from hickory_stream.worlds.outdoor.street import street
 from hickory_stream.worlds.outdoor.walk import stroll
@@ -85,8 +85,7 @@ def change_on_the_way(world: World, trajectory: Trajectory, config: RecordingCon
     way_m = np.array([trajectory.pose_at(float(time_s))[:2, 3] for time_s in times_s[::5]])
 
     def is_free(changed: World) -> bool:
-        before = {item.id: item.world_from_object.tolist() for item in world.objects}
-        arrived = [item for item in changed.objects if before.get(item.id) != item.world_from_object.tolist()]
+        arrived = placed_otherwise(changed, world)
         return all(_keeps_clear(way_m, item, config.walk.clearance_m) for item in arrived)
 
     # Another draw than that of the days, which two logs of days may have in common with this one.

@@ -60,6 +60,7 @@ _HELPERS = {
     "oracle",
     "passers_by",
     "perception_models",
+    "played",
     "pose_graph_figures",
     "pose_graphs",
     "processes",

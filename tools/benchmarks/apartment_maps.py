@@ -8,16 +8,13 @@ import numpy as np
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.manifest import is_map_folder
-from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.play import play
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.maps.moved_source import MovedSource
 from hickory_stream.evaluation.maps.variants import random_frame
-from hickory_stream.settings import Settings
-from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.worlds.cache import cached_recording, recording_name
 from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
+from tools.benchmarks.played import play_into
 from tools.benchmarks.processes import ROOT
 from tools.benchmarks.repetitions import hash_of_files
 
@@ -47,18 +44,7 @@ def apartment_map(apartment: int, walk: int, *, plays: bool) -> Path | None:
     log, _ = cached_recording(config)
     print(f"playing {log.name}", flush=True)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    source = MovedSource(open_source(str(log)), frame_of(apartment, walk))
-    try:
-        play(
-            Mapper(MapperConfig(), out=folder, overwrite=True),
-            source,
-            sinks=lambda made: [(DiskSink(made, Settings().disk), True)],
-            rate=None,
-            loops=1,
-            progress=lambda _: None,
-        )
-    finally:
-        source.close()
+    play_into(folder, MovedSource(open_source(str(log)), frame_of(apartment, walk)), MapperConfig())
     return folder
 
 

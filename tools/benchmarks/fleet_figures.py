@@ -18,8 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.config import MapperConfig, read_config
-from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.play import play
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.truth import Truth, moved_truth
@@ -28,7 +26,7 @@ from hickory_stream.fleet.robots import FleetConfig, Robot
 from hickory_stream.fleet.run import FleetPlan, run_fleet
 from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
 from hickory_stream.settings import Settings
-from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
+from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from hickory_stream.worlds.cache import cached_recording
 from hickory_stream.worlds.recording import drawn_frame
 from hickory_stream.worlds.recording_config import RecordingConfig
@@ -36,6 +34,7 @@ from players import SourceOptions, open_source
 from tools.benchmarks.coarse_runs import COARSE
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.kept import kept, state_folder
+from tools.benchmarks.played import play_into
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -223,7 +222,7 @@ def _apartment(seed: int, folder: Path) -> dict[str, Any]:
     result = _run(fleet, folder / f"flat-{seed}", is_coarse=False)
     alone = replace(_APARTMENT, seed=seed, robots=0, seconds=_APARTMENT_S * len(fleet.names))
     log, truth = cached_recording(alone)
-    _play(log, folder / f"alone-{seed}")
+    play_into(folder / f"alone-{seed}", open_source(log), MapperConfig())
     seen = np.max([[item.seen_fraction for item in one.objects] for one in fleet.truths], axis=0)
     same = _restricted(truth, [min(a, item.seen_fraction) for a, item in zip(seen, truth.objects, strict=True)])
     one = score_map(*_with_meshes(folder / f"alone-{seed}"), same)
@@ -247,20 +246,6 @@ def _restricted(truth: Truth, seen: Sequence[float]) -> Truth:
 def _with_meshes(folder: Path) -> tuple[MapSnapshot, dict[int, Mesh]]:
     saved = open_map(folder)
     return saved.snapshot, meshes_of(saved)
-
-
-def _play(log: Path, out: Path) -> None:
-    shutil.rmtree(out, ignore_errors=True)
-    source = open_source(log)
-    try:
-        play(
-            Mapper(MapperConfig(), out=out),
-            source,
-            sinks=lambda made: [(DiskSink(made, DiskSinkConfig()), True)],
-            progress=lambda _: None,
-        )
-    finally:
-        source.close()
 
 
 class _Silent:
