@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
     from hickory_stream.cli.commands import Commands
 
+_MESH = "mesh.glb"  # for people to look at, beside the answer
+
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
     """Add the command to the command line."""
@@ -23,9 +25,11 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status: 1 where there is no shape this time, either."""
+    from hickory_stream.engine.atomic import write_atomically
     from hickory_stream.engine.generators.choose import reconstructor_of
-    from hickory_stream.engine.jobs import JOB, MESH, read_job, write_result
+    from hickory_stream.engine.jobs import JOB, read_job, write_result
     from hickory_stream.errors import HickoryError
+    from hickory_stream.geometry.mesh import glb_bytes
     from hickory_stream.ports import NoShape
     from hickory_stream.shapes.build import build_shape
 
@@ -42,8 +46,11 @@ def run(options: argparse.Namespace) -> int:
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{folder} is no readable job: {error}") from error
     built = build_shape(inputs, reconstructor_of(config), config)
+    mesh = folder / _MESH
     try:
         write_result(folder, built, config.reconstructor)
+        if not isinstance(built, NoShape):
+            write_atomically(mesh, glb_bytes(built.reconstruction.mesh), sync=False)
     except OSError as error:
         raise InputError(f"cannot write the answer into {folder}: {error.strerror}") from error
     if isinstance(built, NoShape):
@@ -53,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
             else f"no shape: {built.reason}"
         )
         return 1
-    said = {"shape": str(folder / MESH), "superquadrics": len(built.fitted), "seconds": dict(built.timings_s)}
-    text = f"{folder / MESH}: {len(built.fitted)} superquadrics in {sum(built.timings_s.values()):.1f} s"
+    said = {"shape": str(mesh), "superquadrics": len(built.fitted), "seconds": dict(built.timings_s)}
+    text = f"{mesh}: {len(built.fitted)} superquadrics in {sum(built.timings_s.values()):.1f} s"
     print(output("reconstruct", said) if options.json else text)
     return 0

@@ -4,7 +4,7 @@
       job.json       reconstructor, configuration, box, support height, the names of the views, best first
       points.npy     layer 1: (N, 3) float32;  colors.npy  (N, 3) uint8
       NAME.*         the pixels of the views: hard links, so that a view may be dropped while the job runs
-      mesh.glb       the answer: layer 2, in the object frame
+      shape.mesh     the answer: layer 2, in the object frame, as the map keeps it (`mesh_file`)
       result.json    the answer: where it is, layers 3 and 4, timings; or the reason why there is none
 
 Files rather than a pipe: a worker may be another interpreter, and what poisoned it can be looked at afterwards.
@@ -28,8 +28,8 @@ from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.map_codec import decode_superquadrics, encode_superquadrics
 from hickory_stream.errors import WorkerError
 from hickory_stream.geometry.boxes import OrientedBox
-from hickory_stream.geometry.mesh import glb_bytes, mesh_of_glb, sha256_of
-from hickory_stream.geometry.mesh_file import SUFFIX, mesh_file_bytes
+from hickory_stream.geometry.mesh import sha256_of
+from hickory_stream.geometry.mesh_file import SUFFIX, mesh_file_bytes, mesh_of_file
 from hickory_stream.json_text import dumps, dumps_exactly
 from hickory_stream.ports import BuiltShape, NoShape, ShapeInputs
 from hickory_stream.records import Containment, ObjectShape
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.events import RequestShape
 
-MESH, RESULT, JOB = "mesh.glb", "result.json", "job.json"
+MESH, RESULT, JOB = f"shape{SUFFIX}", "result.json", "job.json"
 FAILED, FAILURE = "failed", "failure.json"
 
 
@@ -111,7 +111,7 @@ def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) 
     if isinstance(built, NoShape):
         result: dict[str, Any] = {"reason": built.reason, "hit_limit": built.hit_limit}
     else:
-        write_atomically(folder / MESH, glb_bytes(built.reconstruction.mesh), sync=False)
+        write_atomically(folder / MESH, mesh_file_bytes(built.reconstruction.mesh), sync=False)
         result = {
             "reconstructor": built.reconstruction.made_by or reconstructor,
             "verdict": built.reconstruction.verdict,
@@ -150,9 +150,10 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
                 shape=None, reason=result["reason"], timings_s={}, hit_limit=bool(result.get("hit_limit"))
             )
         # The hash is of what the worker wrote, read back: the map's digest then holds for the file.
-        mesh = mesh_of_glb(read_within(folder, MESH))
+        content = read_within(folder, MESH)
+        mesh = mesh_of_file(content)
         name = f"{object_id:06d}-{ticket:06d}{SUFFIX}"
-        write_atomically(shapes / name, mesh_file_bytes(mesh), sync=False)
+        write_atomically(shapes / name, content, sync=False)
         shape = ObjectShape(
             revision=ticket,
             reconstructor=result["reconstructor"],

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import time
 
-_PERIOD_S = 0.005
+# Each look wakes the process: every 5 ms, that was most of the processor time of the event loop.
+_PERIOD_S = 0.025
 _BIN_S = 0.0001
 _NUM_BINS = 20_000
 
 
 class LoopDelay:
-    """A histogram of delays in steps of 0.1 ms up to 2 s, fed by `watch` every 5 ms."""
+    """A histogram of delays in steps of 0.1 ms up to 2 s, fed by `watch` every 25 ms."""
 
     def __init__(self) -> None:
         self._counts = [0] * (_NUM_BINS + 1)

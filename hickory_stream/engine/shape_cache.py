@@ -17,11 +17,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from hickory_stream.caches import mark_used
+from hickory_stream.engine.jobs import MESH, RESULT
 from hickory_stream.engine.processor import processor_of_shapes
 
 logger = logging.getLogger(__name__)
 
-_ANSWER = ("mesh.glb", "result.json")
+_ANSWER = (MESH, RESULT)
 _CODE = ("shapes", "geometry", "engine/generators")
 _LIBRARIES = ("numpy", "scipy", "numba", "scikit-image", "trimesh")
 
@@ -38,7 +39,7 @@ class ShapeCache:
 
     def key(self, job: Path) -> str:
         """Return the hash of a job's input and of what would answer it."""
-        digest = hashlib.sha256(f"{_environment()} {self._made_by}".encode())
+        digest = hashlib.sha256(f"{_environment()} {MESH} {self._made_by}".encode())
         for path in sorted(job.iterdir()):
             if path.name not in _ANSWER:
                 content = path.read_bytes()
@@ -50,14 +51,14 @@ class ShapeCache:
         """Put a known answer into a job's folder; return whether there was one."""
         entry = self._folder / key[:2] / key
         try:
-            if not (entry / "result.json").is_file():
+            if not (entry / RESULT).is_file():
                 return False
             for path in entry.iterdir():
                 shutil.copyfile(path, job / path.name)
             mark_used(entry)
         except OSError as error:
             logger.debug("shape cache: %s", error)
-            (job / "result.json").unlink(missing_ok=True)
+            (job / RESULT).unlink(missing_ok=True)
             return False
         return True
 

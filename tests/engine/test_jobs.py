@@ -130,7 +130,7 @@ def test_a_damaged_answer_is_a_worker_error_that_names_the_job(
     if damage == "missing":
         result.unlink()
     elif damage == "mesh":
-        (folder / "mesh.glb").write_bytes(b"glTF" + bytes(40))
+        (folder / "shape.mesh").write_bytes(b"HSM2" + bytes(40))
     else:
         keys = json.dumps({"reconstructor": "box"})
         result.write_text({"empty": "", "cut": text[: len(text) // 2], "keys": keys}[damage])
