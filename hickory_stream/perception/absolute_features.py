@@ -15,7 +15,6 @@ from hickory_stream.geometry.portable_kernels import log, log1p
 from hickory_stream.perception.features import named, of_both
 
 if TYPE_CHECKING:
-
     from hickory_stream.perception.features import Features
     from hickory_stream.perception.ordered_pairs import OrderedPairs
 
