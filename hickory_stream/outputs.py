@@ -555,7 +555,7 @@ class Definitions(TypedDict):
 
 
 class Strategies(TypedDict):
-    """The strategies of choosing views, compared; the keys are those of `evaluation.view_strategies.StrategyScore`."""
+    """The strategies of choosing views, compared: `evaluation.views.comparison.StrategyScore` and its reconstructor."""
 
     event: Literal["finished"]
     strategies: list[dict[str, Any]]

@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 
 from hickory_stream.cli.compile_notice import CompileNotice
-from hickory_stream.cli.evaluate_views import planned_runs
 from hickory_stream.engine.run_progress import Progress
 from hickory_stream.progress import ProgressPrinter
 
@@ -23,16 +22,6 @@ def test_one_of_several_runs_says_which_it_is(capsys: pytest.CaptureFixture[str]
     assert json.loads(capsys.readouterr().err)["part"] == "2 of 5"
     ProgressPrinter("json")(PROGRESS)
     assert "part" not in json.loads(capsys.readouterr().err)
-
-
-def test_evaluate_views_counts_its_runs() -> None:
-    runs = list(planned_runs(("s_score", "box_2d"), ("a.mcap", "b.mcap")))
-    assert runs == [
-        ("1 of 4", "s_score", 0, "a.mcap"),
-        ("2 of 4", "s_score", 1, "b.mcap"),
-        ("3 of 4", "box_2d", 0, "a.mcap"),
-        ("4 of 4", "box_2d", 1, "b.mcap"),
-    ]
 
 
 class Clock:

@@ -92,7 +92,7 @@ TEXTS: dict[str, tuple[str, str]] = {
         "explain demo.map --truth demo.truth --object 3",
     ),
     "evaluate-views": (
-        "Compare the ways to choose an object's view: each log is mapped once for each of them.",
+        "Compare the ways to choose an object's view: each object is reconstructed from the one view of each of them.",
         "evaluate-views demo.mcap --truth demo.truth",
     ),
     "evaluate-alignment": (

@@ -18,7 +18,6 @@ from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.explain import format_evaluation, worst_first
 from hickory_stream.evaluation.page import write_page
 from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject, load_truth, truth_record
-from hickory_stream.evaluation.view_strategies import compare, verdict
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import from_rotation_translation
@@ -202,27 +201,3 @@ def test_json_holds_the_figures_and_every_object(tmp_path: Path, capsys: pytest.
     assert main(["evaluate", str(tmp_path / "map"), "--truth", str(tmp_path / "truth"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["recall_25"], found["objects"][0]["kind"], found["objects"][0]["map_id"]) == (1.0, "cube", 3)
-
-
-# ---- view strategies ------------------------------------------------------------------------------------------------
-
-
-def test_strategies_are_compared_over_all_and_over_what_each_has_matched(tmp_path: Path) -> None:
-    found = evaluate(map_in(tmp_path / "map"), truth_in(tmp_path / "truth"))
-    row = found.objects[0]
-    good, poor = replace(row, f1_5pct=0.9), replace(row, truth_id=2, f1_5pct=0.5)
-    missed = replace(poor, f1_5pct=0.0, map_id=None, add_s_m=None)
-    scores = compare(
-        {
-            "s_score": [replace(found, objects=(good, poor))],
-            "initial": [replace(found, objects=(good, missed))],
-        }
-    )
-    assert [(s.strategy, s.f1_5pct) for s in scores] == [("s_score", pytest.approx(0.7)), ("initial", 0.45)]
-    assert [(s.common_f1_5pct, s.num_objects, s.num_common) for s in scores] == [(0.9, 2, 1)] * 2
-    assert verdict(scores) == "s_score chooses the views with the highest mean F1"
-
-
-def test_it_is_said_where_another_strategy_is_as_good(tmp_path: Path) -> None:
-    found = evaluate(map_in(tmp_path / "map"), truth_in(tmp_path / "truth"))
-    assert verdict(compare({"s_score": [found], "max_box": [found]})) == "s_score is not the best: max_box (+0.000)"

@@ -79,6 +79,7 @@ _HELPERS = {
     "stage_times",
     "swept_truth",
     "true_questions",
+    "view_trials",
     "true_shapes",
 }
 

@@ -26,6 +26,7 @@ from tools.benchmarks.foreign_logs import worlds_folder
 from tools.benchmarks.intervals import bootstrap, wilson
 from tools.benchmarks.layer2_objects import TUNED_WORLDS, foreign_subjects, own_subjects
 from tools.benchmarks.oracle import Generated, Sighted, generated, plain_mesh, sighted
+from tools.benchmarks.view_trials import view_figures
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,7 +60,12 @@ class Row:
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures, and print the trials that failed."""
+    """Return the figures, and print the trials that failed; `--only views` measures the choice of views alone."""
+    figures = view_figures(options) if "views" in options.only else []
+    return figures if options.only == ("views",) else [*figures, *_of_oracles(options)]
+
+
+def _of_oracles(options: Options) -> list[Figure]:
     count = 10 if options.quick else 114
     seed = _SEED + options.seed
     subjects = own_subjects(count, seed)

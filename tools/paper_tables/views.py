@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.config import MapperConfig
 from hickory_stream.errors import HickoryError
-from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.evaluation.view_strategies import STRATEGIES
+from hickory_stream.evaluation.views.trials import STRATEGIES, try_views
+from hickory_stream.shapes.build import make_reconstructor
+from hickory_stream.sinks.disk_sink import DiskSink
+from players import open_source
 from tools.benchmarks.intervals import bootstrap, wilson
 from tools.paper_tables.data_sets import HOPE, REPLICA_CAD
 from tools.paper_tables.logs import apartment_pairs, hope_logs, hope_truth
 from tools.paper_tables.published import VIEWS
 from tools.paper_tables.tables import Cell, Column, Table
-from tools.paper_tables.workshop import refusal
+from tools.paper_tables.workshop import identity_of, refusal
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from hickory_stream.evaluation.truth import Truth
     from tools.paper_tables.plan import Plan
     from tools.paper_tables.workshop import Log, Workshop
@@ -71,11 +73,13 @@ def views_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table:
 
 
 def _found(name: str, data: Path, plan: Plan, shop: Workshop) -> dict[str, list[Any]] | str:
-    """Return what `_evaluated` does of a data set's logs, or why there is nothing."""
+    """Return by strategy [F1, ADD-S over the diameter or None] of every true object that counts, or why it is empty."""
     try:
-        return _evaluated(_logs(name, data, plan, shop), shop)
+        logs = _logs(name, data, plan, shop)
+        rows = [row for log, truth in logs for row in _objects(log, truth, shop)]
     except HickoryError as error:
         return refusal(error)
+    return {strategy: [row[strategy] for row in rows] for strategy in STRATEGIES} if logs else "no logs"
 
 
 def _logs(name: str, data: Path, plan: Plan, shop: Workshop) -> list[tuple[Log, Truth]]:
@@ -85,22 +89,27 @@ def _logs(name: str, data: Path, plan: Plan, shop: Workshop) -> list[tuple[Log, 
     return [(log, load_truth(truth)) for pair in pairs for log, truth in zip(pair.logs, pair.truths, strict=True)]
 
 
-def _evaluated(logs: list[tuple[Log, Truth]], shop: Workshop) -> dict[str, list[Any]] | str:
-    """Return by strategy [F1, ADD-S over the diameter or None] of every true object that counts."""
-    if not logs:
-        return "no logs"
-    return {strategy: [row for log in logs for row in _objects(*log, strategy, shop)] for strategy in STRATEGIES}
-
-
-def _objects(log: Log, truth: Truth, strategy: str, shop: Workshop) -> list[Any]:
-    settings = (f"mapper.mapping.views.strategy={strategy}", "mapper.shapes.reconstructor=single_view")
-    folder = shop.map_of(log, settings, strategy)
-
+def _objects(log: Log, truth: Truth, shop: Workshop) -> list[Any]:
     def measure() -> list[Any]:
-        rows = evaluate(open_map(folder), truth).objects
-        return [[row.f1_5pct, None if row.add_s_m is None else row.add_s_m / row.diameter_m] for row in rows]
+        config = MapperConfig()
+        single = {"single_view": make_reconstructor("single_view", config.shapes)}
+        (file,) = log.files  # a folder of HOPE-Video, or a log of our renderer
+        source = open_source(file)
+        with tempfile.TemporaryDirectory(prefix="hickory-views-") as temporary:
+            try:
+                trials = try_views(source, truth, config, single, Path(temporary) / "map", DiskSink)["single_view"]
+            finally:
+                source.close()
+        return [
+            {
+                strategy: [0.0, None] if (score := trial.scores.get(strategy)) is None
+                else [score.f1_5pct, score.add_s_m / trial.diameter_m]
+                for strategy in STRATEGIES
+            }
+            for trial in trials
+        ]  # fmt: skip
 
-    found: list[Any] = shop.once(f"views-{folder.stem}", {"map": folder.name, "strategy": strategy}, measure)
+    found: list[Any] = shop.once(f"views-{log.label}", {"log": identity_of(log)}, measure)
     return found
 
 

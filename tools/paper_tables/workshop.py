@@ -20,7 +20,7 @@ from tools.benchmarks.processes import ROOT
 from tools.benchmarks.repetitions import hash_of_files
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from pathlib import Path
 
 # What makes and measures maps.
@@ -69,21 +69,21 @@ class Workshop:
         write_atomically(path, dumps({"key": key, "value": value}, indent=1).encode())
         return json.loads(dumps(value))
 
-    def map_of(self, log: Log, settings: Sequence[str] = (), variant: str = "") -> Path:
+    def map_of(self, log: Log) -> Path:
         """Return the folder of a log's map, playing the log if there is none yet.
 
         Raises:
             MapFolderError: the log cannot be mapped; the text is that of the command.
         """
-        out = self.folder / "maps" / f"{log.label}{variant and '-'}{variant}.map"
-        made_from = {"log": [_identity(file) for file in log.files], "settings": [*log.arguments, *settings]}
+        out = self.folder / "maps" / f"{log.label}.map"
+        made_from = {"log": identity_of(log), "settings": list(log.arguments)}
         if not out.is_dir():
             (self.folder / "results" / f"map-{out.stem}.json").unlink(missing_ok=True)
-        self.once(f"map-{out.stem}", made_from, lambda: self._play(log, settings, out))
+        self.once(f"map-{out.stem}", made_from, lambda: self._play(log, out))
         return out
 
-    def _play(self, log: Log, settings: Sequence[str], out: Path) -> float:
-        arguments = [*log.arguments, *(argument for setting in settings for argument in ("--set", setting))]
+    def _play(self, log: Log, out: Path) -> float:
+        arguments = list(log.arguments)
         if self._workers is not None:
             arguments += ["--workers", str(self._workers)]
         command = [sys.executable, "-m", "hickory_stream", "play", *map(str, log.files), "--out", str(out)]
@@ -96,6 +96,11 @@ class Workshop:
             last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
             raise MapFolderError(f"{log.label} cannot be mapped (exit status {done.returncode}): {last}")
         return time.perf_counter() - started
+
+
+def identity_of(log: Log) -> list[Any]:
+    """Return what tells a log from others: its files by name, number and size."""
+    return [_identity(file) for file in log.files]
 
 
 def _identity(file: Path) -> list[Any]:

@@ -70,7 +70,12 @@ def reconstructor_of(config: ShapeConfig) -> Reconstructor:
     path = os.environ.get(CHOICE_VARIABLE, "")
     if not path:
         raise ConfigError(f"this job needs a generator; set ${CHOICE_VARIABLE} to its TOML")
-    return make_reconstructor("external", config, _generator(path), _refiner(path, config))
+    return generating(Path(path), config)
+
+
+def generating(spec: Path, config: ShapeConfig) -> Reconstructor:
+    """Return the reconstructor that asks the generator of a TOML; raises ConfigError where that cannot be read."""
+    return make_reconstructor("external", config, _generator(str(spec)), _refiner(str(spec), config))
 
 
 @cache
@@ -106,6 +111,16 @@ def chosen_generator(config: MapperConfig) -> Path | None:
     if config.shapes.reconstructor != "external":
         return None
     path = find_spec(config.run.generator)
+    check_generator(path, config)
+    return path
+
+
+def check_generator(path: Path, config: MapperConfig) -> None:
+    """Start the generator of a TOML, and its refiner, and end them again.
+
+    Raises:
+        ConfigError: its licence was not accepted, something of it is missing, or it does not start.
+    """
     spec = read_spec(path)
     refiner = refiner_of(spec)
     for program in [spec] if refiner is None else [spec, refiner]:
@@ -122,7 +137,6 @@ def chosen_generator(config: MapperConfig) -> Path | None:
             raise ConfigError(f"{error}; see `hickory-stream generators check {path}`") from error
         finally:
             process.close()
-    return path
 
 
 def generator_key(config: MapperConfig) -> str:

@@ -1,0 +1,1 @@
+"""The paper's experiment on views: each object reconstructed from the one view that each strategy would choose."""

@@ -1,0 +1,194 @@
+"""One log, every strategy: each true object reconstructed from the one view that each strategy chooses of its object.
+
+A log is played once. The strategies change which view is the best, not the tracks, so that all of them choose among the
+views of the same objects, and an object's rows differ by the chosen view alone. Beside them stands the best view there
+is, as truth has it, of those that were tried: the strategies' and the ones that the map keeps, one a direction.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+import numpy as np
+
+from hickory_stream.engine.crops import read_crop
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.play import play
+from hickory_stream.engine.saved_map import open_map
+from hickory_stream.evaluation.evaluate import true_mesh_world
+from hickory_stream.evaluation.exposed import exposed_samples
+from hickory_stream.evaluation.match import meshes_of, score_map
+from hickory_stream.evaluation.placement import placed_truth
+from hickory_stream.evaluation.supports import supports_of
+from hickory_stream.evaluation.surface_score import SAMPLES, SurfaceScore, TrueSurface, diameter_m, surface_score
+from hickory_stream.evaluation.truth import moved_mesh
+from hickory_stream.evaluation.views.every_view import EveryView, largest_of_frames
+from hickory_stream.geometry.rigid import compose, invert
+from hickory_stream.mapping.moved import moved_object
+from hickory_stream.mapping.support_graph import Relation
+from hickory_stream.mapping.views import Strategy, ViewConfig, score
+from hickory_stream.ports import NoShape, ShapeInputs
+from hickory_stream.shapes.usable import usable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.evaluation.match import TruthScore
+    from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.ports import Reconstructor, Sink, Source
+    from hickory_stream.records import MapSnapshot, TrackedObject, View
+
+OURS: Strategy = "s_score"
+STRATEGIES: tuple[Strategy, ...] = get_args(Strategy)
+BEST = "best"
+"""The best of the views that were tried, by truth: what no choice among them can surpass."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewTrial:
+    """A true object that counts, and what each choice of a view made of it.
+
+    `scores` are by strategy and, under `BEST`, of the view with the highest F1 at 5 %; None where the view gives no
+    shape. It is empty for an object that the map misses. `num_tried` views of `num_views` were reconstructed.
+    """
+
+    truth_id: int
+    kind: str
+    diameter_m: float
+    scores: Mapping[str, SurfaceScore | None]
+    num_views: int = 0
+    num_tried: int = 0
+
+
+def try_views(
+    source: Source,
+    truth: Truth,
+    config: MapperConfig,
+    reconstructors: Mapping[str, Reconstructor],
+    out: Path,
+    saver: Callable[[MapFolder], Sink],
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> dict[str, tuple[ViewTrial, ...]]:
+    """Map a log into the folder `out`, without shapes, and return the trials of each reconstructor.
+
+    `saver` makes the sink that saves the map.
+
+    Raises:
+        HickoryError: the log, the map folder or the truth cannot be used.
+    """
+    mapping = replace(
+        config.mapping,
+        views=replace(config.mapping.views, strategy=OURS),
+        requests=replace(config.mapping.requests, max_failures=0),
+    )
+    config = replace(config, mapping=mapping)
+    with tempfile.TemporaryDirectory(prefix="hickory-views-") as temporary:
+        views = EveryView(Path(temporary), config.run.crop_margin)
+        play(
+            Mapper(config, out=out, overwrite=True),
+            source,
+            sinks=lambda folder: [(saver(folder), True), (views, True)],
+            progress=progress,
+        )
+        saved = open_map(out)
+        truth = placed_truth(saved, truth).truth
+        rows = [row for row in score_map(saved.snapshot, meshes_of(saved), truth).truth if row.counts]
+        seen = _seen_objects(saved.snapshot, views, config.mapping)
+        surfaces = {row.truth_id: _surface(truth, row.truth_id) for row in rows}
+        return {
+            name: tuple(_trial(row, seen, surfaces[row.truth_id], reconstructor, views.folder) for row in rows)
+            for name, reconstructor in reconstructors.items()
+        }
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Seen:
+    """An object in the frame of its submap, as its views are, all of these, and what it rests on."""
+
+    item: TrackedObject
+    views: Sequence[View]
+    support_z_m: float | None
+    world_from_submap: NDArray[np.float64]
+
+
+def _seen_objects(snapshot: MapSnapshot, views: EveryView, config: MappingConfig) -> dict[int, _Seen]:
+    placed = {submap.id: submap.world_from_submap for submap in snapshot.submaps}
+    supports, by_object = supports_of(snapshot, config), views.of_objects(snapshot)
+    return {
+        item.id: _Seen(
+            item=moved_object(item, invert(placed[item.submap_id])),
+            views=by_object[item.id],
+            support_z_m=next((e.height_m for e in supports[item.id] if e.relation is Relation.RESTS_ON), None),
+            world_from_submap=placed[item.submap_id],
+        )
+        for item in snapshot.objects
+    }
+
+
+def chosen_views(item: TrackedObject, seen: Sequence[View]) -> dict[str, View]:
+    """Return the view of an object that each strategy chooses of those `seen`; S's is the one that the map chose."""
+    chosen: dict[str, View] = {}
+    for strategy in STRATEGIES:
+        if strategy == OURS:
+            if item.best_view is not None:
+                chosen[strategy] = item.best_view
+        elif seen:
+            config = ViewConfig(strategy=strategy)
+            chosen[strategy] = max(
+                largest_of_frames(seen), key=lambda view: (score(view, 0.0, config), -view.frame_index)
+            )
+    return chosen
+
+
+def _surface(truth: Truth, truth_id: int) -> TrueSurface:
+    item = next(item for item in truth.objects if item.id == truth_id)
+    mesh = true_mesh_world(truth, item)
+    samples, _ = exposed_samples(mesh, SAMPLES, np.random.default_rng(item.id))
+    return TrueSurface(mesh=mesh, samples=samples.astype(np.float64))
+
+
+def _trial(
+    row: TruthScore, seen: Mapping[int, _Seen], true: TrueSurface, reconstructor: Reconstructor, folder: Path
+) -> ViewTrial:
+    blank = ViewTrial(truth_id=row.truth_id, kind=row.kind, diameter_m=diameter_m(true.mesh.vertices), scores={})
+    if row.map_id is None:
+        return blank
+    of = seen[row.map_id]
+    chosen = chosen_views(of.item, of.views)
+    kept = {view.name for view in of.views}
+    names = sorted({view.name for view in (*chosen.values(), *of.item.views)} & kept)
+    scores = {name: _score(of, name, true, reconstructor, folder, seed=row.truth_id) for name in names}
+    by_strategy = {strategy: scores.get(view.name) for strategy, view in chosen.items()}
+    best = max((one for one in scores.values() if one is not None), key=lambda one: one.f1_5pct, default=None)
+    return replace(blank, scores={**by_strategy, BEST: best}, num_views=len(kept), num_tried=len(scores))
+
+
+def _score(
+    of: _Seen, name: str, true: TrueSurface, reconstructor: Reconstructor, folder: Path, seed: int
+) -> SurfaceScore | None:
+    """Return how the object reconstructed from one view compares with the true one; None: it gives no shape."""
+    inputs = ShapeInputs(
+        crops=(read_crop(folder, name),),
+        points_world=of.item.points_world,
+        colors=of.item.colors,
+        box=of.item.box,
+        support_z_m=of.support_z_m,
+    )
+    found = reconstructor.reconstruct(inputs)
+    if isinstance(found, NoShape):
+        return None
+    try:
+        mesh = usable(found.mesh)
+    except ValueError:
+        return None
+    world_from_object = compose(of.world_from_submap, found.world_from_object)
+    return surface_score(true, moved_mesh(mesh, world_from_object), np.random.default_rng(seed))

@@ -1,0 +1,70 @@
+"""`evaluate-views` on the first seconds of the demo: one playback, every strategy, every reconstructor."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import TYPE_CHECKING
+
+from hickory_stream.cli import main
+from hickory_stream.cli.evaluate_views import reconstructors_of
+from hickory_stream.config import MapperConfig
+from hickory_stream.engine.saved_map import open_map
+from hickory_stream.evaluation.views.trials import BEST, OURS, STRATEGIES
+from tests.examples.generators import HERE
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pytest
+
+COARSE = (
+    "--set", "mapper.shapes.single_view.volume.cells=16",
+    "--set", "mapper.shapes.single_view.symmetry.num_yaws=4",
+    "--set", "mapper.shapes.single_view.symmetry.num_offsets=3",
+)  # fmt: skip
+BOXES = """
+name = "boxes"
+command = ["{python}", "{program}"]
+"""
+
+
+def test_every_strategy_chooses_among_the_views_of_one_playback(
+    short_log: Path, demo_truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "maps"
+    command = ["evaluate-views", str(short_log), "--truth", str(demo_truth), "--out", str(out), "--json", *COARSE]
+    assert main([*command, "--reconstructor", "single_view"]) == 0
+    rows = json.loads(capsys.readouterr().out.splitlines()[-1])["strategies"]
+    by_name = {row["strategy"]: row for row in rows}
+    assert set(by_name) == {*STRATEGIES, BEST}
+    assert {row["reconstructor"] for row in rows} == {"single_view"}
+    assert by_name[OURS]["s_minus_this"] is None
+    # Nothing surpasses the best view, and the first one of an object is rarely it.
+    assert all(row["f1_5pct"] <= by_name[BEST]["f1_5pct"] for row in rows)
+    assert 0.0 < by_name["initial"]["f1_5pct"] < by_name[BEST]["f1_5pct"]
+    assert all(item.shape is None for item in open_map(out / "0").snapshot.objects)
+
+
+def test_a_generator_that_cannot_be_used_is_named_before_anything_is_played(
+    short_log: Path, demo_truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "none.toml").write_text('name = "none"\ncommand = ["no-such-program"]\n')
+    command = ["evaluate-views", str(short_log), "--truth", str(demo_truth), "--reconstructor"]
+    assert main([*command, str(tmp_path / "none.toml")]) == 2
+    assert "no-such-program" in capsys.readouterr().err
+
+
+def test_all_generators_that_can_be_started_are_compared_and_others_left_out_aloud(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HICKORY_GENERATORS", str(tmp_path))
+    boxes = BOXES.replace("{python}", sys.executable).replace("{program}", str(HERE / "box_generator.py"))
+    (tmp_path / "boxes.toml").write_text(boxes)
+    (tmp_path / "none.toml").write_text('name = "none"\ncommand = ["no-such-program"]\n')
+    (tmp_path / "research.toml").write_text(boxes.replace("boxes", "research") + 'acceptance = "research only"\n')
+    assert list(reconstructors_of(None, MapperConfig(), told=True)) == ["single_view", "boxes"]
+    said = capsys.readouterr().err
+    assert "left out: " in said
+    assert "no-such-program" in said
+    assert "research only" in said
