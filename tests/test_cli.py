@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ import numpy as np
 import psutil
 import pytest
 import trimesh
+from rerun.chunk import RrdReader
 
 from hickory_stream.cli import main
 from hickory_stream.config import from_dict, read_config
@@ -25,6 +27,7 @@ from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
 from hickory_stream.engine.saved_map import open_map
+from hickory_stream.evaluation.raycast import image_colors
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.records import Phase
 from hickory_stream.settings import Settings
@@ -84,7 +87,8 @@ class Made:
 def made(short_log: Path, coarse_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Made:
     folder = tmp_path_factory.mktemp("maps")
     play = ("play", short_log, "--config", coarse_config, "--viewer", "none")
-    one = run(*play, "--out", folder / "one", "--workers", 1, "--rrd", folder / "run.rrd", "--json")
+    textured = ("--set", "rerun.texture_px=64")
+    one = run(*play, "--out", folder / "one", "--workers", 1, "--rrd", folder / "run.rrd", "--json", *textured)
     two = run(*play, "--out", folder / "two", "--workers", 2)
     assert one.status == two.status == 0, one.stderr + two.stderr
     return Made(by_one=folder / "one", by_two=folder / "two", rrd=folder / "run.rrd", ended=one)
@@ -319,7 +323,7 @@ def test_render_draws_the_layers_that_are_asked_for(made: Made, tmp_path: Path) 
 def test_what_is_written_is_told_and_is_replaced_only_when_asked_to(made: Made, tmp_path: Path) -> None:
     for command, out in (
         (("render", made.by_one, "--size", "480x240"), tmp_path / "map.png"),
-        (("export", made.by_one, "--format", "glb"), tmp_path / "map.glb"),
+        (("export", made.by_one, "--format", "glb", "--texture", 0), tmp_path / "map.glb"),
         (("replay", made.by_one), tmp_path / "run.rrd"),
     ):
         option = "--rrd" if command[0] == "replay" else "-o"
@@ -337,7 +341,7 @@ def test_what_is_written_is_told_and_is_replaced_only_when_asked_to(made: Made, 
 
 
 def test_an_exported_glb_is_y_up_and_keeps_which_surface_was_seen(made: Made, tmp_path: Path) -> None:
-    assert look("export", made.by_one, "--format", "glb", "-o", tmp_path / "map.glb").status == 0
+    assert look("export", made.by_one, "--format", "glb", "--texture", 0, "-o", tmp_path / "map.glb").status == 0
     scene = trimesh.load(tmp_path / "map.glb", force="scene")
     content = (tmp_path / "map.glb").read_bytes()
     document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
@@ -354,6 +358,61 @@ def test_an_exported_glb_is_y_up_and_keeps_which_surface_was_seen(made: Made, tm
         assert np.allclose(np.sort(exported, axis=0), np.sort(np.stack([x, z, -y], axis=1), axis=0), atol=1e-4)
         seen = scene.geometry[geometry].vertex_attributes["_SEEN"]
         assert int(np.asarray(seen).sum()) == int(mesh.is_seen.sum())
+
+
+def test_an_exported_glb_has_a_texture_on_every_object(made: Made, tmp_path: Path) -> None:
+    assert look("export", made.by_one, "--format", "glb", "--texture", 64, "-o", tmp_path / "map.glb").status == 0
+    scene = trimesh.load(tmp_path / "map.glb", force="scene")
+    saved = open_map(made.by_one)
+    for tracked in saved.snapshot.objects:
+        if tracked.shape is not None:
+            shown, mesh = scene.geometry[f"object-{tracked.id}"], saved.mesh(tracked.shape)
+            image = np.asarray(shown.visual.material.baseColorTexture)
+            assert max(image.shape[:2]) <= 64
+            # The image has the colours of the vertices, where they are seen, but for what is finer than a vertex.
+            colors = image_colors(image, np.column_stack([shown.visual.uv[:, 0], 1 - shown.visual.uv[:, 1]])) * 255
+            assert np.abs(colors.mean(axis=0) - mesh.colors.mean(axis=0)).max() < 40
+            assert shown.is_watertight or len(shown.vertices) > len(mesh.vertices)
+
+
+def test_textures_come_with_the_viewer_and_pictures_where_they_are_asked_for(made: Made, tmp_path: Path) -> None:
+    textured = {
+        chunk.entity_path
+        for chunk in RrdReader(made.rrd).stream()
+        if any("albedo_texture" in name for name in chunk.to_record_batch().schema.names)
+    }
+    assert len(textured) == sum(tracked.shape is not None for tracked in open_map(made.by_one).snapshot.objects)
+    pictures = []
+    for texture in (0, 64):
+        out = tmp_path / f"{texture}.png"
+        drawn = look("render", made.by_one, "-o", out, "--layers", 2, "--size", "480x240", "--texture", texture)
+        assert drawn.status == 0, drawn.stderr
+        pictures.append(cv2.imread(str(out)).astype(int))
+    difference = np.abs(pictures[0] - pictures[1])
+    assert 0 < difference.mean() < 10
+
+
+def test_a_view_that_is_damaged_is_named_and_a_map_without_textures_is_still_written(
+    made: Made, tmp_path: Path
+) -> None:
+    broken = tmp_path / "broken"
+    shutil.copytree(made.by_one, broken)
+    view = next(t for t in open_map(broken).snapshot.objects if t.shape is not None).views[0].name
+    colors = broken / "views" / f"{view}.color.png"
+    colors.write_bytes(colors.read_bytes()[:100])
+    refused = look("export", broken, "--format", "glb", "--texture", 32, "-o", tmp_path / "b.glb")
+    assert refused.status == 2
+    assert refused.stderr.count("\n") == 1
+    assert view in refused.stderr
+    assert "--texture 0" in refused.stderr
+    assert look("export", broken, "--format", "glb", "--texture", 0, "-o", tmp_path / "b.glb").status == 0
+
+
+@pytest.mark.parametrize("side", ["31", "9000", "x", "-1"])
+def test_a_texture_of_no_possible_side_is_refused(side: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["export", "any.map", "--format", "glb", f"--texture={side}"])
+    assert "expected 32 to 8192 pixels" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("form", ["text", "json"])

@@ -11,6 +11,7 @@ import pytest
 from hickory_stream import events, ports, records
 from hickory_stream.geometry import boxes, mesh, superquadric
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.textures import textured_mesh
 
 _CAMERA = Camera(width=4, height=3, fx=5.0, fy=5.0, cx=1.5, cy=1.0)
 _POSE = np.eye(4)
@@ -32,6 +33,12 @@ VALID: dict[type, dict[str, Any]] = {
         "exponents": np.ones((2, 2)),
         "semi_axes_m": np.ones((2, 3)),
         "world_from_local": np.stack([_POSE] * 2),
+    },
+    textured_mesh.TexturedMesh: {
+        "mesh": _MESH,
+        "uv": np.zeros((3, 2)),
+        "image": np.zeros((4, 4, 3), np.uint8),
+        "source": np.arange(3),
     },
     mesh.Mesh: {name: getattr(_MESH, name) for name in ("vertices", "faces", "colors", "is_seen")},
     records.Frame: {

@@ -6,12 +6,18 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.values import add_unproven_argument, open_proven_map_at, robot_of_option
+from hickory_stream.cli.values import (
+    add_texture_argument,
+    add_unproven_argument,
+    open_proven_map_at,
+    robot_of_option,
+)
 from hickory_stream.cli.written import add_output, refuse_taken, written_text
 from hickory_stream.engine.atomic import write_output
-from hickory_stream.errors import InputError
+from hickory_stream.errors import InputError, MapFolderError
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.outputs import output
+from hickory_stream.textures import DEFAULT_TEXTURE_PX
 
 if TYPE_CHECKING:
     import argparse
@@ -19,6 +25,9 @@ if TYPE_CHECKING:
 
     from hickory_stream.cli.commands import Commands
     from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.geometry.mesh import Mesh
+    from hickory_stream.records import TrackedObject
+    from hickory_stream.textures.textured_mesh import TexturedMesh
 
 
 # Structure above is ceiling to a robot.
@@ -56,6 +65,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     export.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
     )
+    add_texture_argument(export, "glb, mjcf, urdf: the side of an object's texture", DEFAULT_TEXTURE_PX)
     add_unproven_argument(export)
 
 
@@ -68,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     if options.format in _SEVERAL:
         files = _SEVERAL[options.format](saved, out, options)
     else:
-        files = {out: _WRITERS[options.format](saved)}
+        files = {out: _WRITERS[options.format](saved, options)}
     refuse_taken(files, overwrite=options.overwrite)
     try:
         for path, data in files.items():
@@ -94,13 +104,13 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _json(saved: SavedMap) -> bytes:
+def _json(saved: SavedMap, _options: argparse.Namespace) -> bytes:
     from hickory_stream.engine.map_codec import encode_snapshot
 
     return dumps_exactly(encode_snapshot(saved.snapshot)[0], indent=1).encode()
 
 
-def _ply(saved: SavedMap) -> bytes:
+def _ply(saved: SavedMap, _options: argparse.Namespace) -> bytes:
     import numpy as np
 
     from hickory_stream.engine.array_files import ply_bytes
@@ -111,20 +121,38 @@ def _ply(saved: SavedMap) -> bytes:
     return ply_bytes(np.concatenate(points), np.concatenate(colors))
 
 
-def _glb(saved: SavedMap) -> bytes:
+def _texture_of(
+    saved: SavedMap, tracked: TrackedObject, options: argparse.Namespace, mesh: Mesh
+) -> TexturedMesh | None:
+    """Return the textured mesh of an object, None where colours per vertex were asked for."""
+    if not options.texture:
+        return None
+    from hickory_stream.engine.textured_objects import textured_object
+
+    try:
+        return textured_object(saved.views, tracked, mesh, options.texture, is_past=options.at is not None)
+    except MapFolderError as error:
+        raise MapFolderError(f"{error}, or write object {tracked.id} without it: --texture 0") from error
+
+
+def _glb(saved: SavedMap, options: argparse.Namespace) -> bytes:
     """Return a scene of glTF, which is y up; `_SEEN` of a vertex is 1 where the surface was seen, 0 where completed."""
     import numpy as np
     import trimesh
+
+    from hickory_stream.textures.textured_mesh import trimesh_visual
 
     gltf_from_world = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     scene = trimesh.Scene()
     for tracked in saved.snapshot.objects:
         if tracked.shape is not None:
             mesh = saved.mesh(tracked.shape)
-            opaque = np.full(len(mesh.colors), 255, dtype=np.uint8)
-            shown = trimesh.Trimesh(
-                mesh.vertices, mesh.faces, vertex_colors=np.column_stack([mesh.colors, opaque]), process=False
-            )
+            textured = _texture_of(saved, tracked, options, mesh)
+            if textured is None:
+                visual = trimesh.visual.ColorVisuals(vertex_colors=mesh.colors)
+            else:
+                mesh, visual = textured.mesh, trimesh_visual(textured)
+            shown = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
             shown.vertex_attributes["_SEEN"] = mesh.is_seen.astype(np.float32)
             name = f"object-{tracked.id}"
             pose = gltf_from_world @ tracked.shape.world_from_object
@@ -155,10 +183,12 @@ def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[
     from hickory_stream.navigation.walls import wall_boxes
 
     snapshot = saved.snapshot
+    meshes = {tracked.id: saved.mesh(tracked.shape) for tracked in snapshot.objects if tracked.shape is not None}
     objects = [
         SimulatedObject(
             name=f"object-{tracked.id}",
-            mesh=None if tracked.shape is None else saved.mesh(tracked.shape),
+            mesh=meshes.get(tracked.id),
+            texture=_texture_of(saved, tracked, options, meshes[tracked.id]) if tracked.id in meshes else None,
             world_from_object=tracked.box.world_from_box if tracked.shape is None else tracked.shape.world_from_object,
             inflated=layer_four_of(tracked),
         )
@@ -173,7 +203,7 @@ def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[
     return {out / name: data for name, data in made.items()}
 
 
-_WRITERS: dict[str, Callable[[SavedMap], bytes]] = {"json": _json, "ply": _ply, "glb": _glb}
+_WRITERS: dict[str, Callable[[SavedMap, argparse.Namespace], bytes]] = {"json": _json, "ply": _ply, "glb": _glb}
 _SEVERAL: dict[str, Callable[[SavedMap, Path, argparse.Namespace], dict[Path, bytes]]] = {
     "nav2": _nav2,
     "mjcf": _simulated,

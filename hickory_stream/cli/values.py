@@ -6,6 +6,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import ConfigError, InputError
+from hickory_stream.textures import LEAST_TEXTURE_PX, MOST_TEXTURE_PX
 
 if TYPE_CHECKING:
     import argparse
@@ -160,6 +161,23 @@ def parse_layers(text: str) -> set[int]:
     if not parts <= {"1", "2", "3", "4"}:
         raise InputError(f"found --layers {text}, expected some of 1,2,3,4")
     return {int(part) for part in parts}
+
+
+def add_texture_argument(parser: argparse.ArgumentParser, what: str, default: int) -> None:
+    """Add --texture: the largest side in pixels, 0 for none."""
+    import argparse
+
+    least, most = LEAST_TEXTURE_PX, MOST_TEXTURE_PX
+
+    def side(text: str) -> int:
+        if not text.isdigit() or not (int(text) == 0 or least <= int(text) <= most):
+            raise argparse.ArgumentTypeError(
+                f"found --texture {text}, expected {least} to {most} pixels, or 0 for the colours of vertices"
+            )
+        return int(text)
+
+    told = f"{what} at most, {least} to {most} pixels; 0: colours of vertices; default {default}"
+    parser.add_argument("--texture", type=side, default=default, metavar="PX", help=told)
 
 
 def parse_size(text: str) -> tuple[int, int]:

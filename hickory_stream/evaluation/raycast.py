@@ -22,17 +22,25 @@ _CREASE_COSINE = 0.82
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Surface:
-    """Coloured triangles: `vertices` (V, 3) float32, `faces` (F, 3) int32, `colors` (V, 3) uint8, and their owner."""
+    """Coloured triangles: `vertices` (V, 3) float32, `faces` (F, 3) int32, `colors` (V, 3) uint8, and their owner.
+
+    Where there is an `image` (H, W, 3) uint8, its colours at `uv` (V, 2), v down, take the place of the vertices'.
+    """
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.int32]
     colors: NDArray[np.uint8]
     owner: int
+    uv: NDArray[np.float32] | None = None
+    image: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "vertices", np.float32, (None, 3))
         freeze(self, "faces", np.int32, (None, 3))
         freeze(self, "colors", np.uint8, (len(self.vertices), 3))
+        if self.image is not None:
+            freeze(self, "uv", np.float32, (len(self.vertices), 2))
+            freeze(self, "image", np.uint8, (None, None, 3))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -57,6 +65,8 @@ class Scene:
         self._vertices, self._faces, self._owners = vertices, faces, owners
         self._colors = colors.astype(np.float32) / np.float32(255)
         self._normals = _vertex_normals(vertices, faces)
+        self._surfaces = surfaces
+        self._first_faces = np.cumsum([0, *(len(surface.faces) for surface in surfaces)])
         self._caster: RayCaster | None = None
         self._distances: Any = None
         if len(faces):
@@ -78,10 +88,26 @@ class Scene:
         uv = found.uv[hit]
         weights = np.stack([1 - uv.sum(axis=1), uv[:, 0], uv[:, 1]], axis=1).astype(np.float32)
         colors[hit] = np.einsum("nk,nkc->nc", weights, self._colors[corners])
+        colors[hit] = self._with_textures(colors[hit], triangles.astype(np.int64), weights)
         smooth = np.einsum("nk,nkc->nc", weights, self._normals[corners])
         normals[hit] = _towards(_smoothed(found.normals[hit], smooth), directions[hit])
         owners[hit] = self._owners[triangles]
         return Hits(distance_m=found.t, normals=normals, colors=colors, owners=owners)
+
+    def _with_textures(
+        self, colors: NDArray[np.float32], triangles: NDArray[np.int64], weights: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Return the colours (N, 3) where triangles were hit, those of a surface's image where it has one."""
+        of_hit = np.searchsorted(self._first_faces, triangles, side="right") - 1
+        for i in np.unique(of_hit):
+            surface = self._surfaces[i]
+            if surface.image is None or surface.uv is None:
+                continue
+            here = np.flatnonzero(of_hit == i)
+            corners = surface.faces[triangles[here] - self._first_faces[i]]
+            places = np.einsum("nk,nkc->nc", weights[here], surface.uv[corners])
+            colors[here] = image_colors(surface.image, places)
+        return colors
 
     def is_occluded(self, origins: NDArray[Any], directions: NDArray[Any], reach_m: float) -> NDArray[np.bool_]:
         """Return (N,) whether each ray hits a surface within `reach_m`."""
@@ -106,6 +132,17 @@ class Scene:
         answer = self._distances.compute_closest_points(open3d.core.Tensor(query))
         distance_m = np.linalg.norm(answer["points"].numpy() - query, axis=1)
         return distance_m, self._owners[answer["primitive_ids"].numpy()]
+
+
+def image_colors(image: NDArray[np.uint8], uv: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (N, 3) the colours in 0..1 of an image at places (N, 2), by its four pixels around each."""
+    height, width = image.shape[:2]
+    x, y = np.clip(uv[:, 0] * width - 0.5, 0, width - 1), np.clip(uv[:, 1] * height - 0.5, 0, height - 1)
+    column, row = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)
+    right, down = (x - column)[:, None], (y - row)[:, None]
+    above = image[row, column] * (1 - right) + image[row, column + 1] * right
+    below = image[row + 1, column] * (1 - right) + image[row + 1, column + 1] * right
+    return np.asarray((above * (1 - down) + below * down) / 255, dtype=np.float32)
 
 
 def _rays(origins: NDArray[Any], directions: NDArray[Any]) -> NDArray[np.float32]:

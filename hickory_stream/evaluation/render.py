@@ -38,7 +38,9 @@ _CELL_M = 0.05
 _LABEL_STEP_PX = 3
 
 
-def render_map(saved: SavedMap, layers: AbstractSet[int], size: tuple[int, int]) -> NDArray[np.uint8]:
+def render_map(
+    saved: SavedMap, layers: AbstractSet[int], size: tuple[int, int], texture_px: int = 0
+) -> NDArray[np.uint8]:
     """Return an (H, W, 3) uint8 picture of a map: from above on the left, from a corner on the right.
 
     Args:
@@ -46,9 +48,10 @@ def render_map(saved: SavedMap, layers: AbstractSet[int], size: tuple[int, int])
         layers: the layers to draw, of 1 to 4; an object without a shape is drawn as its points. Layer 4 is translucent,
         and so is layer 3 if layer 2 is drawn too.
         size: (W, H) in pixels, at least (480, 240).
+        texture_px: the largest side of a texture of layer 2, 0 for the colours of its vertices.
 
     Raises:
-        MapFolderError: a mesh cannot be read.
+        MapFolderError: a mesh, or a view that a texture is made of, cannot be read.
         ValueError: the size or a layer is out of range.
     """
     width, height = size
@@ -57,7 +60,7 @@ def render_map(saved: SavedMap, layers: AbstractSet[int], size: tuple[int, int])
     if not layers or not set(layers) <= {1, 2, 3, 4}:
         raise ValueError(f"layers are among 1, 2, 3 and 4, found {sorted(layers)}")
     objects = [tracked for tracked in saved.snapshot.objects if tracked.phase != Phase.TENTATIVE]
-    solid, translucent = _surfaces(saved, objects, layers)
+    solid, translucent = _surfaces(saved, objects, layers, texture_px)
     points = [tracked for tracked in objects if 1 in layers or tracked.shape is None]
     floor = _floor_of(saved, objects)
     panel_height = height - _TITLE_PX
@@ -78,7 +81,7 @@ def render_map(saved: SavedMap, layers: AbstractSet[int], size: tuple[int, int])
 
 
 def _surfaces(
-    saved: SavedMap, objects: list[TrackedObject], layers: AbstractSet[int]
+    saved: SavedMap, objects: list[TrackedObject], layers: AbstractSet[int], texture_px: int
 ) -> tuple[list[Surface], list[Surface]]:
     """Return the opaque and the translucent surfaces of the layers 2 to 4."""
     solid: list[Surface] = []
@@ -89,7 +92,7 @@ def _surfaces(
                 translucent.extend(superquadric_surfaces(tracked.sketch, tracked.id))
             continue
         if 2 in layers:
-            solid.append(mesh_surface(saved, tracked))
+            solid.append(mesh_surface(saved, tracked, texture_px))
         if 3 in layers:
             (translucent if 2 in layers else solid).extend(superquadric_surfaces(tracked.shape.fitted, tracked.id))
         if 4 in layers:

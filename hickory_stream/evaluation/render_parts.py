@@ -52,16 +52,22 @@ def point_surface(tracked: TrackedObject, viewpoint: Viewpoint, step_px: float =
     return _squares(points, normals, half_m, colors, tracked.id)
 
 
-def mesh_surface(saved: SavedMap, tracked: TrackedObject) -> Surface:
-    """Return layer 2; the object must have a shape.
+def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Surface:
+    """Return layer 2, with a texture of at most so many pixels on a side unless that is 0; there must be a shape.
 
     Raises:
-        MapFolderError: the mesh cannot be read.
+        MapFolderError: the mesh or a view cannot be read.
     """
     assert tracked.shape is not None
-    mesh = saved.mesh(tracked.shape)
+    mesh, uv, image = saved.mesh(tracked.shape), None, None
+    if texture_px:
+        from hickory_stream.engine.textured_objects import textured_object
+
+        # As it was known earlier, a map may name views that are not kept.
+        textured = textured_object(saved.views, tracked, mesh, texture_px, is_past=True)
+        mesh, uv, image = textured.mesh, textured.uv, textured.image
     vertices = apply(tracked.shape.world_from_object, mesh.vertices)
-    return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=tracked.id)
+    return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=tracked.id, uv=uv, image=image)
 
 
 def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Surface]:

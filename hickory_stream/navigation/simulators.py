@@ -17,6 +17,7 @@ from hickory_stream.confined import plain_name
 from hickory_stream.geometry.rigid import invert, quaternion_from_rotation
 from hickory_stream.geometry.superquadric import moved, support
 from hickory_stream.geometry.superquadric_surface import display_mesh
+from hickory_stream.textures.textured_mesh import png_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.textures.textured_mesh import TexturedMesh
 
 _FLOOR_HALF_M = 50.0
 _WALL_RGBA = "0.84 0.86 0.89 1"
@@ -34,7 +36,7 @@ _WALL_RGBA = "0.84 0.86 0.89 1"
 class SimulatedObject:
     """One object: its mesh in its own frame (or None), its pose, and its layer 4 in the world.
 
-    Its name is used for file names.
+    Where it has a `texture`, that is what is seen. Its name is used for file names.
 
     Raises:
         ValueError: the name has characters that are not allowed in file names.
@@ -44,6 +46,7 @@ class SimulatedObject:
     mesh: Mesh | None
     world_from_object: NDArray[np.float64]
     inflated: Superquadrics
+    texture: TexturedMesh | None = None
 
     def __post_init__(self) -> None:
         plain_name(self.name)
@@ -55,7 +58,7 @@ def mjcf_files(
     """Return the files of an MJCF model by name, `scene.xml` and meshes; `walls` (N, 8, 3) are corners of boxes."""
     files: dict[str, bytes] = {}
     root = ElementTree.Element("mujoco", model=model)
-    ElementTree.SubElement(root, "compiler", angle="radian", meshdir="meshes")
+    ElementTree.SubElement(root, "compiler", angle="radian", meshdir="meshes", texturedir="meshes")
     asset = ElementTree.SubElement(root, "asset")
     world = ElementTree.SubElement(root, "worldbody")
     ElementTree.SubElement(world, "light", pos=f"0 0 {floor_z_m + 6:g}", dir="0 0 -1", directional="true")
@@ -76,9 +79,15 @@ def mjcf_files(
             world, "body", name=item.name, pos=_numbers(item.world_from_object[:3, 3]), quat=_numbers(quaternion)
         )
         if item.mesh is not None:
-            files[f"meshes/{item.name}.obj"] = _obj(item.mesh.vertices, item.mesh.faces)
+            files |= _seen_files(item, item.mesh)
             ElementTree.SubElement(asset, "mesh", name=item.name, file=f"{item.name}.obj", inertia="shell")
-            seen = {"type": "mesh", "mesh": item.name, "rgba": _mean_rgba(item.mesh)}
+            seen = {"type": "mesh", "mesh": item.name}
+            if item.texture is None:
+                seen["rgba"] = _mean_rgba(item.mesh)
+            else:
+                seen["material"] = item.name
+                ElementTree.SubElement(asset, "texture", type="2d", name=item.name, file=f"{item.name}.png")
+                ElementTree.SubElement(asset, "material", name=item.name, texture=item.name)
             ElementTree.SubElement(body, "geom", {**seen, "contype": "0", "conaffinity": "0", "group": "1"})
         for i, (vertices, _) in enumerate(_around(item)):
             name = f"{item.name}-{i}"
@@ -108,7 +117,7 @@ def urdf_files(
     for item in objects:
         link = ElementTree.SubElement(root, "link", name=item.name)
         if item.mesh is not None:
-            files[f"meshes/{item.name}.obj"] = _obj(item.mesh.vertices, item.mesh.faces)
+            files |= _seen_files(item, item.mesh)
             _mesh_of(link, "visual", f"meshes/{item.name}.obj", item.name)
         for i, (vertices, faces) in enumerate(_around(item)):
             name = f"{item.name}-{i}"
@@ -191,6 +200,24 @@ def _obj(vertices: NDArray[np.float64] | NDArray[np.float32], faces: NDArray[np.
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
     return ("\n".join(lines) + "\n").encode()
+
+
+def _seen_files(item: SimulatedObject, mesh: Mesh) -> dict[str, bytes]:
+    """Return the files of layer 2 by name: an OBJ, and with a texture its material and its picture."""
+    if item.texture is None:
+        return {f"meshes/{item.name}.obj": _obj(mesh.vertices, mesh.faces)}
+    textured = item.texture
+    lines = [f"mtllib {item.name}.mtl", f"usemtl {item.name}"]
+    lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in textured.mesh.vertices.tolist()]
+    # Its v goes up.
+    lines += [f"vt {u:.6f} {1 - v:.6f}" for u, v in textured.uv.tolist()]
+    lines += [f"f {a}/{a} {b}/{b} {c}/{c}" for a, b, c in (textured.mesh.faces + 1).tolist()]
+    material = f"newmtl {item.name}\nKd 1 1 1\nmap_Kd {item.name}.png\n"
+    return {
+        f"meshes/{item.name}.obj": ("\n".join(lines) + "\n").encode(),
+        f"meshes/{item.name}.mtl": material.encode(),
+        f"meshes/{item.name}.png": png_bytes(textured),
+    }
 
 
 def _mean_rgba(mesh: Mesh) -> str:

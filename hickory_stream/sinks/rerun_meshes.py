@@ -8,6 +8,7 @@ import numpy as np
 import rerun as rr
 
 from hickory_stream.confined import read_within
+from hickory_stream.engine.folder_layout import SHAPES, VIEWS
 from hickory_stream.geometry.mesh_file import mesh_of_file
 from hickory_stream.geometry.palette import shaded
 from hickory_stream.geometry.superquadric import outward_normals
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.records import TrackedObject
 
 
 def placed_mesh(path: Path, world_from_object: NDArray[np.float64]) -> Any:
@@ -30,6 +32,30 @@ def placed_mesh(path: Path, world_from_object: NDArray[np.float64]) -> Any:
         triangle_indices=mesh.faces,
         vertex_normals=_vertex_normals(vertices, mesh.faces),
         vertex_colors=mesh.colors,
+    )
+
+
+def textured_layer2(folder: Path, tracked: TrackedObject, texture_px: int) -> Any:
+    """Return layer 2 in the world with a texture of at most so many pixels on a side; the object must have a shape.
+
+    Raises:
+        OSError, ValueError, MapFolderError: the mesh or a view in the map's folder is missing or damaged.
+    """
+    from hickory_stream.engine.textured_objects import textured_object
+
+    assert tracked.shape is not None
+    mesh = mesh_of_file(read_within(folder / SHAPES, tracked.shape.mesh_name))
+    textured = textured_object(folder / VIEWS, tracked, mesh, texture_px)
+    pose = tracked.shape.world_from_object
+    # The normals are those of the mesh, whose vertices are not apart at the borders of charts.
+    normals = _vertex_normals(mesh.vertices @ pose[:3, :3].T, mesh.faces)
+    vertices = textured.mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
+    return rr.Mesh3D(
+        vertex_positions=vertices.astype(np.float32),
+        triangle_indices=textured.mesh.faces,
+        vertex_normals=normals[textured.source],
+        vertex_texcoords=textured.uv,
+        albedo_texture=textured.image,
     )
 
 

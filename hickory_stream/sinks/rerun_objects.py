@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import rerun as rr
 
+from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.palette import color_of_id, shaded
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
-from hickory_stream.sinks.rerun_meshes import placed_mesh, superquadric_mesh
+from hickory_stream.sinks.rerun_meshes import placed_mesh, superquadric_mesh, textured_layer2
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -51,11 +52,12 @@ class _Shown:
 class ObjectLayers:
     """Knows what the viewer shows of each object, and returns what has to be logged to make it true.
 
-    A growing cloud is logged at most once per `cloud_period_ns`; `finish` catches up.
+    A growing cloud is logged at most once per `cloud_period_ns`; `finish` catches up, and gives layer 2 its textures.
     """
 
-    def __init__(self, *, shapes_folder: Path, max_points: int, cloud_period_ns: int) -> None:
-        self._shapes_folder = shapes_folder
+    def __init__(self, *, folder: Path, max_points: int, cloud_period_ns: int, texture_px: int) -> None:
+        self._folder = folder
+        self._texture_px = texture_px
         self._max_points = max_points
         self._cloud_period_ns = cloud_period_ns
         self._shown: dict[int, _Shown] = {}
@@ -76,12 +78,13 @@ class ObjectLayers:
         return items
 
     def finish(self) -> list[LogItem]:
-        """Return the clouds that have changed since they were last logged."""
-        return [
+        """Return the clouds that have changed since they were last logged, and meshes with textures."""
+        clouds = [
             _cloud_item(shown.object, self._max_points)
             for _, shown in sorted(self._shown.items())
             if not _same(shown.object.points_world, shown.points_world)
         ]
+        return clouds + self._textured_items() if self._texture_px else clouds
 
     def corners(self) -> NDArray[np.float64]:
         """Return the (N, 3) corners of the boxes of all objects that are more than tentative."""
@@ -107,9 +110,23 @@ class ObjectLayers:
         self._shown[seen.id] = _Shown(object=seen, points_world=seen.points_world, points_ns=stamp_ns)
         return [_cloud_item(seen, self._max_points)]
 
+    def _textured_items(self) -> list[LogItem]:
+        items = []
+        for object_id, shown in sorted(self._shown.items()):
+            if shown.object.shape is None:
+                continue
+            try:
+                mesh = textured_layer2(self._folder, shown.object, self._texture_px)
+            except (OSError, ValueError, MapFolderError) as error:
+                logger.warning("object %d: its mesh has no texture: %s", object_id, error)
+                continue
+            path = f"{MESH_LAYER}/{object_id}"
+            items.append(LogItem(path=path, archetypes=(mesh,), weight=Weight.HEAVY, span=Span.LASTING))
+        return items
+
     def _shape_items(self, object_id: int, shape: ObjectShape) -> list[LogItem]:
         color = color_of_id(object_id)
-        path = self._shapes_folder / shape.mesh_name
+        path = self._folder / "shapes" / shape.mesh_name
         layers: list[tuple[str, tuple[Any, ...]]] = []
         try:
             layers = [(MESH_LAYER, (placed_mesh(path, shape.world_from_object),))]

@@ -36,11 +36,14 @@ if TYPE_CHECKING:
 class RerunScene:
     """Remembers what was logged, so that only changes are."""
 
-    def __init__(self, config: RerunConfig, shapes_folder: Path) -> None:
+    def __init__(self, config: RerunConfig, folder: Path) -> None:
         self._config = config
         period_ns = round(config.cloud_period_s * 1e9)
         self._layers = ObjectLayers(
-            shapes_folder=shapes_folder, max_points=config.max_points_per_object, cloud_period_ns=period_ns
+            folder=folder,
+            max_points=config.max_points_per_object,
+            cloud_period_ns=period_ns,
+            texture_px=config.texture_px,
         )
         self._labels = ObjectLabels(period_ns=period_ns)
         self._views = BestViews(config.jpeg_quality)

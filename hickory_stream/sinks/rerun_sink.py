@@ -36,9 +36,9 @@ _STATUS_EVERY_S = 1.0
 class RerunSink:
     """A `Sink` for Rerun.
 
-    `folder` is the map folder, whose `shapes/` holds the meshes. `web_url` is the page to open when the choice is WEB.
-    With neither a file nor a viewer it does nothing. `status` is asked, about once a second, how a live route and its
-    topics are, as lines of text.
+    `folder` is the map folder, with meshes and views. `web_url` is the page to open when the choice is WEB. With
+    neither a file nor a viewer it does nothing. `status` is asked, about once a second, how a live route and its topics
+    are, as lines of text.
 
     Raises:
         ViewerError: the file cannot be written, or the viewer that was asked for cannot be had.
@@ -57,7 +57,7 @@ class RerunSink:
         self._config = config
         self._status = status
         self._told_s = -np.inf
-        self._scene = RerunScene(config, folder / "shapes")
+        self._scene = RerunScene(config, folder)
         self._recording_id = str(uuid.uuid4())
         self._file: Any = None
         self._feed: Any = None

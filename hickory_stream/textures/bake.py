@@ -1,0 +1,169 @@
+"""Layer 2 with a texture: the pixels of the views that show each place best.
+
+Of the views that show a place the sharpest ones count, by a high power of their detail, so that one view holds most of
+a side and passes into the next without a seam. What no view shows has a plain colour: that of the seen surface around
+it, which fades from one side to the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+from scipy.sparse import csr_array
+
+from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.ranges import Ranged, number
+from hickory_stream.textures import DEFAULT_TEXTURE_PX, LEAST_TEXTURE_PX, MOST_TEXTURE_PX
+from hickory_stream.textures.atlas import atlas_of
+from hickory_stream.textures.exposure import gains_of
+from hickory_stream.textures.sightings import sightings
+from hickory_stream.textures.textured_mesh import TexturedMesh
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.ports import Crop
+    from hickory_stream.textures.atlas import Atlas
+
+_FILLINGS = 400
+# Where the trust of all views together is less, the plain colour shows through.
+_FULL_TRUST = 0.25
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TextureConfig(Ranged):
+    """A texture has at most `most_px` on a side: a power of two, smaller where the views show less.
+
+    A view shows a place within `reach_edges` of the mesh's mean edge, at least `min_reach_m`, of what it measured.
+    Colours are weighted with the power `sharpness` of their pixels a metre.
+    """
+
+    most_px: int = number(DEFAULT_TEXTURE_PX, LEAST_TEXTURE_PX, MOST_TEXTURE_PX, "pixels")
+    reach_edges: float = number(2.0, 0, 100, "edges")
+    min_reach_m: float = number(0.01, 0, 1, "m")
+    sharpness: int = number(6, 1, 16, "power")
+
+
+def textured(
+    mesh: Mesh, world_from_object: NDArray[np.float64], crops: Sequence[Crop], config: TextureConfig
+) -> TexturedMesh:
+    """Return a mesh, in its own frame, with a texture of what views show of it; the same inputs give the same bytes."""
+    atlas = atlas_of(mesh.vertices, mesh.faces, _texel_m(mesh, crops, config), config.most_px)
+    row, column = np.nonzero(atlas.owner >= 0)
+    face = atlas.owner[row, column]
+    weights = _barycentric(atlas.corners_px[face], np.stack([column + 0.5, row + 0.5], axis=1))
+    normals = _vertex_normals(mesh)
+    corners = mesh.faces[face]
+    points = np.einsum("nk,nkc->nc", weights, mesh.vertices[corners].astype(np.float64))
+    directions = np.einsum("nk,nkc->nc", weights, normals[corners])
+    # Texels and vertices at once: what surrounds unseen surface is known at its vertices.
+    points = apply(world_from_object, np.concatenate([points, mesh.vertices.astype(np.float64)]))
+    directions = np.concatenate([directions, normals]) @ world_from_object[:3, :3].T
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
+    colors, trust = _blended(points, directions, crops, _reach_m(mesh, config), config.sharpness)
+    count = len(face)
+    plain = _filled(mesh, colors[count:], trust[count:])
+    share = np.minimum(trust[:count] / _FULL_TRUST, 1.0)[:, None]
+    below = np.einsum("nk,nkc->nc", weights, plain[corners])
+    image = np.zeros((atlas.side_px, atlas.side_px, 3), np.uint8)
+    image[row, column] = np.rint(share * colors[:count] + (1 - share) * below).clip(0, 255).astype(np.uint8)
+    # Filtering reaches beyond the border of a chart.
+    nearest = ndimage.distance_transform_edt(atlas.owner < 0, return_distances=False, return_indices=True)
+    return _unwrapped(mesh, atlas, image[tuple(nearest)])
+
+
+def _texel_m(mesh: Mesh, crops: Sequence[Crop], config: TextureConfig) -> float:
+    """Return the side of a pixel on the object in the view that comes nearest; a whole atlas where there is no view."""
+    finest = [
+        float(np.median(crop.depth_m[crop.mask & np.isfinite(crop.depth_m)])) / crop.camera.fx
+        for crop in crops
+        if (crop.mask & np.isfinite(crop.depth_m)).any()
+    ]
+    return min(finest) if finest else max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-6) / config.most_px
+
+
+def _reach_m(mesh: Mesh, config: TextureConfig) -> float:
+    ends = mesh.vertices[mesh.faces[:, :2]].astype(np.float64)
+    edge = float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
+    return max(config.reach_edges * edge, config.min_reach_m)
+
+
+def _blended(
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    crops: Sequence[Crop],
+    reach_m: float,
+    sharpness: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the colours (N, 3) of points by all views, 0 where none shows them, and the highest trust (N,)."""
+    if not crops:
+        return np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
+    seen = sightings(points, normals, crops, reach_m)
+    gains = gains_of(seen)
+    best = np.maximum(seen.detail.max(axis=0), 1e-9)
+    weights = seen.trust * np.power(seen.detail / best, sharpness)
+    even = seen.colors * gains[:, None, :].astype(np.float32)
+    total = np.maximum(weights.sum(axis=0), 1e-12)
+    return np.einsum("vn,vnc->nc", weights, even) / total[:, None], seen.trust.max(axis=0)
+
+
+def _filled(mesh: Mesh, colors: NDArray[np.float32], trust: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return (V, 3) colours of all vertices: those that no view shows have the mean of the vertices around them."""
+    filled = np.where((trust > 0)[:, None], colors, mesh.colors).astype(np.float64)
+    # What was seen keeps the colour that layer 2 has of it.
+    unknown = ~mesh.is_seen & (trust <= 0)
+    if not unknown.any() or unknown.all():
+        return filled
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    edges = np.concatenate([edges, edges[:, ::-1]])
+    edges = edges[unknown[edges[:, 0]]]
+    number = np.cumsum(unknown) - 1
+    size = (int(unknown.sum()), len(filled))
+    around = csr_array((np.ones(len(edges)), (number[edges[:, 0]], edges[:, 1])), shape=size)
+    degree = np.maximum(around.sum(axis=1), 1)[:, None]
+    for _ in range(_FILLINGS):
+        filled[unknown] = (around @ filled) / degree
+    return filled
+
+
+def _barycentric(corners: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N, 3) the weights of the corners (N, 3, 2) at places (N, 2)."""
+    b, c, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], places - corners[:, 0]
+    area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
+    wb = (p[:, 0] * c[:, 1] - p[:, 1] * c[:, 0]) / area
+    wc = (b[:, 0] * p[:, 1] - b[:, 1] * p[:, 0]) / area
+    return np.stack([1 - wb - wc, wb, wc], axis=1)
+
+
+def _vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
+    """Return (V, 3) the mean of the normals of the faces around each vertex, weighted by area; not of unit length."""
+    a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
+    per_face = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    count = len(mesh.vertices)
+    sums = [np.bincount(mesh.faces.reshape(-1), per_face[:, k], minlength=count) for k in range(3)]
+    normals = np.stack(sums, axis=1)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
+
+
+def _unwrapped(mesh: Mesh, atlas: Atlas, image: NDArray[np.uint8]) -> TexturedMesh:
+    """Return the mesh with a vertex for each chart that it lies in."""
+    keys = mesh.faces.astype(np.int64) * (int(atlas.of_face.max()) + 1) + atlas.of_face[:, None]
+    _, first, corner = np.unique(keys.reshape(-1), return_index=True, return_inverse=True)
+    source = mesh.faces.reshape(-1)[first]
+    return TexturedMesh(
+        mesh=Mesh(
+            vertices=mesh.vertices[source],
+            faces=corner.reshape(-1, 3).astype(np.int32),
+            colors=mesh.colors[source],
+            is_seen=mesh.is_seen[source],
+        ),
+        uv=(atlas.corners_px.reshape(-1, 2)[first] / atlas.side_px).astype(np.float32),
+        image=image,
+        source=source,
+    )

@@ -1,0 +1,127 @@
+"""Textures baked from views: true colours, even exposure, plain where nothing was seen, always the same bytes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import trimesh
+
+from hickory_stream.evaluation.raycast import image_colors
+from hickory_stream.geometry.camera import backproject
+from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.textures.bake import TextureConfig, textured
+from hickory_stream.textures.textured_mesh import jpeg_bytes
+from tests.shapes.shape_fixtures import shape_inputs
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.ports import Crop
+    from hickory_stream.textures.textured_mesh import TexturedMesh
+
+_SIZE = (0.8, 0.6, 0.5)
+_GREY = 77
+
+
+def pattern(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the true colour of places in the world: squares of 8 cm."""
+    odd = np.floor((points + 0.037) / 0.08).astype(int).sum(axis=-1) % 2
+    return np.where(odd[..., None] > 0, (200.0, 90.0, 60.0), (60.0, 110.0, 160.0))
+
+
+def painted_crop(crop: Crop, gain: float) -> Crop:
+    depth = np.where(np.isnan(crop.depth_m), np.float32(1), crop.depth_m)
+    places = apply(crop.world_from_camera, backproject(depth, crop.camera).reshape(-1, 3).astype(np.float64))
+    colors = pattern(places).reshape(*depth.shape, 3) * gain
+    rgb = np.where(crop.mask[..., None], colors, (0, 255, 0)).clip(0, 255).astype(np.uint8)
+    return replace(crop, rgb=rgb)
+
+
+@pytest.fixture(scope="module")
+def crops() -> list[Crop]:
+    """A box on the floor, seen from three sides and from above, never from below or from behind."""
+    box = trimesh.creation.box(_SIZE).apply_translation([0, 0, 0.25])
+    inputs = shape_inputs(box, 4, azimuths_rad=(-0.9, 1.2), noise=0.001)
+    return [painted_crop(crop, 1.0) for crop in inputs.crops]
+
+
+def box_mesh(crops: list[Crop]) -> Mesh:
+    box = trimesh.creation.box(_SIZE).apply_translation([0, 0, 0.25])
+    for _ in range(4):
+        box = box.subdivide()
+    normals = box.vertex_normals
+    return Mesh(
+        vertices=box.vertices,
+        faces=box.faces,
+        colors=np.full((len(box.vertices), 3), _GREY, np.uint8),
+        # What looks away from the cameras was not seen.
+        is_seen=(normals[:, 0] > -0.3) & (normals[:, 2] > -0.9),
+    )
+
+
+@pytest.fixture(scope="module")
+def baked(crops: list[Crop]) -> TexturedMesh:
+    return textured(box_mesh(crops), np.eye(4), crops, TextureConfig(most_px=512))
+
+
+def colors_on(baked: TexturedMesh, side: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return places on the faces that look to a side, and their colours in 0..255."""
+    mesh = baked.mesh
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    looks = normals @ side > 0.9 * np.linalg.norm(normals, axis=1)
+    places = corners[looks].mean(axis=1)
+    return places, 255.0 * image_colors(baked.image, baked.uv[mesh.faces[looks]].mean(axis=1))
+
+
+@pytest.mark.parametrize("side", [(1, 0, 0), (0, 0, 1)], ids=["front", "top"])
+def test_a_side_that_was_seen_has_the_colours_of_the_object(baked: TexturedMesh, side: tuple[int, ...]) -> None:
+    places, colors = colors_on(baked, np.array(side, float))
+    wrong = np.abs(colors - pattern(places)).max(axis=1) > 40
+    # Edges of squares are between two colours.
+    assert wrong.mean() < 0.12
+    # Nothing of the green around the object.
+    assert (colors[:, 1] < 180).all()
+
+
+def test_what_no_view_shows_is_plain_and_of_the_colours_around_it(baked: TexturedMesh) -> None:
+    _, colors = colors_on(baked, np.array([0, 0, -1.0]))
+    assert np.ptp(colors, axis=0).max() < 150
+    steps = np.abs(np.diff(colors, axis=0)).max(axis=1)
+    assert np.median(steps) < 10
+    assert (np.abs(colors - (130, 100, 110)).max(axis=1) < 80).all()
+
+
+def test_exposures_are_evened(crops: list[Crop]) -> None:
+    gains = (0.7, 1.15, 0.85, 1.2)
+    uneven = [painted_crop(crop, gain) for crop, gain in zip(crops, gains, strict=True)]
+    baked = textured(box_mesh(crops), np.eye(4), uneven, TextureConfig(most_px=512))
+    ratios = []
+    for side in ([1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0], [0, 0, 1.0]):
+        places, colors = colors_on(baked, np.array(side))
+        ratios += (colors / pattern(places)).mean(axis=1).tolist()
+    # Every square is as bright as every other one; with the views' own exposures they differ by 0.7 to 1.2.
+    low, high = np.percentile(ratios, [10, 90])
+    assert high / low < 1.15
+
+
+def test_the_same_inputs_give_the_same_bytes(crops: list[Crop], baked: TexturedMesh) -> None:
+    again = textured(box_mesh(crops), np.eye(4), crops, TextureConfig(most_px=512))
+    assert jpeg_bytes(again) == jpeg_bytes(baked)
+    assert again.uv.tobytes() == baked.uv.tobytes()
+
+
+def test_an_object_without_views_keeps_the_colours_of_its_vertices(crops: list[Crop]) -> None:
+    baked = textured(box_mesh(crops), np.eye(4), [], TextureConfig(most_px=64))
+    assert (np.abs(baked.image.astype(int) - _GREY) <= 1).all()
+
+
+def test_seen_and_generated_stay_marked(crops: list[Crop], baked: TexturedMesh) -> None:
+    mesh = box_mesh(crops)
+    assert (baked.mesh.is_seen == mesh.is_seen[baked.source]).all()
+    assert (baked.mesh.vertices == mesh.vertices[baked.source]).all()
+    assert (baked.source[baked.mesh.faces] == mesh.faces).all()
