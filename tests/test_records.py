@@ -288,7 +288,7 @@ every_array = pytest.mark.parametrize(("record", "values", "name"), list(cases()
 def test_every_record_with_arrays_is_among_these() -> None:
     found = {
         item
-        for module in (records, events, ports, boxes, mesh, superquadric)
+        for module in (records, events, ports, boxes, mesh, superquadric, textured_mesh)
         for _, item in inspect.getmembers(module, inspect.isclass)
         if item.__module__ == module.__name__ and is_dataclass(item) and array_fields(item)
     }

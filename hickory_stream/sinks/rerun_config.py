@@ -32,6 +32,6 @@ class RerunConfig(Ranged):
     jpeg_quality: int = number(80, 1, 100, "percent")
     structure_every: int = number(20, 1, 1_000_000, "keyframes")
     live_queue_length: int = number(256, 1, 1_000_000, "entries")
-    texture_px: int = number(0, 0, 8192, "pixels")
+    texture_px: int = number(0, 0, 8192, "px")
     server_memory_limit: str = "512MiB"
     bind: str = "127.0.0.1"

@@ -44,7 +44,7 @@ class TextureConfig(Ranged):
     Colours are weighted with the power `sharpness` of their pixels a metre.
     """
 
-    most_px: int = number(DEFAULT_TEXTURE_PX, LEAST_TEXTURE_PX, MOST_TEXTURE_PX, "pixels")
+    most_px: int = number(DEFAULT_TEXTURE_PX, LEAST_TEXTURE_PX, MOST_TEXTURE_PX, "px")
     reach_edges: float = number(2.0, 0, 100, "edges")
     min_reach_m: float = number(0.01, 0, 1, "m")
     sharpness: int = number(6, 1, 16, "power")

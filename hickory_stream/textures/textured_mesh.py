@@ -33,7 +33,7 @@ class TexturedMesh:
     def __post_init__(self) -> None:
         freeze(self, "uv", np.float32, (len(self.mesh.vertices), 2))
         freeze(self, "source", np.int32, (len(self.mesh.vertices),))
-        freeze(self, "image", np.uint8, (None, None, 3))
+        freeze(self, "image", np.uint8, (len(self.image), len(self.image), 3))
 
 
 def jpeg_bytes(textured: TexturedMesh) -> bytes:
