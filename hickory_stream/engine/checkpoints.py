@@ -25,10 +25,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PackedTrack:
-    """A track whose `solid` is stored as a mask over its cloud: half of what a checkpoint would take."""
+    """A track whose `solid` is stored as a mask over its cloud: half of what a checkpoint would take.
+
+    `num_solid`: how many points that are; None in older journals.
+    """
 
     track: Track
     is_solid: NDArray[np.bool_]
+    num_solid: int | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "is_solid", "?", (len(self.track.cloud.keys),))
@@ -76,7 +80,8 @@ class Packer:
             if known is None:
                 known = (track, track)
                 if own.is_solid is not None:
-                    known = (track, PackedTrack(track=replace(track, solid=track.cloud), is_solid=own.is_solid))
+                    whole = replace(track, solid=track.cloud)
+                    known = (track, PackedTrack(track=whole, is_solid=own.is_solid, num_solid=len(track.solid)))
             self._packed[id(track)] = known
             return known[1]
 

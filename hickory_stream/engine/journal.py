@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-import mmap
-import os
-import struct
 from bisect import bisect_right
-from collections import OrderedDict
-from dataclasses import dataclass, replace
-from io import BytesIO
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.records import Chunk, Message
-from mcap.stream_reader import breakup_chunk
 
-from hickory_stream.confined import OutsideError, open_within
 from hickory_stream.engine.checkpoints import unpacked
-from hickory_stream.engine.journal_format import (
-    CHANNELS,
-    CHECKPOINT,
-    COLOR,
-    EVENT_NAMES,
-    JOURNAL,
-    STEP,
-    TOLD,
-)
-from hickory_stream.engine.record_codec import decode, part_references
+from hickory_stream.engine.journal_chunks import JournalChunks, unpacked_array
+from hickory_stream.engine.journal_format import ARRAYS, CHANNELS, CHECKPOINT, COLOR, EVENT_NAMES, TOLD
+from hickory_stream.engine.record_codec import PartPlace, decode, part_references
 from hickory_stream.engine.step import Checkpoint, JournalEntry, Step, StepKind
+from hickory_stream.engine.unread_records import UnreadRecords, as_array
 from hickory_stream.errors import MapFolderError
 
 if TYPE_CHECKING:
@@ -38,41 +21,10 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
+    from mcap.records import Message
     from numpy.typing import NDArray
 
     from hickory_stream.events import Event
-
-_MAGIC = b"\x89MCAP0\r\n"
-_CHUNK_OPCODE, _INDEX_OPCODE = 0x06, 0x07
-_CACHED_CHUNKS = 64
-# A chunk that claims to unpack to more is none of ours: the state of a large map takes some tens of megabytes.
-_MOST_CHUNK_BYTES = 1 << 29
-_DAMAGE = (
-    McapError,
-    zstandard.ZstdError,
-    ValueError,
-    KeyError,
-    IndexError,
-    TypeError,
-    struct.error,
-    EOFError,
-    OverflowError,
-    MemoryError,
-)
-
-
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """Where a chunk is in the file."""
-
-    start: int
-    end: int
-    channel: int
-    stamp_ns: int
-
-    @property
-    def is_step(self) -> bool:
-        return self.channel == STEP
 
 
 class Journal:
@@ -83,22 +35,10 @@ class Journal:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.path = folder / JOURNAL
-        try:
-            with open_within(folder, JOURNAL) as file:
-                empty = os.fstat(file.fileno()).st_size == 0
-                self._data: Any = b"" if empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        except FileNotFoundError as error:
-            raise MapFolderError(
-                f"{folder} holds no {JOURNAL}: the map keeps no history; play the log again"
-            ) from error
-        except OSError as error:
-            raise MapFolderError(f"cannot read {self.path}: {error.strerror or error}") from error
-        except OutsideError as error:
-            raise MapFolderError(f"{error}; a map's journal lies in its folder") from error
-        self._places = _scan(self._data, self.path)
+        self._chunks = JournalChunks(folder)
+        self.path = self._chunks.path
+        self._places = self._chunks.places
         self._steps = [i for i, place in enumerate(self._places) if place.is_step]
-        self._cache: OrderedDict[int, list[Message]] = OrderedDict()
 
     def __enter__(self) -> Self:
         return self
@@ -106,9 +46,8 @@ class Journal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._cache.clear()
-        if isinstance(self._data, mmap.mmap):
-            self._data.close()
+        # Closed with the last array that has still to be read.
+        del self._chunks
 
     def __len__(self) -> int:
         return len(self._steps)
@@ -129,7 +68,7 @@ class Journal:
         Raises:
             MapFolderError: it is damaged.
         """
-        others = self._messages(self._steps[index])[1:]
+        others = self._chunks.messages(self._steps[index])[1:]
         events = [
             self._decoded(message.data, EVENT_NAMES[message.channel_id])
             for message in others
@@ -140,25 +79,33 @@ class Journal:
 
     def step(self, index: int) -> Step:
         """Return a step without its events."""
-        step: Step = self._decoded(self._messages(self._steps[index])[0].data, "Step")
+        step: Step = self._decoded(self._chunks.messages(self._steps[index])[0].data, "Step")
         return step
 
     def events(self, index: int, kind: str) -> list[Event]:
         """Return the events of one kind in a step."""
         channel = CHANNELS[kind]
-        return [self._decoded(m.data, kind) for m in self._messages(self._steps[index]) if m.channel_id == channel]
+        return [
+            self._decoded(m.data, kind) for m in self._chunks.messages(self._steps[index]) if m.channel_id == channel
+        ]
 
     def color(self, index: int) -> bytes | None:
         """Return the compressed image of a step's keyframe, None where there is none."""
-        found = [m.data for m in self._messages(self._steps[index]) if m.channel_id == COLOR]
+        found = [m.data for m in self._chunks.messages(self._steps[index]) if m.channel_id == COLOR]
         return found[0] if found else None
 
-    def checkpoint_before(self, index: int) -> tuple[int, Checkpoint] | None:
-        """Return the last checkpoint at or before a step, and the step after which it was made; None: there is none."""
+    def checkpoint_before(self, index: int, *, reads_later: bool = False) -> tuple[int, Checkpoint] | None:
+        """Return the last checkpoint at or before a step, and the step after which it was made; None: there is none.
+
+        `reads_later`: the arrays of clouds and spaces are read when they are looked at, and damage to one is told then.
+
+        Raises:
+            MapFolderError: it is damaged.
+        """
         following = self._steps[index + 1] if index + 1 < len(self._steps) else len(self._places)
         for chunk in range(following - 1, -1, -1):
             if self._places[chunk].channel == CHECKPOINT:
-                return bisect_right(self._steps, chunk) - 1, self._checkpoint(chunk)
+                return bisect_right(self._steps, chunk) - 1, self._checkpoint(chunk, reads_later=reads_later)
         return None
 
     def entries(self, first: int = 0) -> Iterator[JournalEntry]:
@@ -179,7 +126,7 @@ class Journal:
         for chunk, place in enumerate(self._places):
             if not place.is_step:
                 try:
-                    self._messages(chunk)
+                    self._chunks.messages(chunk)
                 except MapFolderError:
                     self._cut(chunk)
                     break
@@ -187,33 +134,45 @@ class Journal:
     def chunks(self) -> Iterator[list[Message]]:
         """Yield the messages of each chunk."""
         for chunk in range(len(self._places)):
-            yield self._messages(chunk)
+            yield self._chunks.messages(chunk)
 
     def _cut(self, chunk: int) -> None:
         self._places = self._places[:chunk]
         self._steps = [i for i in self._steps if i < chunk]
 
-    def _checkpoint(self, chunk: int) -> Checkpoint:
+    def _checkpoint(self, chunk: int, *, reads_later: bool) -> Checkpoint:
         parts: dict[tuple[int, int], Any] = {}
+        chunks = self._chunks
 
         def part(other: int, number: int) -> Any:
             place = (other, number)
             if place not in parts:
-                parts[place] = decode(stored[place], part)
+                parts[place] = decode(stored[place], part, later) if place in stored else array(PartPlace(*place))
             return parts[place]
 
+        def array(place: PartPlace) -> NDArray[Any]:
+            try:
+                data = stored.get(place[:2])  # of an older journal, which has no chunks of arrays
+                if data is None:
+                    data = unpacked_array(chunks.contents(place.chunk)[place.number])
+                return as_array(decode(data), place.length)
+            except (ValueError, IndexError) as error:
+                raise MapFolderError(f"{chunks.path} is damaged or of another version: {error}") from error
+
+        later = UnreadRecords(array, self.path) if reads_later else None
         try:
-            stored = self._with_parts(chunk)
-            checkpoint: Checkpoint = self._decoded(stored[chunk, 0], "Checkpoint", part)
+            stored = self._with_parts(chunk, reads_later=reads_later)
+            checkpoint: Checkpoint = self._decoded(stored[chunk, 0], "Checkpoint", part, later)
             return replace(checkpoint, core=unpacked(checkpoint.core))
-        except (ValueError, IndexError) as error:
+        except (ValueError, LookupError) as error:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
 
-    def _with_parts(self, chunk: int) -> dict[tuple[int, int], bytes]:
-        """Return the document of a checkpoint, and all parts that it or one of them refers to, as they are stored.
+    def _with_parts(self, chunk: int, *, reads_later: bool) -> dict[tuple[int, int], bytes]:
+        """Return the document of a checkpoint, and all parts that it or one of them refers to, as they are encoded.
 
         The parts of a large map lie in hundreds of chunks. No part refers to a later chunk than its own: each is
-        unpacked once, the latest first, and only what is needed of it is kept.
+        unpacked once, the latest first, and only what is needed of it is kept. `reads_later`: without the arrays that
+        have chunks of their own.
 
         Raises:
             ValueError: a part is said to lie where none can be.
@@ -225,24 +184,35 @@ class Journal:
         while wanted:
             here = max(wanted)
             numbers = wanted.pop(here)
-            messages = self._unpacked(here)
+            contents = self._chunks.contents(here, keeps=False)
+            if self._places[here].channel == ARRAYS:
+                stored |= {(here, number): unpacked_array(contents[number]) for number in numbers}
+                continue
             while numbers:
                 number = numbers.pop()
-                stored[here, number] = messages[number].data
-                for other, its_number in part_references(messages[number].data):
+                stored[here, number] = data = bytes(contents[number])
+                for other, its_number in part_references(data):
                     if type(other) is not int or not 0 <= other <= here:
                         raise ValueError(f"a part is said to lie in chunk {other}")
                     # The first message is the document, which no part refers to.
                     if type(its_number) is not int or its_number < 1:
                         raise ValueError(f"a part is said to be number {its_number}")
+                    if reads_later and self._places[other].channel == ARRAYS:
+                        continue
                     if (other, its_number) not in stored:
                         (numbers if other == here else wanted.setdefault(other, set())).add(its_number)
         return stored
 
-    def _decoded(self, data: bytes, kind: str, part: Callable[[int, int], NDArray[Any]] | None = None) -> Any:
+    def _decoded(
+        self,
+        data: bytes,
+        kind: str,
+        part: Callable[[int, int], Any] | None = None,
+        later: UnreadRecords | None = None,
+    ) -> Any:
         """Return a record of this kind, by the name of its type."""
         try:
-            record = decode(data, part)
+            record = decode(data, part, later)
         except ValueError as error:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
         if type(record).__name__ != kind:
@@ -250,64 +220,3 @@ class Journal:
                 f"{self.path} is damaged or of another version: found a {type(record).__name__}, expected a {kind}"
             )
         return record
-
-    def _messages(self, chunk: int) -> list[Message]:
-        cached = self._cache.get(chunk)
-        if cached is not None:
-            self._cache.move_to_end(chunk)
-            return cached
-        messages = self._unpacked(chunk)
-        self._cache[chunk] = messages
-        if len(self._cache) > _CACHED_CHUNKS:
-            self._cache.popitem(last=False)
-        return messages
-
-    def _unpacked(self, chunk: int) -> list[Message]:
-        place = self._places[chunk]
-        try:
-            record = Chunk.read(ReadDataStream(BytesIO(self._data[place.start : place.end])))
-            _check_unpacked_size(record)
-            messages = [m for m in breakup_chunk(record, validate_crc=True) if isinstance(m, Message)]
-            if not messages:
-                raise ValueError("a chunk without messages")
-        except _DAMAGE as error:
-            raise MapFolderError(
-                f"{self.path} is damaged at byte {place.start}: {error}; play the log again"
-            ) from error
-        return messages
-
-
-def _check_unpacked_size(chunk: Chunk) -> None:
-    """Refuse a chunk that is not compressed by zstd, or declares another size than its data has or a map can need.
-
-    Raises:
-        ValueError: it is none of ours.
-    """
-    if chunk.compression != "zstd":
-        raise ValueError(f"a chunk is packed by {chunk.compression or 'nothing'!r}, expected zstd")
-    found = zstandard.frame_content_size(chunk.data)
-    if found != chunk.uncompressed_size or found > _MOST_CHUNK_BYTES:
-        raise ValueError(f"a chunk unpacks to {found} bytes, says {chunk.uncompressed_size}")
-
-
-def _scan(data: Any, path: Path) -> list[_Place]:
-    """Return the chunks that are whole: the record is there, and the index after it, which says what is in it."""
-    if len(data) < len(_MAGIC):
-        return []
-    if data[: len(_MAGIC)] != _MAGIC:
-        raise MapFolderError(f"{path} is no MCAP file; play the log again")
-    places: list[_Place] = []
-    at, chunk = len(_MAGIC), None
-    while at + 9 <= len(data):
-        opcode, length = struct.unpack_from("<BQ", data, at)
-        start, end = at + 9, at + 9 + length
-        if end > len(data):
-            break
-        if opcode == _CHUNK_OPCODE and length >= 16:
-            chunk = (start, end, struct.unpack_from("<Q", data, start)[0])
-        elif opcode == _INDEX_OPCODE and chunk is not None and length >= 2:
-            channel = struct.unpack_from("<H", data, start)[0]
-            places.append(_Place(chunk[0], chunk[1], channel, chunk[2]))
-            chunk = None
-        at = end
-    return places

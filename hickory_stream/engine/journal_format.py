@@ -5,6 +5,11 @@ CBOR (see `record_codec`), one channel per kind of event; the channel `step` say
 holds the core's state now and then, `color` the compressed images of keyframes, `told` the decisions of a step (older
 journals have none). The log time is the stamp.
 
+A checkpoint is two chunks, so that its records are read without its arrays: first `checkpoint/arrays`, each array a
+frame of zstd by itself with a checksum, then the records, which name arrays and records by the number of their chunk
+and their place in it (the first message of either chunk is none of these). Older journals have arrays and records in
+one chunk.
+
 A chunk reaches the operating system when its step is over, so that a killed process loses nothing of it; it reaches the
 disk (fsync) at most `flush_s` later, which is what a lost power supply may cost.
 """
@@ -13,10 +18,19 @@ from __future__ import annotations
 
 JOURNAL = "journal.mcap"
 PROFILE = "hickory-stream/1"
-STEP, OLD_CHECKPOINT, COLOR, TOLD, CHECKPOINT = 1, 2, 3, 4, 5
+STEP, OLD_CHECKPOINT, COLOR, TOLD, CHECKPOINT, ARRAYS = 1, 2, 3, 4, 5, 6
 """Checkpoints of older journals have records of another form: they are not read, the events are all that is needed."""
 
-TOPICS = {STEP: "step", OLD_CHECKPOINT: "checkpoint", COLOR: "color", TOLD: "told", CHECKPOINT: "checkpoint/2"}
+TOPICS = {
+    STEP: "step",
+    OLD_CHECKPOINT: "checkpoint",
+    COLOR: "color",
+    TOLD: "told",
+    CHECKPOINT: "checkpoint/2",
+    ARRAYS: "checkpoint/arrays",
+}
+ENCODINGS = {COLOR: "image", ARRAYS: "cbor+zstd"}
+"""Of messages that are not plain CBOR."""
 # A place in this list is part of the format: what is new comes last.
 _EVENTS = (
     "FrameObserved",

@@ -15,10 +15,13 @@ from hickory_stream.confined import open_new
 from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync
 from hickory_stream.engine.checkpoints import KEPT_RECORDS, Packer
 from hickory_stream.engine.heap import give_back_free
+from hickory_stream.engine.journal_chunks import packed_array
 from hickory_stream.engine.journal_format import (
+    ARRAYS,
     CHANNELS,
     CHECKPOINT,
     COLOR,
+    ENCODINGS,
     JOURNAL,
     PROFILE,
     STEP,
@@ -92,12 +95,12 @@ class JournalWriter:
         with disk_errors(self._path):
             self._parts.begin(self._num_chunks)
             document = encode(replace(checkpoint, core=self._packer.packed(checkpoint.core)), self._parts)
-            new = self._parts.end()
-            self._add(CHECKPOINT, stamp_ns, document)
-            for part in new:
-                self._add(CHECKPOINT, stamp_ns, part)
-            self._end_chunk()
-        del new, document
+            arrays, records = self._parts.end()
+            for channel, messages in ((ARRAYS, (b"", *arrays)), (CHECKPOINT, (document, *records))):
+                for message in messages:
+                    self._add(channel, stamp_ns, message)
+                self._end_chunk()
+        del arrays, records, messages, document
         give_back_free()
 
     def sync(self) -> None:
@@ -131,7 +134,7 @@ class JournalWriter:
         names = {**TOPICS, **{number: f"event/{name}" for name, number in CHANNELS.items()}}
         for number in range(1, max(names) + 1):
             topic = names.get(number, f"reserved/{number}")
-            encoding = "image" if number == COLOR else "cbor"
+            encoding = ENCODINGS.get(number, "cbor")
             assert self._writer.register_channel(topic, encoding, schema_id=0) == number
 
     def _copy(self, chunk: list[Message]) -> None:
@@ -175,11 +178,13 @@ class _Parts:
         self._places: dict[int, _Stored] = {}
         self._used: dict[int, _Stored] = {}
         self._users: list[_Stored] = []
-        self._new: list[bytes] = []
+        self._arrays: list[bytes] = []
+        self._records: list[bytes] = []
         self._chunk = 0
 
     def begin(self, chunk: int) -> None:
-        self._chunk, self._new, self._used = chunk, [], {}
+        """Begin a checkpoint whose arrays are in a chunk, and whose records are in the next one."""
+        self._chunk, self._arrays, self._records, self._used = chunk, [], [], {}
 
     def is_part(self, record: object) -> bool:
         return isinstance(record, KEPT_RECORDS)
@@ -192,9 +197,12 @@ class _Parts:
             self._users.append(stored)
             data = encoded()
             self._users.pop()
-            self._new.append(data)
-            # The first message of the chunk is the document.
-            stored.place = (self._chunk, len(self._new))
+            if isinstance(part, np.ndarray):
+                self._arrays.append(packed_array(data))
+                stored.place = (self._chunk, len(self._arrays))
+            else:
+                self._records.append(data)
+                stored.place = (self._chunk + 1, len(self._records))
         self._use(stored)
         if self._users:
             self._users[-1].uses.append(stored)
@@ -206,8 +214,10 @@ class _Parts:
             for other in stored.uses:
                 self._use(other)
 
-    def end(self) -> list[bytes]:
+    def end(self) -> tuple[list[bytes], list[bytes]]:
+        """Return the new arrays and the new records."""
         # What this checkpoint did not use is forgotten, so that the arrays of the past can go.
         self._places = self._used
-        new, self._new = self._new, []
+        new = (self._arrays, self._records)
+        self._arrays, self._records = [], []
         return new

@@ -13,9 +13,10 @@ import dataclasses
 import importlib
 import math
 import pkgutil
+import types
 from enum import Enum
-from functools import cache
-from typing import TYPE_CHECKING, Any, Protocol
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import cbor2
 import numpy as np
@@ -26,7 +27,7 @@ from hickory_stream.geometry.packing import array_of, color_planes, colors_of, p
 from hickory_stream.geometry.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection, Mapping
 
     from numpy.typing import NDArray
 
@@ -37,7 +38,8 @@ _PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS, _STEPS = range(7)
 _SMALL_BYTES = 64
 _BLOCK_BYTES = 16
 _MOST_DIMENSIONS = 8
-_INT64 = np.iinfo(np.int64)
+_LEAST, _MOST = int(np.iinfo(np.int64).min), int(np.iinfo(np.int64).max)
+_AS_THEY_ARE = {types.NoneType, bool, float, str, bytes}
 _DAMAGE = (
     cbor2.CBORError,
     TypeError,
@@ -63,6 +65,32 @@ class PartStore(Protocol):
         ...
 
 
+class PartPlace(NamedTuple):
+    """Where an array lies, as a `PartStore` said, and how long it is; older journals do not say that."""
+
+    chunk: int
+    number: int
+    length: int | None = None
+
+
+class LateRecords(Protocol):
+    """Makes records of which some arrays, which lie beside the document, are read when somebody looks at them."""
+
+    def arrays_of(self, kind: type) -> tuple[str, ...]:
+        """Return the names of the arrays of a kind of record that may be left where they are."""
+        ...
+
+    def record(
+        self,
+        kind: type,
+        values: Mapping[str, Any],
+        places: Mapping[str, PartPlace],
+        checks: Mapping[str, Callable[[Any], bool]],
+    ) -> Any:
+        """Return a record of `values` and of arrays at `places`; raises TypeError where these are not its fields."""
+        ...
+
+
 def encode(value: Any, parts: PartStore | None = None) -> bytes:
     """Return a value made of records, arrays, enums, tuples, dicts, sets, numbers and text; no other kind is taken.
 
@@ -72,8 +100,10 @@ def encode(value: Any, parts: PartStore | None = None) -> bytes:
     return cbor2.dumps(_plain(value, parts))
 
 
-def decode(data: bytes, part: Callable[[int, int], Any] | None = None) -> Any:
+def decode(data: bytes, part: Callable[[int, int], Any] | None = None, later: LateRecords | None = None) -> Any:
     """Return what `encode` was given, lists as tuples; `part` gives what is where a `PartStore` has put it.
+
+    `later` makes the records that may leave arrays where they are; None: all are read.
 
     Raises:
         ValueError: the bytes are damaged, or hold a record that this version does not know.
@@ -81,7 +111,7 @@ def decode(data: bytes, part: Callable[[int, int], Any] | None = None) -> Any:
     try:
         # Every item takes a byte at least, unless items are shared, which ours never are: a few bytes that expand
         # to more items were crafted to exhaust memory.
-        return _Reader(part, most_items=len(data)).value(cbor2.loads(data))
+        return _Reader(part, later, most_items=len(data)).value(cbor2.loads(data))
     except _DAMAGE as error:
         raise ValueError(f"no record of this version: {error!r}") from error
 
@@ -96,7 +126,7 @@ def part_references(data: bytes) -> list[tuple[int, int]]:
 
     def note(tag: cbor2.CBORTag, _is_key: bool) -> None:
         if tag.tag == _PART:
-            place, number = tag.value
+            place, number = tag.value[:2]
             found.append((place, number))
 
     try:
@@ -129,7 +159,8 @@ def _plain(value: Any, parts: PartStore | None) -> Any:
         case np.ndarray():
             if parts is None or value.nbytes < _PART_BYTES:
                 return _array_tag(value)
-            return cbor2.CBORTag(_PART, list(parts.put(value, lambda: encode_array(value))))
+            # With its length, which many want to know who do not look at what is in it.
+            return cbor2.CBORTag(_PART, [*parts.put(value, lambda: encode_array(value)), len(value)])
         case tuple() | list():
             return [_plain(item, parts) for item in value]
         case set() | frozenset():
@@ -179,23 +210,28 @@ def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
 class _Reader:
     """Makes values of what CBOR gives; `most_items` are made before it is given up."""
 
-    def __init__(self, part: Callable[[int, int], Any] | None, most_items: int) -> None:
+    def __init__(self, part: Callable[[int, int], Any] | None, later: LateRecords | None, most_items: int) -> None:
         self._part = part
+        self._later = later
         self._left = most_items
 
     def value(self, item: Any) -> Any:
         """Return a value; raises one of `_DAMAGE` where it is none."""
-        self._left -= 1
+        return self._values((item,))[0]
+
+    def _values(self, items: Collection[Any]) -> list[Any]:
+        self._left -= len(items)
         if self._left < 0:
             raise ValueError("more items than bytes")
-        if isinstance(item, list | tuple):
-            return tuple(self.value(entry) for entry in item)
-        if item is None or type(item) in (bool, float, str, bytes):
-            return item
+        return [item if type(item) in _AS_THEY_ARE else self._made(item) for item in items]
+
+    def _made(self, item: Any) -> Any:
         if type(item) is int:
-            if not _INT64.min <= item <= _INT64.max:
+            if not _LEAST <= item <= _MOST:
                 raise ValueError(f"a number of {item.bit_length()} bits")
             return item
+        if isinstance(item, list | tuple):
+            return tuple(self._values(item))
         if not isinstance(item, cbor2.CBORTag):
             raise ValueError(f"a journal holds no {type(item).__name__}")
         return self._tagged(item.tag, item.value)
@@ -204,21 +240,31 @@ class _Reader:
         if tag == _RECORD:
             name, fields = content
             kind = _record_of(name)
-            return checked_record(kind, {key: self.value(entry) for key, entry in fields.items()}, _checks(kind))
+            names = () if self._later is None else self._later.arrays_of(kind)
+            if self._later is None or not names:
+                values = dict(zip(fields, self._values(fields.values()), strict=True))
+                return checked_record(kind, values, _checks(kind))
+            places = {name: PartPlace(*fields[name].value) for name in names if _is_part(fields.get(name))}
+            values = {key: self.value(entry) for key, entry in fields.items() if key not in places}
+            return self._later.record(kind, values, places, _checks(kind))
         if tag == _ARRAY:
             return _array(*content)
         if tag == _PART:
             if self._part is None:
                 raise ValueError("the record refers to parts of another one")
-            return self._part(*content)
+            return self._part(*content[:2])
         if tag == _MAP:
             return {self.value(key): self.value(entry) for key, entry in content}
         if tag == _SET:
-            return {self.value(entry) for entry in content}
+            return set(self._values(content))
         if tag == _ENUM:
             name, text = content
             return _record_of(name)(text)
         raise ValueError(f"unknown tag {tag}")
+
+
+def _is_part(item: Any) -> bool:
+    return isinstance(item, cbor2.CBORTag) and item.tag == _PART
 
 
 def _record_of(name: object) -> Any:
@@ -234,10 +280,8 @@ def _checks(kind: type) -> dict[str, Callable[[Any], bool]]:
 
 
 def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArray[Any]:
-    dtype = np.dtype(dtype_name)
-    if dtype.kind not in "biuf" or dtype.itemsize > 8:
-        raise ValueError(f"a journal holds no arrays of {dtype}")
-    if len(shape) > _MOST_DIMENSIONS or not all(type(length) is int and 0 <= length <= _INT64.max for length in shape):
+    dtype, native = _dtypes(dtype_name)
+    if len(shape) > _MOST_DIMENSIONS or not all(type(length) is int and 0 <= length <= _MOST for length in shape):
         raise ValueError(f"an array of shape {shape}")
     count = math.prod(shape)
     # What a shape claims must be there: memory is taken for it.
@@ -259,9 +303,18 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
             array = np.cumsum(array, dtype=np.int64)
     else:
         raise ValueError(f"unknown storage {method} of an array")
-    array = array.reshape(shape).astype(dtype.newbyteorder("="), copy=False)
+    array = array.reshape(shape).astype(native, copy=False)
     array.flags.writeable = False
     return array
+
+
+@lru_cache(64)
+def _dtypes(name: str) -> tuple[np.dtype[Any], np.dtype[Any]]:
+    """Return a type of numbers as it is stored, and as it is on this processor; raises ValueError for others."""
+    dtype = np.dtype(name)
+    if dtype.kind not in "biuf" or dtype.itemsize > 8:
+        raise ValueError(f"a journal holds no arrays of {dtype}")
+    return dtype, dtype.newbyteorder("=")
 
 
 def _keys(data: bytes, count: int) -> NDArray[np.int64]:

@@ -27,9 +27,9 @@ _cold: WeakKeyDictionary[Any, _Packed] = WeakKeyDictionary()
 
 @dataclass(frozen=True, slots=True)
 class _Packed:
-    """How many points a cloud has, and what gives each of its arrays back."""
+    """How many points a cloud has (None: its keys say), and what gives each of its arrays back."""
 
-    count: int
+    count: int | None
     array: Callable[[str], NDArray[Any]]
 
 
@@ -64,6 +64,15 @@ def pack_part(part: Any, whole: Any) -> None:
         return pack(whole)
 
 
+def leave_unread(cloud: Any, count: int | None, array: Callable[[str], NDArray[Any]]) -> None:
+    """Make a cloud of `count` points of which nothing is there.
+
+    `array` gives each of its arrays by its name, when one is looked at.
+    """
+    with _lock:
+        _cold[cloud] = _Packed(count, array)
+
+
 def unpacked(cloud: Any, name: str) -> NDArray[Any]:
     """Return an array of a cloud that was packed, which has all of them again.
 
@@ -75,17 +84,19 @@ def unpacked(cloud: Any, name: str) -> NDArray[Any]:
     with _lock:
         packed = _cold.get(cloud)
         if packed is not None:
-            for each in NAMES:
-                object.__setattr__(cloud, each, packed.array(each))
+            arrays = {each: packed.array(each) for each in NAMES}
+            for each, array in arrays.items():
+                array.flags.writeable = False
+                object.__setattr__(cloud, each, array)
             del _cold[cloud]
-    array: NDArray[Any] = object.__getattribute__(cloud, name)
-    return array
+    there: NDArray[Any] = object.__getattribute__(cloud, name)
+    return there
 
 
 def count_of(cloud: Any) -> int:
     """Return the number of points of a cloud, without unpacking it."""
     packed = _cold.get(cloud)
-    return len(cloud.keys) if packed is None else packed.count
+    return len(cloud.keys) if packed is None or packed.count is None else packed.count
 
 
 def is_packed(cloud: Any) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.stream_reader import breakup_chunk
+from mcap.stream_reader import get_chunk_data_stream
 
 from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.engine.journal import Journal
@@ -19,7 +19,8 @@ from hickory_stream.events import ShapeFailed, SourceEnded, TimeJumped
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mcap.records import Chunk, McapRecord
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import Chunk
 
 NUM_STEPS = 6
 BIG = np.random.default_rng(0).normal(size=(400, 3)).astype(np.float32)
@@ -138,16 +139,17 @@ def test_a_checkpoint_whose_parts_lie_in_many_chunks_unpacks_each_of_them_once(
     writer.close()
     unpacked: list[Chunk] = []
 
-    def unpack(chunk: Chunk, validate_crc: bool) -> list[McapRecord]:
+    def unpack(chunk: Chunk, validate_crc: bool) -> tuple[ReadDataStream, int]:
         unpacked.append(chunk)
-        return breakup_chunk(chunk, validate_crc)
+        return get_chunk_data_stream(chunk, validate_crc)
 
-    monkeypatch.setattr("hickory_stream.engine.journal.breakup_chunk", unpack)
+    monkeypatch.setattr("hickory_stream.engine.journal_chunks.get_chunk_data_stream", unpack)
     with Journal(tmp_path) as journal:
         found = journal.checkpoint_before(0)
     assert found is not None
     np.testing.assert_array_equal(found[1].core["_a"], arrays)  # type: ignore[arg-type]
-    assert len(unpacked) == len(arrays)
+    # Those of its arrays, and that of its document.
+    assert len(unpacked) == len(arrays) + 1
 
 
 @given(share=st.floats(0.0, 1.0))

@@ -46,14 +46,20 @@ _NONSENSE = (ValueError, LookupError, TypeError, AttributeError, AssertionError,
 
 
 class Replay:
-    """The core of a recorded run after some step; `steps` advances it, `on_request` receives its shape jobs."""
+    """The core of a recorded run after some step; `steps` advances it, `on_request` receives its shape jobs.
+
+    `reads_later`: of the map before that, arrays are read when they are looked at (`Journal.checkpoint_before`).
+    """
 
     def __init__(
         self,
         journal: Journal,
         config: MappingConfig,
         on_request: Callable[[RequestShape], None] = lambda _: None,
+        *,
+        reads_later: bool = False,
     ) -> None:
+        self._reads_later = reads_later
         self._on_request = on_request
         self._journal = journal
         self._config = config
@@ -67,7 +73,7 @@ class Replay:
         Raises:
             MapFolderError: the journal is damaged.
         """
-        found = self._journal.checkpoint_before(index)
+        found = self._journal.checkpoint_before(index, reads_later=self._reads_later)
         if found is not None:
             after, checkpoint = found
             try:
@@ -116,7 +122,7 @@ class Replay:
         """Restore the state to which the run was rewound in this step, if it was."""
         if step.goes_back_to is None:
             return
-        then = Replay(self._journal, self._config)
+        then = Replay(self._journal, self._config, reads_later=self._reads_later)
         if step.goes_back_to > 0:
             then.seek(step.goes_back_to - 1)
         with self._sense():

@@ -36,7 +36,7 @@ def live_map(path: Path, stamp_ns: int | None = None) -> tuple[MapSnapshot, Seen
         index = len(journal) - 1 if stamp_ns is None else step_at(journal.stamps_ns, stamp_ns)
         if index is None or index < 0:
             return None
-        replay = Replay(journal, recorded_config(path).mapping)
+        replay = Replay(journal, recorded_config(path).mapping, reads_later=True)
         replay.seek(index)
         snapshot = replay.snapshot()
         seen = SeenSurface()

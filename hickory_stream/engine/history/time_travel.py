@@ -57,7 +57,7 @@ def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
         index = step_at(journal.stamps_ns, stamp_ns)
         if index is None:
             return MapSnapshot(revision=0, stamp_ns=stamp_ns, submaps=(), objects=())
-        replay = Replay(journal, recorded_config(path).mapping)
+        replay = Replay(journal, recorded_config(path).mapping, reads_later=True)
         replay.seek(index)
         return replay.snapshot()
 

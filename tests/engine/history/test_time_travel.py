@@ -10,8 +10,12 @@ from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.history.time_travel import changes, own_clock_s, stamp_of
 from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.journal_chunks import JournalChunks
+from hickory_stream.engine.journal_format import ARRAYS, JOURNAL
+from hickory_stream.engine.record_codec import encode
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError, MapFolderError
+from hickory_stream.mapping.cold_clouds import is_packed
 from hickory_stream.testing import RememberingSink
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
 from tests.engine.snapshot_fixtures import make_snapshot
@@ -65,6 +69,36 @@ def test_the_map_at_every_keyframe_is_exactly_the_one_that_was_published_then(wa
 def test_the_map_at_the_end_is_the_finished_one_and_before_the_start_it_is_empty(watched: Watched) -> None:
     assert map_digest(watched.saved.as_known_at(START_NS + 10**12)) == watched.run.digest
     assert watched.saved.as_known_at(START_NS - 1).objects == ()
+
+
+def test_a_state_whose_arrays_are_read_later_is_the_one_that_is_read_at_once_to_the_byte(watched: Watched) -> None:
+    with Journal(watched.run.folder.path) as journal:
+        at_once = journal.checkpoint_before(len(journal) - 1)
+        later = journal.checkpoint_before(len(journal) - 1, reads_later=True)
+    assert at_once is not None
+    assert later is not None
+    unread = [track.cloud for track in later[1].core["tracks"].values()]  # type: ignore[attr-defined]
+    assert any(is_packed(cloud) for cloud in unread)
+    # The journal is closed: what is read now is read from a file that stays open for it.
+    assert encode(later[1].core) == encode(at_once[1].core)
+    assert not any(is_packed(cloud) for cloud in unread)
+
+
+def test_damage_to_an_array_of_a_checkpoint_is_told_where_the_array_is_looked_at(
+    watched: Watched, tmp_path: Path
+) -> None:
+    chunks = JournalChunks(watched.run.folder.path)
+    place = next(place for place in reversed(chunks.places) if place.channel == ARRAYS)
+    data = bytearray(chunks.path.read_bytes())
+    data[(place.start + place.end) // 2] ^= 0xFF
+    (tmp_path / JOURNAL).write_bytes(data)
+    with Journal(tmp_path) as journal:
+        with pytest.raises(MapFolderError, match="is damaged"):
+            journal.checkpoint_before(len(journal) - 1)
+        later = journal.checkpoint_before(len(journal) - 1, reads_later=True)
+        assert later is not None
+        with pytest.raises(MapFolderError, match="is damaged"):
+            encode(later[1].core)
 
 
 def test_checkpoints_hold_only_what_has_changed(watched: Watched) -> None:

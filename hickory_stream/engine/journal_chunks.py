@@ -1,0 +1,219 @@
+"""The chunks of a journal's file, each unpacked when it is asked for; `journal_format` describes them.
+
+Whoever holds them can read them: the file stays open as long as arrays of it have still to be read.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+from collections import OrderedDict
+from dataclasses import dataclass
+from io import BytesIO
+from threading import Lock
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Chunk, Message
+from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
+
+from hickory_stream.confined import OutsideError, open_within
+from hickory_stream.engine.journal_format import JOURNAL, STEP
+from hickory_stream.errors import MapFolderError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_Kept = TypeVar("_Kept")
+_MAGIC = b"\x89MCAP0\r\n"
+_CHUNK_OPCODE, _INDEX_OPCODE = 0x06, 0x07
+_CACHED_CHUNKS = 64
+# A chunk that claims to unpack to more is none of ours: the state of a large map takes some tens of megabytes.
+_MOST_CHUNK_BYTES = 1 << 29
+_HEADER = struct.Struct("<BQ")
+_MESSAGE_HEADER_BYTES = 2 + 4 + 8 + 8
+_DAMAGE = (
+    McapError,
+    zstandard.ZstdError,
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+    struct.error,
+    EOFError,
+    OverflowError,
+    MemoryError,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkPlace:
+    """Where a chunk is in the file."""
+
+    start: int
+    end: int
+    channel: int
+    stamp_ns: int
+
+    @property
+    def is_step(self) -> bool:
+        """Whether it holds a step of the run."""
+        return self.channel == STEP
+
+
+class JournalChunks:
+    """The chunks of the journal in a folder that were whole when it was opened, at their `places`.
+
+    Raises:
+        MapFolderError: there is no journal, or it is none of this format.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / JOURNAL
+        try:
+            with open_within(folder, JOURNAL) as file:
+                empty = os.fstat(file.fileno()).st_size == 0
+                self._data: Any = b"" if empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except FileNotFoundError as error:
+            raise MapFolderError(
+                f"{folder} holds no {JOURNAL}: the map keeps no history; play the log again"
+            ) from error
+        except OSError as error:
+            raise MapFolderError(f"cannot read {self.path}: {error.strerror or error}") from error
+        except OutsideError as error:
+            raise MapFolderError(f"{error}; a map's journal lies in its folder") from error
+        self.places = _scan(self._data, self.path)
+        self._messages: OrderedDict[int, list[Message]] = OrderedDict()
+        self._contents: OrderedDict[int, list[memoryview]] = OrderedDict()
+        self._lock = Lock()
+
+    def messages(self, chunk: int) -> list[Message]:
+        """Return the messages of a chunk.
+
+        Raises:
+            MapFolderError: it is damaged.
+        """
+        with self._lock:
+            if chunk not in self._messages:
+                place = self.places[chunk]
+                try:
+                    records = breakup_chunk(self._record(place), validate_crc=True)
+                    messages = [record for record in records if isinstance(record, Message)]
+                    if not messages:
+                        raise ValueError("a chunk without messages")
+                except _DAMAGE as error:
+                    raise self._damage(place, error) from error
+                _keep(self._messages, chunk, messages)
+            self._messages.move_to_end(chunk)
+            return self._messages[chunk]
+
+    def contents(self, chunk: int, *, keeps: bool = True) -> list[memoryview]:
+        """Return what the messages of a chunk hold, which takes a fraction of the time of the messages themselves.
+
+        `keeps`: it is at hand when it is asked for again.
+
+        Raises:
+            MapFolderError: it is damaged.
+        """
+        with self._lock:
+            if chunk in self._contents:
+                self._contents.move_to_end(chunk)
+                return self._contents[chunk]
+            place = self.places[chunk]
+            try:
+                stream, length = get_chunk_data_stream(self._record(place), validate_crc=True)
+                contents = _contents_of(memoryview(stream.read(length)))
+                if not contents:
+                    raise ValueError("a chunk without messages")
+            except _DAMAGE as error:
+                raise self._damage(place, error) from error
+            if keeps:
+                _keep(self._contents, chunk, contents)
+            return contents
+
+    def _record(self, place: ChunkPlace) -> Chunk:
+        """Return the chunk at a place; raises ValueError where it declares another size than it has or may have."""
+        chunk = Chunk.read(ReadDataStream(BytesIO(self._data[place.start : place.end])))
+        if chunk.compression != "zstd":
+            raise ValueError(f"a chunk is packed by {chunk.compression or 'nothing'!r}, expected zstd")
+        check_unpacked_size(chunk.data, chunk.uncompressed_size)
+        return chunk
+
+    def _damage(self, place: ChunkPlace, error: BaseException) -> MapFolderError:
+        return MapFolderError(f"{self.path} is damaged at byte {place.start}: {error}; play the log again")
+
+
+def packed_array(encoded: bytes) -> bytes:
+    """Return an encoded array as a chunk of arrays holds it."""
+    return zstandard.compress(encoded)
+
+
+def unpacked_array(data: memoryview) -> bytes:
+    """Return the encoded array that was packed.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    try:
+        check_unpacked_size(data, zstandard.frame_content_size(data))
+        return zstandard.decompress(data)
+    except (zstandard.ZstdError, MemoryError) as error:
+        raise ValueError(f"an array that cannot be unpacked: {error}") from error
+
+
+def check_unpacked_size(data: bytes | memoryview, claimed: int) -> None:
+    """Refuse what unpacks to another size than was claimed, or to more than a map can need.
+
+    Raises:
+        ValueError: it does.
+    """
+    found = zstandard.frame_content_size(data)
+    if found != claimed or not 0 <= found <= _MOST_CHUNK_BYTES:
+        raise ValueError(f"a chunk unpacks to {found} bytes, says {claimed}")
+
+
+def _keep(cache: OrderedDict[int, _Kept], chunk: int, value: _Kept) -> None:
+    cache[chunk] = value
+    if len(cache) > _CACHED_CHUNKS:
+        cache.popitem(last=False)
+
+
+def _contents_of(data: memoryview) -> list[memoryview]:
+    found: list[memoryview] = []
+    at = 0
+    while at < len(data):
+        opcode, length = _HEADER.unpack_from(data, at)
+        at += _HEADER.size
+        if length > len(data) - at or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEADER_BYTES):
+            raise ValueError(f"a record of {length} bytes at byte {at} of {len(data)}")
+        if opcode == Opcode.MESSAGE:
+            found.append(data[at + _MESSAGE_HEADER_BYTES : at + length])
+        at += length
+    return found
+
+
+def _scan(data: Any, path: Path) -> list[ChunkPlace]:
+    """Return the chunks that are whole: the record is there, and the index after it, which says what is in it."""
+    if len(data) < len(_MAGIC):
+        return []
+    if data[: len(_MAGIC)] != _MAGIC:
+        raise MapFolderError(f"{path} is no MCAP file; play the log again")
+    places: list[ChunkPlace] = []
+    at, chunk = len(_MAGIC), None
+    while at + 9 <= len(data):
+        opcode, length = _HEADER.unpack_from(data, at)
+        start, end = at + 9, at + 9 + length
+        if end > len(data):
+            break
+        if opcode == _CHUNK_OPCODE and length >= 16:
+            chunk = (start, end, struct.unpack_from("<Q", data, start)[0])
+        elif opcode == _INDEX_OPCODE and chunk is not None and length >= 2:
+            channel = struct.unpack_from("<H", data, start)[0]
+            places.append(ChunkPlace(chunk[0], chunk[1], channel, chunk[2]))
+            chunk = None
+        at = end
+    return places
