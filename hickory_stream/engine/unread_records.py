@@ -66,7 +66,7 @@ class UnreadRecords:
             return self._unpacked(values, later, checks)
         if not later or {field.name for field in fields(kind)} != values.keys() | later.keys():
             return checked_record(kind, {**values, **{name: read() for name, read in later.items()}}, checks)
-        record = kind.__new__(kind)
+        record: Any = object.__new__(kind)
         for name, value in values.items():
             if not checks[name](value):
                 raise TypeError(f"{kind.__name__}.{name} is of {type(value).__name__}")
@@ -114,7 +114,7 @@ class UnreadRecords:
                     raise ValueError(f"marks of {len(kept)} points that are said to be {num_solid}")
                 return kept
 
-        solid = Cloud.__new__(Cloud)
+        solid = object.__new__(Cloud)
         leave_unread(solid, num_solid, chosen)
         return replace(track, solid=solid)
 
