@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 LEVELS = (-2.0, 0.0, 2.0)
 """Bin edges of pixel log-odds; the counts per bin (level) approximate their distribution."""
-_NUM_NEAR = 2
+NUM_NEAR = 2
 """The number of shortest distances that count as near: across a contact rather than between interiors."""
 _NUM_DISTANCES = len(DISTANCES_PX)
 _NUM_LEVELS = len(LEVELS) + 1
@@ -83,16 +83,6 @@ def mean_log_odds(sums: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray
     return np.where(counts > 0, sums / (ODDS_UNIT * np.maximum(counts, 1)), np.nan)
 
 
-def near_of(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return (K, ...) the sum of values (K, D, ...) over the near distances."""
-    return np.asarray(values[:, :_NUM_NEAR].sum(axis=1))
-
-
-def far_of(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return (K, ...) the sum of values (K, D, ...) over the far distances."""
-    return np.asarray(values[:, _NUM_NEAR:].sum(axis=1))
-
-
 def fragment_odds(labels: NDArray[np.int32], odds: PixelOdds) -> FragmentOdds:
     """Return the sums of the fragments `labels` (H, W), 0 = none, at the surface's size."""
     few = np.ascontiguousarray(labels[::2, ::2])
@@ -119,8 +109,16 @@ def _level_of_byte() -> NDArray[np.int64]:
 
 def _summed(values: NDArray[np.int64], place: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     out = np.zeros((count, *values.shape[1:]), dtype=np.int64)
-    np.add.at(out, place, values)
+    if len(values):
+        _add(out.reshape(count, -1), values.reshape(len(values), -1), place)
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _add(sums, rows, place):  # type: ignore[no-untyped-def] # pragma: no cover
+    for i in range(len(place)):
+        for k in range(rows.shape[1]):
+            sums[place[i], k] += rows[i, k]
 
 
 @numba.njit(cache=True, nogil=True)

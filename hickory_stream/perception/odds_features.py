@@ -11,14 +11,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.perception.fragment_odds import far_of, mean_log_odds, near_of
-from hickory_stream.perception.pixel_network import DISTANCES_PX
+from hickory_stream.compiled import numba
+from hickory_stream.perception.features import named
+from hickory_stream.perception.fragment_odds import NUM_NEAR
+from hickory_stream.perception.pixel_network import DISTANCES_PX, ODDS_UNIT
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.perception.features import Features
     from hickory_stream.perception.fragment_odds import FragmentOdds
 
+_NUM_DISTANCES = len(DISTANCES_PX)
 _SIDES = ("large", "small")
 ODDS_FEATURES = (
     *("odds_near", "odds_far"),
@@ -32,35 +36,60 @@ ODDS_FEATURES = (
 """The names of `odds_features`, in their order."""
 
 
-def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: int) -> dict[str, NDArray[np.float64]]:
+def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: int) -> Features:
     """Return by name (K,) the features of (K, 2) pairs, large and small, of `count` regions; NaN without odds."""
     if odds is None:
-        return {name: np.full(len(pairs), np.nan) for name in ODDS_FEATURES}
-    large, small = pairs.T
+        return named(ODDS_FEATURES, np.full((len(pairs), len(ODDS_FEATURES)), np.nan))
+    rows = np.empty((len(pairs), len(ODDS_FEATURES)))
     sums, levels = odds.of_pairs(pairs, count)
-    counts = levels.sum(axis=2)
-    found = [mean_log_odds(near_of(sums), near_of(counts)), mean_log_odds(far_of(sums), far_of(counts))]
-    found += [mean_log_odds(sums[:, i], counts[:, i]) for i in range(len(DISTANCES_PX))]
-    for of_level in (near_of(levels), far_of(levels)):
-        all_of = of_level.sum(axis=1)
-        found += [_share(n, all_of) for n in (of_level[:, 0], of_level[:, :2].sum(axis=1), of_level[:, -1])]
-    root = np.sqrt(np.maximum(odds.num_pixels[small], 1))
-    found += [near_of(counts) / root, far_of(counts) / root]
-    for part in (near_of, far_of):
-        within = mean_log_odds(part(odds.inner), part(odds.num_inner))
-        found += [within[large], within[small]]
-    all_pairs = np.stack([odds.a, odds.b], axis=1)
-    every = mean_log_odds(odds.sums.sum(axis=1), odds.levels.sum(axis=(1, 2)))
+    best = _best(odds.a, odds.b, odds.sums, odds.levels, count)
+    _fill(rows, pairs, sums, levels, odds.inner, odds.num_inner, odds.thing, odds.num_pixels, best)
+    return named(ODDS_FEATURES, rows)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fill(rows, pairs, sums, levels, inner, num_inner, thing, num_pixels, best):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Fill in a row of `ODDS_FEATURES` for each pair; counts of 0 give NaN."""
+    counts = np.empty(_NUM_DISTANCES, np.int64)
+    for k in range(len(pairs)):
+        row, small = rows[k], pairs[k, 1]
+        for i in range(_NUM_DISTANCES):
+            counts[i] = levels[k, i].sum()
+            row[2 + i] = _mean(sums[k, i], counts[i])
+        own = _mean(sums[k].sum(), counts.sum())
+        at = 2 + _NUM_DISTANCES
+        for part in range(2):
+            distances = slice(0, NUM_NEAR) if part == 0 else slice(NUM_NEAR, _NUM_DISTANCES)
+            number = counts[distances].sum()
+            row[part] = _mean(sums[k, distances].sum(), number)
+            for j in range(3):
+                # Of the levels the lowest, the lower half, the highest.
+                some = levels[k, distances, 3 if j == 2 else 0].sum()
+                if j == 1:
+                    some += levels[k, distances, 1].sum()
+                row[at + 3 * part + j] = some / number if number > 0 else np.nan
+            row[at + 6 + part] = number / np.sqrt(max(num_pixels[small], 1))
+            for side in range(2):
+                region = pairs[k, side]
+                within = _mean(inner[region, distances].sum(), num_inner[region, distances].sum())
+                row[at + 8 + 2 * part + side] = within
+        for side in range(2):
+            region = pairs[k, side]
+            row[at + 12 + side] = best[region] - own if np.isfinite(own) else np.nan
+            row[at + 14 + side] = _mean(thing[region], num_pixels[region])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _best(a, b, sums, levels, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (count,) the highest mean log-odds of each region with any other, from those of pairs a, b."""
     best = np.full(count, -np.inf)
-    for side in (0, 1):
-        np.maximum.at(best, all_pairs[:, side], every)
-    own = mean_log_odds(sums.sum(axis=1), counts.sum(axis=1))
-    known = np.isfinite(own)
-    found += [np.where(known, best[side], np.nan) - own for side in (large, small)]
-    thing = mean_log_odds(odds.thing, odds.num_pixels)
-    found += [thing[large], thing[small]]
-    return dict(zip(ODDS_FEATURES, found, strict=True))
+    for n in range(len(a)):
+        mean = _mean(sums[n].sum(), levels[n].sum())
+        best[a[n]], best[b[n]] = max(best[a[n]], mean), max(best[b[n]], mean)
+    return best
 
 
-def _share(some: NDArray[np.int64], all_of: NDArray[np.int64]) -> NDArray[np.float64]:
-    return np.where(all_of > 0, some / np.maximum(all_of, 1), np.nan)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _mean(total, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return mean log-odds from a sum of bytes relative to even odds; NaN where the count is 0."""
+    return total / (ODDS_UNIT * count) if count > 0 else np.nan
