@@ -23,7 +23,7 @@ def of_both(
     names: Sequence[str], rows: NDArray[np.float64], large: NDArray[np.int64], small: NDArray[np.int64]
 ) -> Features:
     """Return the features of both regions, `large` and `small` (K,), of pairs, from rows (n, len(names)) of regions."""
-    return {
-        **named([f"large_{name}" for name in names], rows[large]),
-        **named([f"small_{name}" for name in names], rows[small]),
-    }
+    both: Features = {}
+    for name, of_large, of_small in zip(names, rows[large].T, rows[small].T, strict=True):
+        both[f"large_{name}"], both[f"small_{name}"] = of_large, of_small
+    return both
