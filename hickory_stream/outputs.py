@@ -330,7 +330,8 @@ class Planned(TypedDict):
     """A path (points in metres, one posture and heading a leg), or the reason why there is none.
 
     It rests on layer 4 of the objects, but on boxes of `objects_by_box`, and in a live run that goes on on what was
-    seen of `objects_observed_only`; `unproven` is why layer 4 is not, or null.
+    seen of `objects_observed_only`; `unproven` is why layer 4 is not, or null. A path keeps off `objects_movable` where
+    it can; `passes_movable` are those that it passes nearer.
     """
 
     robot: str
@@ -338,9 +339,11 @@ class Planned(TypedDict):
     objects_observed_only: list[int]
     objects_uncertified: list[int]
     unproven: str | None
+    objects_movable: list[int]
     cell_m: float
     found: bool
     length_m: NotRequired[float]
+    passes_movable: NotRequired[list[int]]
     points: NotRequired[Matrix]
     postures: NotRequired[list[str]]
     headings_rad: NotRequired[list[float]]

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.cli import main
+from hickory_stream.cli.align import objects_of
+from hickory_stream.cli.stationarity import movable_objects
+from hickory_stream.engine.relocalise import without
+from hickory_stream.engine.saved_map import open_map
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.navigation.rooms import seen_room
 from tests.test_cli_align import save
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import pytest
 
     from hickory_stream.records import MapSnapshot
@@ -55,3 +59,36 @@ def test_maps_that_do_not_align_or_know_no_space_are_refused(
     assert "has no observed space" in capsys.readouterr().err
     assert main(["diff", first, "1", "2", "-o", str(tmp_path / "x.html")]) == 2
     assert "found -o without a second map" in capsys.readouterr().err
+
+
+def test_what_moves_day_after_day_is_learnt_and_is_no_landmark(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    items = furniture(12, 1)
+    file = tmp_path / "known.json"
+
+    def day(name: str, shift_m: float, yaw_deg: float) -> str:
+        place, *rest = items[0]
+        moved = place.copy()
+        moved[0] += shift_m
+        made = snapshot_of([(moved, *rest), *items[1:]], frame(yaw_deg, 1, 2), 2)
+        return save(tmp_path / name, in_seen_space(made))
+
+    days = [day("monday", 0.0, 0), day("tuesday", 0.9, 35), day("wednesday", 0.0, -20), day("thursday", 0.9, 5)]
+    for first, second in pairwise(days):
+        assert main(["diff", first, second, "--stationarity", str(file)]) == 0
+    said = capsys.readouterr().out
+    assert said.count("no object tends to move yet") == 1
+    stays = {row["id"]: row["stays"] for row in json.loads(file.read_text())["objects"]}
+    movable = [i for i, share in stays.items() if share < 0.5]
+    assert len(movable) == 1
+    assert said.splitlines()[-1].endswith(f"#{movable[0]} tend to move")
+    saved = open_map(Path(days[-1]))
+    known = movable_objects(file, saved)
+    assert known == movable
+    assert set(without(objects_of(saved), known).ids) == set(stays) - set(movable)
+    # It is of Thursday's map.
+    assert main(["diff", days[0], days[1], "--stationarity", str(file)]) == 2
+    assert "is of a map with the digest" in capsys.readouterr().err
+    assert main(["diff", days[0], "1", "2", "--stationarity", str(file)]) == 2
+    assert "found --stationarity without a second map" in capsys.readouterr().err

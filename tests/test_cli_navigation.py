@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from hickory_stream.changes.stationarity import Stationarity, StayCount, write_stationarity
 from hickory_stream.cli import main
 from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.evaluation.truth import Truth, TruthObject, truth_record
@@ -83,6 +84,30 @@ def test_plan_without_a_path_exits_with_3_and_a_bad_request_with_2(
     ):
         assert main(["plan", str(folder), "--robot", "point", *arguments]) == 2
         assert complaint in capsys.readouterr().err
+
+
+def test_a_way_keeps_off_what_tends_to_move_where_it_can_and_says_where_it_cannot(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = saved(tmp_path / "map", tracked(4, boxes(((1.5, 2.6, 0.4), (0.25, 0.25, 0.4)))))
+    digest = json.loads((made / "manifest.json").read_text())["digest"]
+    known = Stationarity(digest=digest, counts={4: StayCount(moved=3.0)})
+    (tmp_path / "known.json").write_bytes(write_stationarity(known))
+    command = ["plan", str(made), "--start", "0.5,2.1", "--robot", "jackal", "--json"]
+    knowing = [*command, "--stationarity", str(tmp_path / "known.json")]
+    assert main([*command, "--goal", "2.4,2.1"]) == 0
+    plain = told(capsys)
+    assert main([*knowing, "--goal", "2.4,2.1"]) == 0
+    wide = told(capsys)
+    assert (plain["objects_movable"], wide["objects_movable"], wide["passes_movable"]) == ([], [4], [])
+    assert wide["length_m"] > plain["length_m"] + 0.03
+    # Right before the chair there is no room for a berth.
+    assert main([*knowing, "--goal", "1.5,2.05"]) == 0
+    assert told(capsys)["passes_movable"] == [4]
+    assert main([*knowing[:-3], "--stationarity", str(tmp_path / "known.json"), "--goal", "1.5,2.05"]) == 0
+    assert "passes objects that tend to move, and may stand in it: 4" in capsys.readouterr().out
+    assert main([*knowing, "--goal", "2.4,2.1", "--berth", "-1"]) == 2
+    assert "found --berth -1.0, expected 0 to 5 m" in capsys.readouterr().err
 
 
 def test_coordinates_may_be_negative(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

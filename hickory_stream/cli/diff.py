@@ -17,7 +17,9 @@ from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Mapping
 
+    from hickory_stream.changes.stationarity import StayCount
     from hickory_stream.cli.commands import Commands
     from hickory_stream.engine.saved_map import SavedMap
 
@@ -43,6 +45,13 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         help="compare the ends of two maps instead, e.g. of a session and its replay",
     )
     add_output(diff, "-o", "--out", type=Path, metavar="HTML", help="two maps: write a page with plan and pictures")
+    # No output that must not be there yet: what it says is built on.
+    diff.add_argument(
+        "--stationarity",
+        type=Path,
+        metavar="FILE",
+        help="two maps: note how probable it is that each object stays, building on what the file says of the first",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -53,8 +62,9 @@ def run(options: argparse.Namespace) -> int:
 
     if options.first is not None and options.second is None and Path(options.first).is_dir():
         return _between_days(options, Path(options.first))
-    if options.out is not None:
-        raise InputError("found -o without a second map, expected MAP MAP2 -o page.html")
+    if options.out is not None or options.stationarity is not None:
+        found = "-o" if options.out is not None else "--stationarity"
+        raise InputError(f"found {found} without a second map, expected MAP MAP2 {found} FILE")
     if (options.other is None) != (options.second is not None) or (options.other is not None and options.first):
         raise InputError("found neither T1 and T2 nor --other MAP, or both; expected one of them")
     saved = open_map_at(options.map)
@@ -80,6 +90,12 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
     from hickory_stream.alignment.answer import Alignment
     from hickory_stream.changes.compare import compare_maps
     from hickory_stream.changes.page import changes_page
+    from hickory_stream.changes.stationarity import (
+        Stationarity,
+        after_comparison,
+        read_stationarity,
+        write_stationarity,
+    )
     from hickory_stream.changes.words import changes_text
     from hickory_stream.cli.align import answer_text, objects_of
     from hickory_stream.cli.values import open_map_at
@@ -93,6 +109,9 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
             raise InputError(
                 f"{saved.folder} has no observed space, without which nothing can be called gone; map its log again"
             )
+    before: Mapping[int, StayCount] = {}
+    if options.stationarity is not None and options.stationarity.exists():
+        before = read_stationarity(options.stationarity, first.manifest.digest).counts
     answer = align(objects_of(first), objects_of(second))
     if not isinstance(answer, Alignment):
         if options.json:
@@ -110,11 +129,22 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
     if options.out is not None:
         with disk_refusals(options.out, "page"):
             write_output(options.out, changes_page(first, second, found).encode())
+    known = None
+    if options.stationarity is not None:
+        digest = second.manifest.digest
+        if digest is None:
+            raise InputError(f"{second.folder} is not finished: its objects may still change")
+        known = Stationarity(digest=digest, counts=after_comparison(before, found))
+        with disk_refusals(options.stationarity, "file"):
+            write_output(options.stationarity, write_stationarity(known))
     if options.json:
         told = {"a_from_b": found.a_from_b.tolist(), "sigma_m": found.sigma_m}
         print(output("diff-days", told | {"objects": [dataclasses.asdict(one) for one in found.changes]}, indent=1))
     else:
         print(changes_text(found))
+        if known is not None:
+            movable = ", ".join(f"#{i}" for i in known.movable())
+            print(f"{options.stationarity}: {f'{movable} tend to move' if movable else 'no object tends to move yet'}")
     return 0
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.cli.stationarity import add_stationarity, movable_objects
 from hickory_stream.cli.status import NO_PATH
 from hickory_stream.cli.values import add_unproven_argument, open_proven_map_at, parse_place, robot_of_option
 from hickory_stream.cli.written import add_output, disk_refusals, write_picture
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from hickory_stream.navigation.stand_ins import SeenSurface
     from hickory_stream.records import MapSnapshot
 
+MOST_BERTH_M = 5.0
 PLANNERS = ("rrt", "rrt-connect", "rrt-star")
 
 
@@ -43,6 +45,14 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     add_robot_arguments(plan)
     plan.add_argument("--planner", choices=PLANNERS, default="rrt-connect")
     plan.add_argument("--seed", type=int, default=0, help="the same seed gives the same path")
+    add_stationarity(plan)
+    plan.add_argument(
+        "--berth",
+        type=float,
+        default=0.3,
+        metavar="M",
+        help="how far to keep off objects that tend to move, where there is a way (default 0.3 m)",
+    )
     add_output(plan, "-o", "--out", type=Path, metavar="PNG|RRD", help="draw the grid, the objects and the path")
     plan.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
@@ -66,6 +76,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     import numpy as np
 
+    from hickory_stream.navigation.berth import keep_off, passed_by
     from hickory_stream.navigation.free_space import free_space_of, uncertified, without_layer_four
     from hickory_stream.navigation.search import NoPath, SearchConfig, plan
 
@@ -80,9 +91,24 @@ def run(options: argparse.Namespace) -> int:
     space = free_space_of(snapshot, robot, cell_m=options.cell, unknown=options.unknown, seen=seen)
     if options.seed < 0:
         raise InputError(f"found --seed {options.seed}, expected 0 or more")
+    if not 0 <= options.berth <= MOST_BERTH_M:
+        raise InputError(f"found --berth {options.berth}, expected 0 to {MOST_BERTH_M:g} m")
     config = SearchConfig(planner=options.planner)
     goal = place if place is not None else _beside(space, snapshot, start, wanted)
-    answer = goal if isinstance(goal, NoPath) else plan(space, start, goal, config, np.random.default_rng(options.seed))
+    movable = movable_objects(options.stationarity, saved)
+
+    def planned(space: FreeSpace) -> Way | NoPath:
+        if isinstance(goal, NoPath):
+            return goal
+        return plan(space, start, goal, config, np.random.default_rng(options.seed))
+
+    answer, keeps_off = planned(space), not movable
+    if movable and not isinstance(answer, NoPath):
+        wide = free_space_of(snapshot, robot, cell_m=options.cell, unknown=options.unknown, seen=seen)
+        keep_off(wide, snapshot, movable, options.berth)
+        found = planned(wide)
+        if not isinstance(found, NoPath):
+            answer, keeps_off = found, True
     if options.out is not None:
         _draw(options.out, snapshot, space, answer, start, start if isinstance(goal, NoPath) else goal)
     proof = Proof(
@@ -90,6 +116,10 @@ def run(options: argparse.Namespace) -> int:
         observed_only=sorted(space.observed_only) if seen is not None else [],
         uncertified=uncertified(snapshot),
         doubt=doubt,
+        movable=movable,
+        passed=[]
+        if keeps_off or isinstance(answer, NoPath)
+        else passed_by(answer.points, snapshot, movable, options.berth + robot.reach_m),
     )
     print(output("plan", _as_json(space, answer, proof), indent=1) if options.json else _as_text(space, answer, proof))
     return NO_PATH if isinstance(answer, NoPath) else 0
@@ -100,13 +130,16 @@ class Proof:
     """What the answer rests on: objects avoided by `boxes`, those with an `uncertified` layer 4, why none is proven.
 
     `observed_only`: in a live run, objects that were seen and have no layer 4 yet: what was seen is avoided.
-    `doubt` is "" where the map is the one that was saved.
+    `doubt` is "" where the map is the one that was saved. `movable` are the objects that tend to move, `passed` those
+    of them that the path comes so near that they may be in its way by now.
     """
 
     boxes: list[int]
     observed_only: list[int]
     uncertified: list[int]
     doubt: str
+    movable: list[int]
+    passed: list[int]
 
 
 def _as_driven(saved: SavedMap, at: str | None) -> tuple[MapSnapshot, SeenSurface | None]:
@@ -162,6 +195,7 @@ def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, 
         "objects_observed_only": proof.observed_only,
         "objects_uncertified": proof.uncertified,
         "unproven": proof.doubt or None,
+        "objects_movable": proof.movable,
         "cell_m": space.frame.cell_m,
     }
     if isinstance(answer, NoPath):
@@ -170,6 +204,7 @@ def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, 
     return told | {
         "found": True,
         "length_m": answer.length_m,
+        "passes_movable": proof.passed,
         "points": answer.points.tolist(),
         "postures": [space.robot.postures[int(p)].name for p in answer.postures],
         "headings_rad": answer.headings_rad.tolist(),
@@ -190,6 +225,12 @@ def _as_text(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> str:
     if proof.uncertified:
         count = len(proof.uncertified)
         notes.append(f"note: {count} objects have a layer 4 that is not certified: {_listed(proof.uncertified)}")
+    if proof.passed:
+        notes.append(f"note: the path passes objects that tend to move, and may stand in it: {_listed(proof.passed)}")
+    if isinstance(answer, NoPath):
+        stirring = [b.object_id for b in answer.blockers if b.object_id in proof.movable]
+        if stirring:
+            notes.append(f"note: of what is in the way, these tend to move, look again: {_listed(stirring)}")
     if proof.doubt:
         notes.append(f"note: layer 4 is not proven: {proof.doubt}")
     if isinstance(answer, NoPath):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.source_options import add_source_options, source_options
+from hickory_stream.cli.stationarity import add_stationarity, movable_objects
 from hickory_stream.cli.status import NO_ALIGNMENT
 from hickory_stream.cli.values import parse_rate, read_settings
 from hickory_stream.outputs import output
@@ -28,18 +29,21 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     relocalise.add_argument("source", metavar="LOG", help="what `play` reads")
     relocalise.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
     relocalise.add_argument("--until-found", action="store_true", help="stop at the first confirmed place")
+    add_stationarity(relocalise)
     add_source_options(relocalise)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.cli.align import load_objects
-    from hickory_stream.engine.relocalise import relocalise
+    from hickory_stream.cli.align import objects_of
+    from hickory_stream.cli.values import open_map_at
+    from hickory_stream.engine.relocalise import relocalise, without
     from players import open_source
 
     settings = read_settings(options)
     rate = parse_rate(options.rate)
-    stored = load_objects(options.map)
+    saved = open_map_at(options.map)
+    stored = without(objects_of(saved), movable_objects(options.stationarity, saved))
     source = open_source(options.source, source_options(options))
     start_ns = source.info.start_ns
 

@@ -13,14 +13,14 @@ import numpy as np
 
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.alignment.object_map import object_map
+from hickory_stream.alignment.object_map import object_map, taken
 from hickory_stream.alignment.registration import differs
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
 
     from hickory_stream.alignment.answer import NoAlignment
     from hickory_stream.alignment.object_map import ObjectMap
@@ -68,6 +68,11 @@ def relocalise(
         HickoryError: the source or the disk failed.
     """
     return asyncio.run(_relocalise(stored, source, config, rate, stops_when_found, report))
+
+
+def without(stored: ObjectMap, movable: Collection[int]) -> ObjectMap:
+    """Return a map without the objects that tend to move: they are no landmarks."""
+    return taken(stored, np.flatnonzero(~np.isin(stored.ids, list(movable))))
 
 
 async def _relocalise(
