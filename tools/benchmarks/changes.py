@@ -30,6 +30,7 @@ from tools.benchmarks.change_counts import PairCounts, count_figures, share, sum
 from tools.benchmarks.changed_maps import mapped
 from tools.benchmarks.changed_runs import run_counts
 from tools.benchmarks.figures import Figure
+from tools.benchmarks.kept import state_folder
 from tools.benchmarks.passers_by import passer_by
 from tools.benchmarks.true_questions import true_questions
 
@@ -66,7 +67,7 @@ def measure(options: Options) -> list[Figure]:
     """
     parts = options.only or (("days", "questions") if options.quick else ("days", "run", "person", "questions"))
     first = _FIRST_SEED + 10 * options.seed
-    state = options.state / "changes"
+    state = state_folder(options.state, "changes")
     figures: list[Figure] = []
     made: list[tuple[Truth, SavedMap]] = []
     if options.scenes:
