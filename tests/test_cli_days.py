@@ -57,8 +57,10 @@ def test_maps_that_do_not_align_or_know_no_space_are_refused(
     blind = save(tmp_path / "c", replace(snapshot_of(furniture(12, 1), np.eye(4), 1), submaps=()))
     assert main(["diff", first, blind]) == 2
     assert "has no observed space" in capsys.readouterr().err
-    assert main(["diff", first, "1", "2", "-o", str(tmp_path / "x.html")]) == 2
-    assert "found -o without a second map" in capsys.readouterr().err
+    assert main(["diff", first, other, "-o", str(tmp_path / "x.png")]) == 2
+    assert "expected a name that ends in .html" in capsys.readouterr().err
+    assert main(["diff", first, "--other", other, "-o", str(tmp_path / "x.html")]) == 2
+    assert "found -o with --other" in capsys.readouterr().err
 
 
 def test_what_moves_day_after_day_is_learnt_and_is_no_landmark(

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import re
 import signal
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import psutil
 import pytest
 
+from hickory_stream.changes.pictures import pictures_of
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.saved_map import open_map
 from tests.test_cli import COMMAND, EAGER, Playing, look, run
@@ -90,6 +93,28 @@ def test_diff_tells_what_happened_between_two_moments(calm: Path) -> None:
     assert {change["kind"] for change in changes} >= {"appeared", "better view"}
     assert "appeared" in look("diff", calm, "0", "2.5").stdout
     assert look("diff", calm, "1", "1").stdout == "nothing has changed\n"
+
+
+def test_diff_of_a_run_writes_a_page_with_pictures_also_of_what_the_map_has_no_more(calm: Path, tmp_path: Path) -> None:
+    page = tmp_path / "run.html"
+    assert look("diff", calm, "0", "2.5", "-o", page).status == 0
+    text = page.read_text()
+    changes = look("diff", calm, "0", "2.5", "--json").json()["changes"]
+    assert text.count('class="card"') == len(changes)
+    assert "<svg" in text
+    assert "http" not in text
+    best = next(item.best_view for item in open_map(calm).snapshot.objects if item.best_view is not None)
+    # A view whose pixels were removed is cut out of its keyframe's image.
+    removed = replace(best, observation_index=999)
+    found = pictures_of(calm, [best, removed])
+    assert set(found) == {best.name, removed.name}
+    x0, y0, x1, y1 = best.box_px
+    height, width = found[removed.name].shape[:2]
+    assert x1 - x0 <= width <= x1 - x0 + 16
+    assert y1 - y0 <= height <= y1 - y0 + 16
+    rgb = found[best.name].reshape(-1, 3).mean(axis=0)
+    np.testing.assert_allclose(found[removed.name].reshape(-1, 3).mean(axis=0), rgb, atol=25)
+    assert pictures_of(tmp_path, [best]) == {}
 
 
 def test_diff_tells_what_is_in_one_of_two_maps_alone(calm: Path) -> None:

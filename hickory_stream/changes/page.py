@@ -5,8 +5,7 @@ from __future__ import annotations
 import html
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from hickory_stream.changes.plan_view import Footprint, plan_svg
 from hickory_stream.changes.records import Verdict
 from hickory_stream.changes.words import count_text, evidence_text, sentence
 from hickory_stream.engine.crops import read_crop
@@ -16,13 +15,11 @@ from hickory_stream.mapping.moved import moved_object
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from hickory_stream.changes.records import MapChanges, ObjectChange
     from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.records import TrackedObject
 
-_COLORS = {
+COLORS = {
     Verdict.STILL_THERE: "#9aa3b5",
     Verdict.MOVED: "#1c62c4",
     Verdict.GONE: "#c0392b",
@@ -32,8 +29,7 @@ _COLORS = {
     Verdict.NOT_SEEN_BEFORE: "#c98a1b",
 }
 _PICTURE_PX = 150
-_PLAN_PX = 900
-_STYLE = """
+STYLE = """
 svg { background: var(--card); border: 1px solid var(--line); width: 100%; height: auto; }
 .card { display: flex; gap: .9rem; background: var(--card); border: 1px solid var(--line); padding: .6rem;
   margin: .5rem 0; }
@@ -63,7 +59,7 @@ def changes_page(first: SavedMap, second: SavedMap, found: MapChanges) -> str:
         if rows:
             parts.append(f"<h2>{verdict}: {len(rows)}</h2>")
             parts += [_card(change, first, second, a, b) for change in rows]
-    return page("What changed", "\n".join(parts), _STYLE)
+    return page("What changed", "\n".join(parts), STYLE)
 
 
 def _card(
@@ -88,7 +84,7 @@ def _card(
             (evidence.unseen, "#cfd3db"),
         )
     )
-    tag = f'<span class="tag" style="background:{_COLORS[change.verdict]}">{change.verdict}</span>'
+    tag = f'<span class="tag" style="background:{COLORS[change.verdict]}">{change.verdict}</span>'
     return (
         f'<div class="card">{pictures}<div>{tag} <b>{html.escape(sentence(change))}</b>'
         f'<div class="soft">{html.escape(evidence_text(change))}</div><div class="bar">{bar}</div></div></div>'
@@ -102,35 +98,16 @@ def _picture(saved: SavedMap, item: TrackedObject) -> str:
 
 
 def _plan(found: MapChanges, a: Mapping[int, TrackedObject], b: Mapping[int, TrackedObject]) -> str:
-    """Return an SVG from above, in the frame of map a: every footprint in the colour of what became of it."""
-    shown = [item for items in (a, b) for item in items.values()]
-    if not shown:
-        return ""
-    corners = np.concatenate([item.box.corners_world()[:, :2] for item in shown])
-    low, high = corners.min(axis=0) - 0.4, corners.max(axis=0) + 0.4
-    scale = _PLAN_PX / float(high[0] - low[0])
-
-    def at(point: NDArray[np.float64]) -> tuple[float, float]:
-        return float((point[0] - low[0]) * scale), float((high[1] - point[1]) * scale)
-
-    drawn = []
+    """Return the plan in the frame of map a."""
+    footprints, moves = [], []
     for change in reversed(found.changes):
-        color = _COLORS[change.verdict]
-        for item, dash in ((a.get(change.id_a or -1), ""), (b.get(change.id_b or -1), ' stroke-dasharray="5 4"')):
-            if item is None or (dash and change.verdict is Verdict.STILL_THERE and change.id_a is not None):
-                continue
-            signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-            half = item.box.half_extents_m[:2] * signs
-            outline = item.box.center[:2] + half @ item.box.world_from_box[:2, :2].T
-            points = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(at, outline))
-            drawn.append(f'<polygon points="{points}" fill="{color}" fill-opacity=".25" stroke="{color}"{dash}/>')
-            x, y = at(item.box.center)
-            drawn.append(f'<text x="{x:.1f}" y="{y:.1f}" font-size="13" fill="{color}">{item.id}</text>')
-        if change.verdict is Verdict.MOVED and change.id_a is not None and change.id_b is not None:
-            (x0, y0), (x1, y1) = at(a[change.id_a].box.center), at(b[change.id_b].box.center)
-            drawn.append(
-                f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{color}" stroke-width="2"/>'
-            )
-    height = float(high[1] - low[1]) * scale
-    told = "solid: the first map; dashed: the second"
-    return f'<svg viewBox="0 0 {_PLAN_PX} {height:.0f}">{"".join(drawn)}</svg><p class="soft">{told}</p>'
+        color = COLORS[change.verdict]
+        one, other = a.get(change.id_a or -1), b.get(change.id_b or -1)
+        if one is not None:
+            footprints.append(Footprint(item=one, color=color, is_dashed=False))
+        # What is still there is drawn once.
+        if other is not None and not (change.verdict is Verdict.STILL_THERE and one is not None):
+            footprints.append(Footprint(item=other, color=color, is_dashed=True))
+        if change.verdict is Verdict.MOVED and one is not None and other is not None:
+            moves.append((one, other, color))
+    return plan_svg(footprints, moves, "solid: the first map; dashed: the second")

@@ -44,7 +44,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         metavar="MAP",
         help="compare the ends of two maps instead, e.g. of a session and its replay",
     )
-    add_output(diff, "-o", "--out", type=Path, metavar="HTML", help="two maps: write a page with plan and pictures")
+    add_output(diff, "-o", "--out", type=Path, metavar="HTML", help="write a page with plan and pictures")
     # No output that must not be there yet: what it says is built on.
     diff.add_argument(
         "--stationarity",
@@ -56,15 +56,20 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
+    from hickory_stream.changes.run_page import run_page
     from hickory_stream.changes.within_run import changes_within_run
     from hickory_stream.cli.values import open_map_at
+    from hickory_stream.engine.atomic import write_output
     from hickory_stream.engine.history.time_travel import stamp_of
 
+    if options.out is not None and options.out.suffix != ".html":
+        raise InputError(f"found -o {options.out}, expected a name that ends in .html")
     if options.first is not None and options.second is None and Path(options.first).is_dir():
         return _between_days(options, Path(options.first))
-    if options.out is not None or options.stationarity is not None:
-        found = "-o" if options.out is not None else "--stationarity"
-        raise InputError(f"found {found} without a second map, expected MAP MAP2 {found} FILE")
+    if options.stationarity is not None:
+        raise InputError("found --stationarity without a second map, expected MAP MAP2 --stationarity FILE")
+    if options.out is not None and options.other is not None:
+        raise InputError("found -o with --other, expected MAP MAP2 -o page.html, or MAP T1 T2 -o page.html")
     if (options.other is None) != (options.second is not None) or (options.other is not None and options.first):
         raise InputError("found neither T1 and T2 nor --other MAP, or both; expected one of them")
     saved = open_map_at(options.map)
@@ -72,6 +77,10 @@ def run(options: argparse.Namespace) -> int:
         return _compare(options, saved, open_map_at(options.other))
     before, after = (saved.as_known_at(stamp_of(options.map, text)) for text in (options.first, options.second))
     changes = changes_within_run(before, after)
+    if options.out is not None:
+        title = f"{options.map}, from {options.first} to {options.second}"
+        with disk_refusals(options.out, "page"):
+            write_output(options.out, run_page(title, before, after, changes, options.map).encode())
     if options.json:
         print(output("diff", {"changes": [dataclasses.asdict(change) for change in changes]}, indent=1))
     else:
@@ -101,8 +110,6 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
     from hickory_stream.cli.values import open_map_at
     from hickory_stream.engine.atomic import write_output
 
-    if options.out is not None and options.out.suffix != ".html":
-        raise InputError(f"found -o {options.out}, expected a name that ends in .html")
     first, second = open_map_at(options.map), open_map_at(later)
     for saved in (first, second):
         if not any(len(submap.observed_space.free) for submap in saved.snapshot.submaps):

@@ -1,0 +1,83 @@
+"""The HTML page of what changed between two moments of a run: a plan, and every change with its pictures."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING
+
+from hickory_stream.changes.page import COLORS, STYLE
+from hickory_stream.changes.pictures import pictures_of
+from hickory_stream.changes.plan_view import Footprint, plan_svg
+from hickory_stream.changes.records import Verdict
+from hickory_stream.html_page import page, picture
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.history.time_travel import Change
+    from hickory_stream.records import MapSnapshot, TrackedObject
+
+_PICTURE_PX = 150
+_OTHER = "#5d6b82"
+_SAID = {"gone": Verdict.GONE, "new": Verdict.NEW, "moved": Verdict.MOVED}
+
+
+def run_page(title: str, before: MapSnapshot, after: MapSnapshot, listed: Sequence[Change], folder: Path) -> str:
+    """Return the page as HTML, in one file without network access.
+
+    `folder` is the map's, which has the pictures.
+    """
+    a, b = ({item.id: item for item in each.objects} for each in (before, after))
+    parts = [f"<h1>{html.escape(title)}</h1>", _plan(a, b, listed)]
+    shown = [item for one in listed for item in _both(one, a, b)]
+    pictures = pictures_of(folder, [item.best_view for item in shown if item.best_view is not None])
+    kinds = sorted({one.kind for one in listed}, key=lambda kind: (kind not in _SAID, kind))
+    for kind in kinds:
+        rows = [one for one in listed if one.kind == kind]
+        parts.append(f"<h2>{html.escape(kind)}: {len(rows)}</h2>")
+        parts += [_card(one, _both(one, a, b), pictures) for one in rows]
+    if not listed:
+        parts.append("<p>Nothing has changed.</p>")
+    return page("What changed", "\n".join(parts), STYLE)
+
+
+def _plan(a: Mapping[int, TrackedObject], b: Mapping[int, TrackedObject], listed: Sequence[Change]) -> str:
+    """Return the plan: what stayed in grey, what went solid, what came dashed."""
+    changed = {one.object_id for one in listed if one.kind in _SAID} | {one.was for one in listed}
+    still = COLORS[Verdict.STILL_THERE]
+    footprints = [Footprint(item=item, color=still, is_dashed=False) for item in b.values() if item.id not in changed]
+    moves = []
+    for one in listed:
+        if one.kind not in _SAID:
+            continue
+        color = COLORS[_SAID[one.kind]]
+        was, is_now = a.get(one.object_id if one.was is None else one.was), b.get(one.object_id)
+        if was is not None and one.kind != "new":
+            footprints.append(Footprint(item=was, color=color, is_dashed=False))
+        if is_now is not None and one.kind != "gone":
+            footprints.append(Footprint(item=is_now, color=color, is_dashed=True))
+        if was is not None and is_now is not None and one.kind == "moved":
+            moves.append((was, is_now, color))
+    return plan_svg(footprints, moves, "solid: at the first moment; dashed: at the second; grey: nothing is said of it")
+
+
+def _both(one: Change, a: Mapping[int, TrackedObject], b: Mapping[int, TrackedObject]) -> list[TrackedObject]:
+    """Return an object as it was before and as it is after, as far as it was there."""
+    was = a.get(one.object_id if one.was is None else one.was)
+    return [item for item in (was, b.get(one.object_id)) if item is not None]
+
+
+def _card(one: Change, items: Sequence[TrackedObject], pictures: Mapping[str, NDArray[np.uint8]]) -> str:
+    views = {item.best_view.name: item.id for item in items if item.best_view is not None}
+    shown = "".join(picture(pictures[name], f"#{i}", _PICTURE_PX) for name, i in views.items() if name in pictures)
+    color = COLORS[_SAID[one.kind]] if one.kind in _SAID else _OTHER
+    tag = f'<span class="tag" style="background:{color}">{html.escape(one.kind)}</span>'
+    sure = "" if one.probability is None else f", probability {one.probability:.2f}"
+    return (
+        f'<div class="card">{shown}<div>{tag} <b>#{one.object_id}{sure}</b>'
+        f'<div class="soft">{html.escape(one.text)}</div></div></div>'
+    )
