@@ -336,6 +336,10 @@ class Containment:
 FitKind = Literal["solid", "panels", "envelope"]
 
 
+EMBEDDED = ("fused", "single_view")
+"""The reconstructors that make up nothing but what follows from the views."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ObjectShape:
     """Layers 2 to 4 of an object.
@@ -368,6 +372,11 @@ class ObjectShape:
             raise ValueError(f"layer 3 is of kind {self.fit_kind!r}, not one of {', '.join(get_args(FitKind))}")
         freeze(self, "world_from_object", np.float64, (4, 4))
         freeze(self, "seen_share", np.float64, (len(self.fitted),))
+
+    @property
+    def is_generated(self) -> bool:
+        """Whether a generator made it: one was asked, and the embedded reconstructors did not have to stand in."""
+        return bool(self.verdict) and self.reconstructor not in EMBEDDED
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)

@@ -39,6 +39,8 @@ class RequestConfig(Ranged):
         final_gain: the same when the source has ended.
         interval_s: minimum time between two requests for the same object.
         max_failures: after this many failures no shape is requested for the object any more.
+        refuted_share: a generated shape of which a keyframe sees this share to be free is renewed, if views have come
+            since it was asked for.
         job_s, view_s, kilopoint_s: predicted duration of a job of the chosen reconstructor: fixed, per view, and per
             thousand points of layer 1; as measured with `fused` on the demo log. Only their ratios matter.
         replace_by: an open job is replaced, once, if S has grown by this share, and by more than the share of
@@ -52,6 +54,7 @@ class RequestConfig(Ranged):
     final_gain: float = number(0.8, 0, 1e6, "ratio")
     interval_s: float = number(8.0, 0, 1e9, "s")
     max_failures: int = number(2, 0, 1000, "failures")
+    refuted_share: float = number(0.1, 0, 1, "share")
     job_s: float = number(2.2, 0.001, 86400, "s")
     view_s: float = number(0.18, 0, 86400, "s")
     kilopoint_s: float = number(0.03, 0, 86400, "s")

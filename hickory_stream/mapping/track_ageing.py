@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.mapping.claims import with_claims_checked
 from hickory_stream.mapping.cloud import without
 from hickory_stream.mapping.cold_clouds import is_packed, pack_part
 from hickory_stream.mapping.concerned_tracks import Concerned
@@ -46,7 +47,8 @@ def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, 
         case = Case(state, track_id, config, free_keys=event.space.free_keys, merges=merges)
         effects += [*case.happens(LifeEvent.JUDGED), *case.happens(LifeEvent.AGED)]
         if track_id in state.tracks:
-            state.tracks[track_id] = sketched(state.tracks[track_id], config.track)
+            track = sketched(state.tracks[track_id], config.track)
+            state.tracks[track_id] = with_claims_checked(state, track, event.space.free_keys, config)
     keep_room(state)
     return effects
 

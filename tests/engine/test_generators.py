@@ -12,19 +12,21 @@ import numpy as np
 import psutil
 import pytest
 
-from hickory_stream.box_scene import SCENE_BOXES
+from hickory_stream.box_scene import SCENE_BOXES, SceneSource
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.crops import read_crop
 from hickory_stream.engine.generators.choose import ExternalGenerator, chosen_generator, generator_key, reconstructor_of
 from hickory_stream.engine.generators.exchange import read_answer, write_question
 from hickory_stream.engine.generators.spec import cluster_resources, fingerprint, read_spec
+from hickory_stream.engine.history.recorded import recorded_steps
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import ConfigError, WorkerError
 from hickory_stream.evaluation.inspect import summarize
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.ports import GeneratedMesh, NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, make_reconstructor
+from hickory_stream.testing import InstanceSegmenter
 from tests.engine.run_fixtures import map_scene, scene_request
 from tests.examples.box_generator import answer
 from tests.examples.generators import HERE, box_generator, box_spec
@@ -225,6 +227,35 @@ def test_a_run_has_shapes_of_the_generator_and_says_so_in_decisions_and_summary(
     (summary,) = summarize(open_map(tmp_path / "map")).objects
     assert summary.verdict == tracked.shape.verdict
     assert "accepted: explains" in summary.verdict
+
+
+def test_what_was_made_up_is_taken_back_when_a_later_view_sees_free_space_there(
+    tmp_path: Path, toml: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    toml.write_text(toml.read_text().replace('"box_generator.py"]', '"box_generator.py", "deep"]'))
+    chosen = ("shapes.reconstructor=external", f"run.generator={toml}", "run.i_accept=I do research")
+    # All else that would ask again is switched off.
+    rare = (
+        "mapping.requests.interval_s=0",
+        "mapping.requests.min_gain=1.95",
+        "mapping.requests.final_gain=9",
+        "shapes.judgement.most_less=0.3",
+    )
+    walk = SceneSource(14, SCENE_BOXES[-1:], step_of=lambda i: i // 2 if i < 6 else 3 * i - 15)
+    run = map_scene(tmp_path, *chosen, *rare, source=walk, segmenter=InstanceSegmenter(walk.instances))
+    steps = recorded_steps(tmp_path / "map", run.snapshots[-1])
+    told = [decision.text for step in steps for decision in step.decisions if decision.kind == "shape"]
+    shapes = [snapshot.objects[0].shape for snapshot in run.snapshots if snapshot.objects]
+    generated = [shape for shape in shapes if shape is not None]
+    assert generated[0].is_generated
+    again = next(i for i, text in enumerate(told) if "of its generated shape was seen to be free" in text)
+    assert told[again + 1].startswith("job 2 asked for")
+    # What is made of more views is cut where they saw through it.
+    claimed = [float(8 * shape.fitted.semi_axes_m.prod(axis=1).sum()) for shape in (generated[0], generated[-1])]
+    true = float(np.prod(np.subtract(SCENE_BOXES[-1].high, SCENE_BOXES[-1].low)))
+    assert abs(claimed[1] - true) < 0.5 * (claimed[0] - true)
+    assert main(["diff", str(tmp_path / "map"), "2", "3.9"]) == 0
+    assert re.search(r"^#1 +shape changed ", capsys.readouterr().out, flags=re.MULTILINE)
 
 
 def test_check_says_what_a_generator_is_gives_and_takes(
