@@ -26,3 +26,16 @@ def test_questions_are_understood_and_a_tenth_has_no_answer(demo_truth: Path) ->
     seats = [one for one in questions if "to sit on" in one.text]
     assert seats
     assert {kinds[i] for one in seats for i in one.answers} <= {"chair", "sofa"}
+
+
+def test_a_map_that_lacks_what_an_answer_holds_by_cannot_answer(demo_truth: Path) -> None:
+    questions = true_questions(load_truth(demo_truth), 200, np.random.default_rng(3))
+    carrying = next(one for one in questions if one.text.startswith("thing carrying") and len(one.answers) == 1)
+    (answer,) = carrying.answers
+    (carried,) = carrying.witnesses[answer]
+    assert carried
+    assert answer not in carried
+    assert carrying.is_held({answer, *carried})
+    assert not carrying.is_held({answer})
+    assert not carrying.is_held(carried)
+    assert next(one for one in questions if not one.answers).is_held(())

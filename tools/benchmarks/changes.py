@@ -144,7 +144,7 @@ def pair_counts(truth_a: Truth, map_a: SavedMap, truth_b: Truth, map_b: SavedMap
 
 
 def query_figures(made: Sequence[tuple[Truth, SavedMap]], count: int) -> list[Figure]:
-    """Return how often the first answer is right: of all questions, and of those that the map has an object for.
+    """Return how often the first answer is right: of all questions, and of those that the map has the objects for.
 
     A question without an answer is answered rightly by none.
     """
@@ -157,11 +157,11 @@ def query_figures(made: Sequence[tuple[Truth, SavedMap]], count: int) -> list[Fi
             first = ask(index, question.text).found[:1]
             told = true_of.get(first[0].id) if first else None
             is_right = told in question.answers if question.answers else not first
-            is_held = not question.answers or not question.answers.isdisjoint(true_of.values())
+            is_held = question.is_held(set(true_of.values()))
             num, right = num + 1, right + is_right
             held, right_held = held + is_held, right_held + (is_right and is_held)
     shares = (
-        share("query_precision_at_1", right_held, held, "questions that the map has an object for, or that have none"),
+        share("query_precision_at_1", right_held, held, "questions that the map has the objects for, or nobody"),
         share("query_precision_at_1_of_all", right, num, "questions, whatever the map lacks"),
     )
     return [figure for figure in shares if figure is not None]

@@ -7,6 +7,7 @@ only where the truth is clear: every true object either fulfils it plainly or pl
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import cv2
@@ -16,7 +17,7 @@ from hickory_stream.evaluation.truth import mesh_of
 from hickory_stream.geometry.rigid import apply
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -42,13 +43,31 @@ class TrueThing:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrueQuestion:
-    """A question, and the ids of the true objects that answer it; none: it has no answer."""
+    """A question, and the ids of the true objects that answer it; none: it has no answer.
+
+    `witnesses`: by an answer, sets of objects of each of which a map must hold one to know that it is an answer, e.g.
+    the red things on it of what carries something red.
+    """
 
     text: str
     answers: frozenset[int]
+    witnesses: Mapping[int, tuple[frozenset[int], ...]]
+
+    def is_held(self, held: Collection[int]) -> bool:
+        """Return whether a map that holds these true objects can answer it; one without an answer every map can."""
+        return not self.answers or any(
+            answer in held and all(not some.isdisjoint(held) for some in self.witnesses[answer])
+            for answer in self.answers
+        )
 
 
-_Test = tuple[str, "Callable[[TrueThing], bool | None]"]
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Condition:
+    """A part of a question: whether it holds, None where that is not clear, and the ids of what it holds by."""
+
+    text: str
+    test: Callable[[TrueThing], bool | None]
+    holds_by: Callable[[TrueThing], frozenset[int]] | None = None
 
 
 def true_questions(truth: Truth, count: int, rng: np.random.Generator) -> list[TrueQuestion]:
@@ -59,42 +78,50 @@ def true_questions(truth: Truth, count: int, rng: np.random.Generator) -> list[T
     asked: set[str] = set()
     for _ in range(60 * count):
         chosen = [words[int(k)] for k in rng.choice(len(words), size=int(rng.integers(1, 3)), replace=False)]
-        chosen.sort(key=lambda one: " " in one[0])
-        head = [text for text, _ in chosen if " " not in text]
-        tail = [text for text, _ in chosen if " " in text]
+        chosen.sort(key=lambda one: " " in one.text)
+        head = [one.text for one in chosen if " " not in one.text]
+        tail = [one.text for one in chosen if " " in one.text]
         text = " ".join([*head, "thing", " and ".join(tail)]).strip()
-        held = [[test(thing) for _, test in chosen] for thing in things]
+        held = [[one.test(thing) for one in chosen] for thing in things]
         unclear = any(None in row and False not in row for row in held)
         if text in asked or unclear:
             continue
         asked.add(text)
-        answers = frozenset(thing.id for thing, row in zip(things, held, strict=True) if all(row))
-        found[bool(answers)].append(TrueQuestion(text=text, answers=answers))
+        answers = [thing for thing, row in zip(things, held, strict=True) if all(row)]
+        witnesses = {
+            thing.id: tuple(one.holds_by(thing) for one in chosen if one.holds_by is not None) for thing in answers
+        }
+        found[bool(answers)].append(TrueQuestion(text=text, answers=frozenset(witnesses), witnesses=witnesses))
     without = found[False][: count // 10]
     return [*found[True][: count - len(without)], *without]
 
 
-def _words() -> list[_Test]:
-    tests: list[_Test] = [(name, _has_hue(*ends)) for name, ends in _HUES.items()]
-    tests += [
-        ("large", lambda one: _clear(float(_sides(one).max()), 1.1, 0.65)),
-        ("small", lambda one: _clear(-float(_sides(one).max()), -0.28, -0.48)),
-        ("tall", lambda one: _clear(float(_sides(one)[2]), 1.25, 0.75)),
-        ("taller than 0.6 m", lambda one: _clear(float(_sides(one)[2]), 0.7, 0.5)),
-        ("to sit on", lambda one: one.kind in _SEATS),
+def _words() -> list[_Condition]:
+    return [
+        *(_Condition(text=name, test=_has_hue(*ends)) for name, ends in _HUES.items()),
+        _Condition(text="large", test=lambda one: _clear(float(_sides(one).max()), 1.1, 0.65)),
+        _Condition(text="small", test=lambda one: _clear(-float(_sides(one).max()), -0.28, -0.48)),
+        _Condition(text="tall", test=lambda one: _clear(float(_sides(one)[2]), 1.25, 0.75)),
+        _Condition(text="taller than 0.6 m", test=lambda one: _clear(float(_sides(one)[2]), 0.7, 0.5)),
+        _Condition(text="to sit on", test=lambda one: one.kind in _SEATS),
     ]
-    return tests
 
 
-def _relations(things: list[TrueThing]) -> list[_Test]:
-    tests: list[_Test] = [("on the floor", lambda one: _clear(-float(one.bounds[0, 2]), -0.02, -0.1))]
+def _relations(things: list[TrueThing]) -> list[_Condition]:
+    found = [_Condition(text="on the floor", test=lambda one: _clear(-float(one.bounds[0, 2]), -0.02, -0.1))]
     for other in things:
-        x, y = other.bounds.mean(axis=0)[:2].round(1)
-        tests.append((f"near {x:g},{y:g}", lambda one, x=x, y=y: _is_near(one, x, y)))  # type: ignore[misc]
-    for name, test in _words()[:5]:
-        carriers = [one for one in things if test(one)]
-        tests.append((f"carrying something {name}", lambda one, of=carriers: any(_stands(o, one) for o in of)))  # type: ignore[misc]
-    return tests
+        x, y = (float(part) for part in other.bounds.mean(axis=0)[:2].round(1))
+        found.append(_Condition(text=f"near {x:g},{y:g}", test=partial(_is_near, x=x, y=y)))
+    for word in _words()[: len(_HUES)]:
+        of = partial(_carried, of=[one for one in things if word.test(one)])
+        found.append(
+            _Condition(text=f"carrying something {word.text}", test=lambda one, of=of: bool(of(one)), holds_by=of)
+        )
+    return found
+
+
+def _carried(one: TrueThing, of: Sequence[TrueThing]) -> frozenset[int]:
+    return frozenset(other.id for other in of if _stands(other, one))
 
 
 def _thing(truth: Truth, i: int) -> TrueThing:
