@@ -30,7 +30,8 @@ def test_questions_are_understood_and_a_tenth_has_no_answer(demo_truth: Path) ->
 
 def test_a_map_that_lacks_what_an_answer_holds_by_cannot_answer(demo_truth: Path) -> None:
     questions = true_questions(load_truth(demo_truth), 200, np.random.default_rng(3))
-    carrying = next(one for one in questions if one.text.startswith("thing carrying") and len(one.answers) == 1)
+    plain = {f"thing carrying something {name}" for name in ("red", "green", "blue", "yellow", "purple")}
+    carrying = next(one for one in questions if one.text in plain and len(one.answers) == 1)
     (answer,) = carrying.answers
     (carried,) = carrying.witnesses[answer]
     assert carried
