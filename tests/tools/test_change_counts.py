@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hickory_stream.changes.records import Evidence, ObjectChange, Verdict
 from hickory_stream.evaluation.raycast import Scene, Surface
+from hickory_stream.evaluation.true_changes import TrueChanges
 from hickory_stream.evaluation.truth import Truth, TruthChange, TruthFrame, TruthObject
 from hickory_stream.geometry.camera import Camera
 from tests.engine.snapshot_fixtures import box_mesh
-from tools.benchmarks.change_counts import PairCounts, count_figures, sum_of
+from tools.benchmarks.change_counts import PairCounts, calibration_figures, count_figures, sum_of
 from tools.benchmarks.changed_runs import counted
+from tools.benchmarks.changes import judged
 from tools.benchmarks.passers_by import is_of_person
 
 CHANGE_NS = 500
@@ -51,6 +54,34 @@ def test_what_is_said_is_held_against_what_changed(
     counts = counted(TRUTH, HELD, gone, moved, new)
     assert (counts.changes, counts.held, counts.moved_held, counts.objects) == (3, 3, 1, 1)
     assert {name: getattr(counts, name) for name in expected} == expected
+
+
+def test_probabilities_are_held_against_how_often_verdicts_are_right() -> None:
+    nothing = Evidence(free=0.0, structure=0.0, objects=0.0, unseen=0.0, num_clear=0)
+    told = [
+        ObjectChange(verdict=verdict, id_a=a, id_b=b, probability=probability, evidence=nothing)
+        for verdict, a, b, probability in (
+            (Verdict.STILL_THERE, 11, 21, 0.9),  # 1 stayed
+            (Verdict.STILL_THERE, 12, 21, 0.6),  # 2 is another object than 1
+            (Verdict.MOVED, 12, 22, 0.8),
+            (Verdict.GONE, 13, None, 0.9),
+            (Verdict.GONE, 11, None, 0.9),  # 1 stayed
+            (Verdict.NEW, None, 24, 1.0),
+            (Verdict.EXCHANGED, 13, 24, 0.7),
+            (Verdict.NOT_SEEN_AGAIN, 11, None, 0.5),  # says nothing
+            (Verdict.NEW, None, 99, 1.0),  # no true object
+        )
+    ]
+    true = TrueChanges(stayed=(1,), moved=(2,), gone=(3,), new=(4,), exchanged=())
+    found = judged(told, true, {11: 1, 12: 2, 13: 3}, {21: 1, 22: 2, 24: 4})
+    assert [right for _, right in found] == [True, False, True, True, False, True, True]
+    counts = PairCounts(
+        said=7, said_right=5, probability=sum(p for p, _ in found), brier=sum((p - right) ** 2 for p, right in found)
+    )
+    over, brier = calibration_figures(sum_of([counts, PairCounts()]))
+    assert over.value == pytest.approx(5.8 / 7 - 5 / 7)
+    assert brier.value == pytest.approx((0.01 + 0.36 + 0.04 + 0.01 + 0.81 + 0.0 + 0.09) / 7)
+    assert calibration_figures(PairCounts()) == []
 
 
 def test_what_the_map_does_not_hold_is_printed_beside_what_it_does() -> None:

@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PairCounts:
-    """What came of one pair of maps; changes are those of objects of which enough was seen."""
+    """What came of one pair of maps; changes are those of objects of which enough was seen.
+
+    Of the verdicts that were `said` of objects that are true ones, `said_right` are right; `probability` is the sum of
+    what was said to be their probability, and `brier` that of its squared distances from 1 where right, 0 where wrong.
+    """
 
     changes: int = 0
     found: int = 0
@@ -27,6 +31,10 @@ class PairCounts:
     gone: int = 0
     gone_but_unseen: int = 0
     aligned: int = 0
+    said: int = 0
+    said_right: int = 0
+    probability: float = 0.0
+    brier: float = 0.0
 
 
 def sum_of(pairs: Sequence[PairCounts]) -> PairCounts:
@@ -61,6 +69,23 @@ def count_figures(total: PairCounts, prefix: str = "") -> list[Figure]:
         ),
     ]
     return [figure for figure in found if figure is not None]
+
+
+def calibration_figures(total: PairCounts) -> list[Figure]:
+    """Return by how much probabilities are too high, and Brier's score; nothing where nothing was said."""
+    if not total.said:
+        return []
+    right = total.said_right / total.said
+    low, high = wilson(total.said_right, total.said)
+    sure = total.probability / total.said
+    of = f"{total.said} verdicts of true objects, {right:.3f} of them right"
+    return [
+        Figure(
+            name="changes_overconfidence", value=sure - right, unit="", better="lower", of=of,
+            interval=(sure - high, sure - low), interval_by="Wilson",
+        ),
+        Figure(name="changes_brier", value=total.brier / total.said, unit="", better="lower", of=of),
+    ]  # fmt: skip
 
 
 def share(name: str, part: int, whole: int, of: str, better: str = "higher") -> Figure | None:

@@ -26,7 +26,7 @@ from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.query.answers import ask
 from hickory_stream.query.map_index import MapIndex, index_of, neighbours
 from hickory_stream.worlds.recording_config import RecordingConfig
-from tools.benchmarks.change_counts import PairCounts, count_figures, share, sum_of
+from tools.benchmarks.change_counts import PairCounts, calibration_figures, count_figures, share, sum_of
 from tools.benchmarks.changed_maps import mapped
 from tools.benchmarks.changed_runs import run_counts
 from tools.benchmarks.figures import Figure
@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from hickory_stream.changes.records import ObjectChange
     from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.evaluation.true_changes import TrueChanges
     from hickory_stream.evaluation.truth import Truth
     from tools.benchmarks.figures import Options
     from tools.benchmarks.passers_by import PasserBy
@@ -133,6 +135,7 @@ def pair_counts(truth_a: Truth, map_a: SavedMap, truth_b: Truth, map_b: SavedMap
     rows += [(in_b[i] is not None, says(in_b[i], of_b, Verdict.NEW, Verdict.EXCHANGED)) for i in true.new if i in in_b]
     stayed = [i for i in true.stayed if in_a.get(i) is not None or in_b.get(i) is not None]
     wrong = sum(says(in_a.get(i), of_a, *_CHANGED) or says(in_b.get(i), of_b, *_CHANGED) for i in stayed)
+    verdicts = judged(told, true, {m: i for i, m in in_a.items()}, {m: i for i, m in in_b.items()})
     shown_b = {item.id: item.seen_fraction for item in truth_b.objects}
     unseen = sum(says(in_a.get(i), of_a, Verdict.GONE) and shown_b[i] < _UNSEEN for i in true.stayed)
     return PairCounts(
@@ -140,7 +143,35 @@ def pair_counts(truth_a: Truth, map_a: SavedMap, truth_b: Truth, map_b: SavedMap
         held=sum(held for held, _ in rows), held_found=sum(held and found for held, found in rows),
         moved_held=moved_held, moved_as_moved=as_moved, objects=len(stayed), false_changes=wrong,
         gone=sum(one.verdict is Verdict.GONE for one in told), gone_but_unseen=unseen, aligned=1,
+        said=len(verdicts), said_right=sum(right for _, right in verdicts),
+        probability=sum(sure for sure, _ in verdicts), brier=sum((sure - right) ** 2 for sure, right in verdicts),
     )  # fmt: skip
+
+
+def judged(
+    told: Sequence[ObjectChange], true: TrueChanges, true_a: dict[int | None, int], true_b: dict[int | None, int]
+) -> list[tuple[float, bool]]:
+    """Return probability and truth of each verdict on an object that is a true one; `true_*` are these, by map id."""
+    found = []
+    for one in told:
+        a = None if one.id_a is None else true_a.get(one.id_a)
+        b = None if one.id_b is None else true_b.get(one.id_b)
+        match one.verdict:
+            case Verdict.STILL_THERE:
+                right = (a if a is not None else b) in true.stayed and (a is None or b is None or a == b)
+            case Verdict.MOVED:
+                right = a in true.moved and a == b
+            case Verdict.GONE:
+                right = a in true.gone or a in true.moved
+            case Verdict.NEW:
+                right = b in true.new or b in true.moved
+            case Verdict.EXCHANGED:
+                right = a in true.gone and b in true.new
+            case _:
+                continue
+        if a is not None or b is not None:
+            found.append((one.probability, right))
+    return found
 
 
 def query_figures(made: Sequence[tuple[Truth, SavedMap]], count: int) -> list[Figure]:
@@ -216,7 +247,8 @@ def _day_figures(pairs: Sequence[PairCounts]) -> list[Figure]:
     unseen = Figure(
         name="gone_but_unseen", value=float(total.gone_but_unseen), unit="", better="lower", of=f"{total.gone} gone"
     )
-    return [*count_figures(total), *([aligned] if aligned is not None else []), unseen]
+    said = calibration_figures(total)
+    return [*count_figures(total), *([aligned] if aligned is not None else []), unseen, *said]
 
 
 def _person_figures(rooms: Sequence[PasserBy]) -> list[Figure]:
