@@ -244,6 +244,16 @@ def test_a_table_says_ours_the_interval_how_many_and_the_papers() -> None:
         replace(TABLE, rows=(("short", (Cell(value=1.0),)),))
 
 
+def test_only_rows_of_one_scene_are_compared() -> None:
+    rows = tuple((f"{i}", (Cell(value=float(i)), Cell(value=float(i)))) for i in (1, 2, 3, 4))
+    lines = markdown(replace(TABLE, rows=rows, groups=(2, 2))).splitlines()
+    assert "| 2 | **2.000** | 2.000 |" in lines
+    assert "| 3 | 3.000 | **3.000** |" in lines
+    assert "| 4 | **4.000** | 4.000 |" in lines
+    with pytest.raises(ValueError, match="groups of 3 rows in a table of 4"):
+        replace(TABLE, rows=rows, groups=(2, 1))
+
+
 def test_the_papers_own_means_are_those_of_its_table() -> None:
     ours = ALIGNMENT["sq"]
     assert np.mean([one.translation_m for one in ours["replica_cad"]]) == pytest.approx(0.0394, abs=1e-4)

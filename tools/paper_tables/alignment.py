@@ -41,15 +41,16 @@ def alignment_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Tab
         except HickoryError as error:
             notes.append(f"{pair.data_set} {pair.scene}: {refusal(error)}")
     rows = []
-    for method, title in _METHODS.items():
-        places: dict[str, int] = {}
-        for (data_set, scene), found in answers.items():
-            nth = places.setdefault(data_set, 0)
-            places[data_set] += 1
+    places: dict[str, int] = {}
+    for (data_set, scene), found in answers.items():
+        nth = places.setdefault(data_set, 0)
+        places[data_set] += 1
+        for method, title in _METHODS.items():
             published = ALIGNMENT[method].get(data_set, ())
             paper = published[nth] if nth < len(published) else None
-            rows.append((f"{title}, {data_set} {scene}", _cells(found[method], paper)))
-        rows += [(f"{title}, {data_set} mean", _means(method, data_set, answers)) for data_set in places]
+            rows.append((f"{data_set} {scene}: {title}", _cells(found[method], paper)))
+    for data_set in places:
+        rows += [(f"{data_set} mean: {title}", _means(method, data_set, answers)) for method, title in _METHODS.items()]
     return Table(
         name="alignment",
         caption=f"Map alignment ({caption})",
@@ -60,6 +61,7 @@ def alignment_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Tab
             Column(name="overlap_m", title="Error where the maps overlap", unit="m", digits=4, more=-1),
         ),
         rows=tuple(rows),
+        groups=(len(_METHODS),) * (len(answers) + len(places)),
         notes=(
             "Errors of the transform itself, as in the paper, its translation at the origin of map b; a method that "
             "refuses has none. The order of the paper's scenes is not known to be that of ours.",

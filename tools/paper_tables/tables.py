@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -39,31 +40,40 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Table:
-    """A table; every row has a title and a cell for each column. `notes` are printed below it."""
+    """A table; every row has a title and a cell for each column. `notes` are printed below it.
+
+    `groups` are how many rows each are to be compared with one another, e.g. those of one scene; (): all of them.
+    """
 
     name: str
     caption: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[str, tuple[Cell, ...]], ...]
     notes: tuple[str, ...] = ()
+    groups: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.groups and sum(self.groups) != len(self.rows):
+            raise ValueError(f"groups of {sum(self.groups)} rows in a table of {len(self.rows)}")
         for title, cells in self.rows:
             if len(cells) != len(self.columns):
                 raise ValueError(f"row {title!r} has {len(cells)} cells for {len(self.columns)} columns")
 
 
 def markdown(table: Table) -> str:
-    """Return the table for people; the best figure of a column is bold, the paper's stands behind a slash."""
-    best = [_best(table, i) for i in range(len(table.columns))]
+    """Return the table for people; of rows to be compared the best is bold, the paper's figure is behind a slash."""
     heads = [f"{c.title}{f', {c.unit}' if c.unit else ''}{_ARROWS[c.more]}" for c in table.columns]
     lines = [f"**{table.caption}**", "", "| | " + " | ".join(heads) + " |", "|---" * (1 + len(heads)) + "|"]
-    for title, cells in table.rows:
-        shown = [
-            _shown(cell, column, is_best=cell.value is not None and cell.value == top)
-            for cell, column, top in zip(cells, table.columns, best, strict=True)
-        ]
-        lines.append(f"| {title} | " + " | ".join(shown) + " |")
+    rows = iter(table.rows)
+    for size in table.groups or (len(table.rows),):
+        group = list(islice(rows, size))
+        best = [_best(column, [cells[i].value for _, cells in group]) for i, column in enumerate(table.columns)]
+        for title, cells in group:
+            shown = [
+                _shown(cell, column, is_best=cell.value is not None and cell.value == top)
+                for cell, column, top in zip(cells, table.columns, best, strict=True)
+            ]
+            lines.append(f"| {title} | " + " | ".join(shown) + " |")
     lines += ["", "*Ours [95 % interval] (of how many) / the paper's own.*"]
     return "\n".join([*lines, *(f"*{note}*" for note in table.notes), ""])
 
@@ -104,13 +114,11 @@ def _record(cell: Cell) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _best(table: Table, column: int) -> float | None:
-    more = table.columns[column].more
-    values = [cells[column].value for _, cells in table.rows]
+def _best(column: Column, values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
-    if not more or len(known) < 2 or min(known) == max(known):
+    if not column.more or len(known) < 2 or min(known) == max(known):
         return None
-    return max(known) if more > 0 else min(known)
+    return max(known) if column.more > 0 else min(known)
 
 
 def _shown(cell: Cell, column: Column, *, is_best: bool) -> str:
