@@ -88,7 +88,13 @@ def remove_map(path: Path) -> None:
             shutil.rmtree(path / name)
 
 
-def files_of(path: Path, tracked: TrackedObject) -> frozenset[Path]:
-    """Return the files of views and shapes that an object refers to."""
-    files = frozenset(file for view in tracked.views for file in crop_files(path / VIEWS, view.name))
-    return files if tracked.shape is None else files | {path / SHAPES / tracked.shape.mesh_name}
+def named_by(tracked: TrackedObject) -> frozenset[str]:
+    """Return the views and the mesh that an object refers to, as names below the map folder."""
+    names = frozenset(f"{VIEWS}/{view.name}" for view in tracked.views)
+    return names if tracked.shape is None else names | {f"{SHAPES}/{tracked.shape.mesh_name}"}
+
+
+def files_of_name(path: Path, name: str) -> tuple[Path, ...]:
+    """Return the files of a view or a mesh, by its name below the map folder."""
+    folder, _, plain = name.partition("/")
+    return crop_files(path / VIEWS, plain) if folder == VIEWS else (path / folder / plain,)

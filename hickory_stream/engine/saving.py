@@ -10,7 +10,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.folder_layout import files_of
+from hickory_stream.engine.folder_layout import files_of_name, named_by
 from hickory_stream.engine.map_codec import encode_graph, encode_object, encode_submap
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.records import Submap
@@ -66,42 +66,45 @@ class SnapshotEncoder:
 
 
 class ReferencedFiles:
-    """The files of views and meshes that a snapshot refers to."""
+    """The files of views and meshes that a snapshot refers to, counted by the names of these."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._files: dict[int, tuple[TrackedObject, frozenset[Path]]] = {}
-        self._num: Counter[Path] = Counter()
+        self._names: dict[int, tuple[TrackedObject, frozenset[str]]] = {}
+        self._num: Counter[str] = Counter()
+        self._files: set[Path] = set()
 
     def __contains__(self, file: object) -> bool:
-        return file in self._num
+        return file in self._files
 
     def follow(self, snapshot: MapSnapshot) -> list[Path]:
         """Take up a snapshot; return the files that the last one did not refer to."""
-        before, self._files = self._files, {}
-        new = []
+        before, self._names = self._names, {}
+        new: list[Path] = []
         for tracked in snapshot.objects:
             known = before.pop(tracked.id, None)
             if known is not None and known[0] is tracked:
-                self._files[tracked.id] = known
+                self._names[tracked.id] = known
                 continue
-            files = files_of(self._path, tracked)
-            self._files[tracked.id] = (tracked, files)
+            names = named_by(tracked)
+            self._names[tracked.id] = (tracked, names)
             old = known[1] if known is not None else frozenset()
-            for file in files - old:
-                if file not in self._num:
-                    new.append(file)
-                self._num[file] += 1
-            self._let_go(old - files)
-        for _, files in before.values():
-            self._let_go(files)
+            for name in names - old:
+                if name not in self._num:
+                    new += files_of_name(self._path, name)
+                self._num[name] += 1
+            self._let_go(old - names)
+        self._files.update(new)
+        for _, names in before.values():
+            self._let_go(names)
         return new
 
-    def _let_go(self, files: Iterable[Path]) -> None:
-        for file in files:
-            self._num[file] -= 1
-            if not self._num[file]:
-                del self._num[file]
+    def _let_go(self, names: Iterable[str]) -> None:
+        for name in names:
+            self._num[name] -= 1
+            if not self._num[name]:
+                del self._num[name]
+                self._files.difference_update(files_of_name(self._path, name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hickory_stream.engine.folder_layout import files_of
+from hickory_stream.engine.crops import crop_files
 from hickory_stream.engine.map_codec import encode_snapshot
 from hickory_stream.engine.saving import ReferencedFiles, SnapshotEncoder
 from hickory_stream.json_text import dumps_exactly
@@ -49,7 +49,10 @@ def test_it_is_the_document_of_the_whole_and_what_is_new_and_gone_adds_up_to_its
 def test_the_files_that_a_snapshot_refers_to_are_followed(tmp_path: Path) -> None:
     referenced, before = ReferencedFiles(tmp_path), set()
     for snapshot in series():
-        wanted = {file for tracked in snapshot.objects for file in files_of(tmp_path, tracked)}
+        views = [view.name for tracked in snapshot.objects for view in tracked.views]
+        wanted = {file for name in views for file in crop_files(tmp_path / "views", name)}
+        shapes = [tracked.shape for tracked in snapshot.objects]
+        wanted |= {tmp_path / "shapes" / shape.mesh_name for shape in shapes if shape is not None}
         assert set(referenced.follow(snapshot)) == wanted - before
         assert {file for file in before | wanted if file in referenced} == wanted
         before = wanted
