@@ -159,7 +159,7 @@ class Followed(Generic[Grid]):
             tracked = records[obstacle.id]
             shape: object = tracked.box if tracked.shape is None else tracked.shape.inflated
             if obstacle.is_observed_only:
-                shape = tracked.points_world  # Any new point may extend the box.
+                shape = tracked  # Any new point may extend the box; its points are made whenever they are read.
             if self._known.get(obstacle.id) is not shape:
                 grid.put(obstacle.id, obstacle.body)
                 self._known[obstacle.id] = shape

@@ -13,7 +13,7 @@ from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun_items import LogItem, Span
 
 if TYPE_CHECKING:
-    from hickory_stream.records import Decision, FrameReport, TrackedObject
+    from hickory_stream.records import Decision, FrameReport, View
 
 # Every decision is logged under its kind; one that is about an object also under that object, to be read by itself:
 # a merge under both, so that what is gone says what it became.
@@ -28,10 +28,14 @@ _LINE_LENGTH = 160
 
 
 class Plots:
-    """Turns metrics into scalars; a curve gets its name and colour when it first appears."""
+    """Turns metrics into scalars; a curve gets its name and colour when it first appears.
+
+    The curves of an object go on where its best view is another one, as those of its S do.
+    """
 
     def __init__(self) -> None:
         self._named: set[str] = set()
+        self._best: dict[int, View | None] = {}
 
     def items(self, report: FrameReport) -> list[LogItem]:
         """Return the scalars of a report's metrics, and the number of objects in each phase."""
@@ -39,8 +43,10 @@ class Plots:
         if report.snapshot is not None:
             phases = Counter(o.phase for o in report.snapshot.objects)
             metrics += [(f"objects/{phase}", float(phases[phase])) for phase in Phase]
-            for seen in report.snapshot.objects:
-                metrics += _factors(seen)
+            before, self._best = self._best, {seen.id: seen.best_view for seen in report.snapshot.objects}
+            for object_id, view in self._best.items():
+                if view is not before.get(object_id):
+                    metrics += _factors(object_id, view)
         items = []
         for name, value in metrics:
             path = f"{PLOTS}/{name}"
@@ -72,15 +78,14 @@ def _level(decision: Decision) -> Any:
     return rr.TextLogLevel.WARN if decision.kind in _JUMPS else rr.TextLogLevel.INFO
 
 
-def _factors(seen: TrackedObject) -> list[tuple[str, float]]:
+def _factors(object_id: int, view: View | None) -> list[tuple[str, float]]:
     """Return the factors of S of an object's best view."""
-    view = seen.best_view
     if view is None or view.variance is None:
         return []
     return [
-        (f"variance/{seen.id}", view.variance),
-        (f"area/{seen.id}", view.r_area),
-        (f"depth/{seen.id}", view.r_depth),
+        (f"variance/{object_id}", view.variance),
+        (f"area/{object_id}", view.r_area),
+        (f"depth/{object_id}", view.r_depth),
     ]
 
 

@@ -42,17 +42,18 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Shown:
-    """What was last logged of an object."""
+    """What was last logged of an object; `cloud_of` has the cloud that was logged, at the stamp `cloud_ns`."""
 
     object: TrackedObject
-    points_world: NDArray[np.float32]
-    points_ns: int
+    cloud_of: TrackedObject
+    cloud_ns: int
 
 
 class ObjectLayers:
     """Knows what the viewer shows of each object, and returns what has to be logged to make it true.
 
     A growing cloud is logged at most once per `cloud_period_ns`; `finish` catches up, and gives layer 2 its textures.
+    Records never change: of an object that has the one that was shown last nothing is looked at.
     """
 
     def __init__(self, *, folder: Path, max_points: int, cloud_period_ns: int, texture_px: int) -> None:
@@ -67,6 +68,8 @@ class ObjectLayers:
         items = self._gone({o.id for o in objects})
         for seen in objects:
             shown = self._shown.get(seen.id)
+            if shown is not None and shown.object is seen and shown.cloud_of is seen:
+                continue
             items += self._changed_cloud(seen, shown, stamp_ns)
             if shown is None or not _same_box(seen, shown.object):
                 items += _box_items(seen)
@@ -82,7 +85,7 @@ class ObjectLayers:
         clouds = [
             _cloud_item(shown.object, self._max_points)
             for _, shown in sorted(self._shown.items())
-            if not _same(shown.object.points_world, shown.points_world)
+            if not _same_cloud(shown.object, shown.cloud_of)
         ]
         return clouds + self._textured_items() if self._texture_px else clouds
 
@@ -102,12 +105,13 @@ class ObjectLayers:
         ]
 
     def _changed_cloud(self, seen: TrackedObject, shown: _Shown | None, stamp_ns: int) -> list[LogItem]:
-        if shown is not None and (
-            # A log that starts over has stamps before the last one: abs() lets it through.
-            abs(stamp_ns - shown.points_ns) < self._cloud_period_ns or _same(seen.points_world, shown.points_world)
-        ):
+        # A log that starts over has stamps before the last one: abs() lets it through.
+        if shown is not None and abs(stamp_ns - shown.cloud_ns) < self._cloud_period_ns:
             return []
-        self._shown[seen.id] = _Shown(object=seen, points_world=seen.points_world, points_ns=stamp_ns)
+        if shown is not None and _same_cloud(seen, shown.cloud_of):
+            self._shown[seen.id] = replace(shown, cloud_of=seen)
+            return []
+        self._shown[seen.id] = _Shown(object=seen, cloud_of=seen, cloud_ns=stamp_ns)
         return [_cloud_item(seen, self._max_points)]
 
     def _textured_items(self) -> list[LogItem]:
@@ -201,6 +205,10 @@ def _same_box(a: TrackedObject, b: TrackedObject) -> bool:
 def _same_shape(a: ObjectShape, b: ObjectShape | None) -> bool:
     """Return whether it is the same shape at the same place: a corrected submap takes its shapes along."""
     return b is not None and a.revision == b.revision and _same(a.world_from_object, b.world_from_object)
+
+
+def _same_cloud(a: TrackedObject, b: TrackedObject) -> bool:
+    return a is b or np.array_equal(a.points_world, b.points_world)
 
 
 def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:

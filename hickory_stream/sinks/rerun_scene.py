@@ -20,7 +20,7 @@ from hickory_stream.sinks.rerun_items import LogItem, Span
 from hickory_stream.sinks.rerun_labels import ObjectLabels
 from hickory_stream.sinks.rerun_numbers import Plots, decision_items
 from hickory_stream.sinks.rerun_objects import ObjectLayers
-from hickory_stream.sinks.rerun_space import structure_items
+from hickory_stream.sinks.rerun_space import Structure
 from hickory_stream.sinks.rerun_views import BestViews
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ class RerunScene:
         self._views = BestViews(config.jpeg_quality)
         self._plots = Plots()
         self._trajectory = Trajectory()
+        self._structure = Structure()
         self._graph = GraphLines()
         self._class_colors = ClassColors()
         self._feature_colors = FeatureColors()
@@ -69,7 +70,7 @@ class RerunScene:
 
     def finish(self) -> list[LogItem]:
         """Return what was held back: clouds, labels and structure as they are at the end, best views without gaps."""
-        structure = [] if self._last_snapshot is None else structure_items(self._last_snapshot)
+        structure = [] if self._last_snapshot is None else self._structure.items(self._last_snapshot)
         objects = self._layers.finish() + self._labels.finish()
         return self._trajectory.items() + objects + structure + self._views.finish()
 
@@ -96,7 +97,7 @@ class RerunScene:
             items += self._labels.update(report.snapshot.objects, report.stamp_ns)
             assert report.keyframe_index is not None
             if report.keyframe_index % self._config.structure_every == 0:
-                items += structure_items(report.snapshot)
+                items += self._structure.items(report.snapshot)
         return items
 
     def _first_items(self) -> list[LogItem]:

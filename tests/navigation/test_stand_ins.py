@@ -10,13 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.made_arrays import give_up
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, volumes_m3
 from hickory_stream.geometry.voxels import keys_of_cells, sorted_unique
 from hickory_stream.navigation.blockers import blockers_at
 from hickory_stream.navigation.costmap import Costmap
+from hickory_stream.navigation.followed import Followed
 from hickory_stream.navigation.free_space import free_space_of
-from hickory_stream.navigation.occupancy import Cell
+from hickory_stream.navigation.occupancy import Cell, GridFrame
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.navigation.search import NoPath, Path, SearchConfig, plan
 from hickory_stream.navigation.stand_ins import MARGIN_M, SEEN_SURFACE, SeenSurface, early_obstacles, stand_in_of
@@ -150,6 +152,39 @@ def test_of_what_did_not_change_the_stand_in_is_made_once_and_of_what_did_anew()
     assert after[1] is not before[1]
     assert held_share(after[1].body, grown.points_world) == 1.0
     assert [obstacle.id for obstacle in early_obstacles([grown])] == [7]
+
+
+class Noted:
+    """A grid that notes which objects are put into it."""
+
+    def __init__(self, frame: GridFrame) -> None:
+        self.frame = frame
+        self.put_ids: list[int] = []
+
+    def put(self, object_id: int, inflated: Superquadrics) -> None:
+        self.put_ids.append(object_id)
+
+    def put_hulls(self, object_id: int, hulls: np.ndarray) -> None:
+        pass
+
+    def remove(self, object_id: int) -> None:
+        pass
+
+    def observe(self, walls: np.ndarray, unknown: np.ndarray) -> None:
+        pass
+
+
+def test_a_stand_in_is_put_into_the_grid_again_only_where_its_object_changed() -> None:
+    still, moving = crate(), replace(crate(), id=7)
+    points = still.points_world
+    give_up(still, lambda name: points.copy(), "points_world")  # as those of a run are
+    followed = Followed(lambda frame, _: Noted(frame), (0.0, 1.0), cell_m=0.05, seen=SeenSurface())
+    grid = followed.update(snapshot(still, moving))
+    assert grid is not None
+    assert grid.put_ids == [2, 7]
+    followed.update(snapshot(still, moving))
+    followed.update(snapshot(still, replace(moving, sightings=moving.sightings + 1)))
+    assert grid.put_ids == [2, 7, 7]
 
 
 def test_what_was_seen_and_is_of_no_track_blocks_until_rays_pass_there_twice() -> None:
