@@ -86,7 +86,6 @@ def unpacked(cloud: Any, name: str) -> NDArray[Any]:
         if packed is not None:
             arrays = {each: packed.array(each) for each in NAMES}
             for each, array in arrays.items():
-                array.flags.writeable = False
                 object.__setattr__(cloud, each, array)
             del _cold[cloud]
     there: NDArray[Any] = object.__getattribute__(cloud, name)
