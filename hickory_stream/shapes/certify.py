@@ -68,11 +68,13 @@ class Certificate:
 class Inside:
     """The cells inside the solid, without those that are within the margin of the surface.
 
-    (N, 3) centres, half the side of a cell, and (N,) truncated signed distances of the centres. `margin_m` is the
-    margin, `shell_m` the thickness of the unchecked layer between the margin and the cells.
+    (N, 3) centres, the last cell (N,) of the row without a gap that each lies in, half the side of a cell, and (N,)
+    truncated signed distances of the centres. `margin_m` is the margin, `shell_m` the thickness of the unchecked layer
+    between the margin and the cells.
     """
 
     centers: NDArray[np.float64]
+    row_ends: NDArray[np.int64]
     half_m: float
     distances_m: NDArray[np.float64]
     margin_m: float
@@ -120,7 +122,15 @@ def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, 
     """
     extent = np.ptp(vertices_world, axis=0) if len(faces) else np.zeros(3)
     if not extent.min() > 1e-6 * extent.max():
-        return Inside(centers=np.empty((0, 3)), half_m=0.0, distances_m=np.empty(0), margin_m=r_safe_m, shell_m=0.0)
+        no_cells = np.empty(0, np.int64)
+        return Inside(
+            centers=np.empty((0, 3)),
+            row_ends=no_cells,
+            half_m=0.0,
+            distances_m=np.empty(0),
+            margin_m=r_safe_m,
+            shell_m=0.0,
+        )
     longest = float(extent.max())
     wanted = 2.02 * _HALF_DIAGONAL * longest / max(r_safe_m, longest / _CELLS[1])
     cells = int(np.ceil(np.clip(wanted, *_CELLS)))
@@ -136,6 +146,7 @@ def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, 
     deep = deep[is_within]
     return Inside(
         centers=centers[is_within],
+        row_ends=_row_ends(deep, grid.values.shape[2]),
         half_m=step / 2,
         distances_m=grid.values.ravel()[deep].astype(np.float64),
         margin_m=r_safe_m,
@@ -152,14 +163,24 @@ def uncovered_cells(primitives: Superquadrics, inside: Inside, g: float) -> NDAr
     log_g = float(log(g)) - NUMERICAL_MARGIN
     left = np.column_stack([inside.centers, inside.distances_m])
     half = inside.half_m
+    row_ends = inside.row_ends
     for level in range(_CELL_LEVELS):
         shape = (primitives.exponents, primitives.semi_axes_m, primitives.world_from_local)
-        left = left[_cells(np.ascontiguousarray(left[:, :3]), half, *shape, log_g)]
+        left = left[_cells(np.ascontiguousarray(left[:, :3]), row_ends, half, *shape, log_g)]
         if len(left) == 0 or level == _CELL_LEVELS - 1 or len(left) > _MOST_SPLIT:
             break
         half /= 2
         left = _parts(left, half, inside.margin_m)
+        row_ends = np.arange(len(left))
     return np.column_stack([left[:, :3], np.full(len(left), half)])
+
+
+def _row_ends(cells: NDArray[np.int64], row: int) -> NDArray[np.int64]:
+    """Return (N,) the last of the cells that follow each without a gap: sorted indices in a grid with rows of `row`."""
+    is_last = np.ones(len(cells), bool)
+    is_last[:-1] = (np.diff(cells) != 1) | (cells[1:] % row == 0)
+    last = np.flatnonzero(is_last)
+    return last[np.searchsorted(last, np.arange(len(cells)))]
 
 
 def _parts(cells: NDArray[np.float64], half: float, margin_m: float) -> NDArray[np.float64]:
@@ -262,33 +283,57 @@ def _is_lost(values):  # type: ignore[no-untyped-def] # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
-def _cells(centers, half, exponents, axes, poses, log_g):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return (N,) which cells lie in no primitive as a whole."""
+def _cells(centers, row_ends, half, exponents, axes, poses, log_g):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) which cells lie in no primitive as a whole.
+
+    Primitives are convex: one that contains two cells of a row contains those between them.
+    """
     out = np.ones(len(centers), np.bool_)
-    reach, center = np.empty((len(axes), 3)), np.empty(3)
+    reach = np.empty((len(axes), 3))
     for k in range(len(axes)):
         for i in range(3):
             reach[k, i] = half * (abs(poses[k, 0, i]) + abs(poses[k, 1, i]) + abs(poses[k, 2, i]))
-    last = 0
-    for n in range(len(centers)):
+    last, n = 0, 0
+    while n < len(centers):
+        end = n
         for step in range(len(axes)):
             k = (last + step) % len(axes)
-            for i in range(3):
-                center[i] = 0.0
-                for j in range(3):
-                    center[i] += poses[k, j, i] * (centers[n, j] - poses[k, j, 3])
-            x, y, z = abs(center[0]), abs(center[1]), abs(center[2])
-            if x > axes[k, 0] or y > axes[k, 1] or z > axes[k, 2]:
+            shape = (exponents[k], axes[k], poses[k], log_g)
+            if not _holds(centers[n], half, reach[k], *shape):
                 continue
-            e1, e2 = exponents[k, 0], exponents[k, 1]
-            limit = 0.5 * e1 * log_g
-            # Cheap test first, sufficient for most cells: the axis-aligned box around the rotated cell.
-            around = log_gauge(x + reach[k, 0], y + reach[k, 1], z + reach[k, 2], axes[k], e1, e2)
-            if around <= limit or _holds_corners(center, half, axes[k], e1, e2, poses[k], limit):
-                out[n] = False
-                last = k
-                break
+            # The farthest cell of the row that it contains too.
+            end, beyond = row_ends[n], row_ends[n] + 1
+            if not _holds(centers[end], half, reach[k], *shape):
+                end, beyond = n, end
+                while beyond - end > 1:
+                    middle = (end + beyond) // 2
+                    if _holds(centers[middle], half, reach[k], *shape):
+                        end = middle
+                    else:
+                        beyond = middle
+            out[n : end + 1] = False
+            last = k
+            break
+        n = end + 1
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _holds(cell, half, reach, exponents, axes, pose, log_g):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether a primitive contains the cell around a centre."""
+    center = np.empty(3)
+    for i in range(3):
+        center[i] = 0.0
+        for j in range(3):
+            center[i] += pose[j, i] * (cell[j] - pose[j, 3])
+    x, y, z = abs(center[0]), abs(center[1]), abs(center[2])
+    if x > axes[0] or y > axes[1] or z > axes[2]:
+        return False
+    e1, e2 = exponents[0], exponents[1]
+    limit = 0.5 * e1 * log_g
+    # Cheap test first, sufficient for most cells: the axis-aligned box around the rotated cell.
+    around = log_gauge(x + reach[0], y + reach[1], z + reach[2], axes, e1, e2)
+    return around <= limit or _holds_corners(center, half, axes, e1, e2, pose, limit)
 
 
 @numba.njit(cache=True, nogil=True)

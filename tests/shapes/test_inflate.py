@@ -178,9 +178,14 @@ def test_a_cell_is_covered_where_one_primitive_holds_its_corners_and_never_where
     rng = np.random.default_rng(seed)
     half = 10 ** rng.uniform(-2.5, -0.5)
     places = np.concatenate([rng.uniform(-1.5, 1.5, (300, 3)), shape.world_from_local[:, :3, 3]])
-    centers = 2 * half * np.unique(np.round(places / (2 * half)), axis=0)
+    rows = np.stack(np.meshgrid((-6, 0, 6), (-6, 0, 6), np.arange(-20, 21)), axis=-1).reshape(-1, 3)
+    rows = rows + np.round(shape.world_from_local[0, :3, 3] / (2 * half))
+    steps = np.unique(np.concatenate([np.round(places / (2 * half)), rows]), axis=0)
+    centers = 2 * half * steps
+    ends = np.append((np.diff(steps, axis=0) != (0, 0, 1)).any(axis=1), True)
+    row_ends = np.flatnonzero(ends)[np.searchsorted(np.flatnonzero(ends), np.arange(len(steps)))]
     deep = np.full(len(centers), -1e3)
-    inside = Inside(centers=centers, half_m=half, distances_m=deep, margin_m=0.0, shell_m=0.0)
+    inside = Inside(centers=centers, row_ends=row_ends, half_m=half, distances_m=deep, margin_m=0.0, shell_m=0.0)
     left = uncovered_cells(shape, inside, 1.0)[:, :3]
     is_left = (np.abs(left - centers[:, None]) < half).all(axis=2).any(axis=1)
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
