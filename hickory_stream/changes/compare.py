@@ -7,7 +7,7 @@ verdict has its probability.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -133,14 +133,34 @@ def _of_pair(both: _Compared, i: int, j: int, overlap: float, config: ChangesCon
     same = probability_same(alike, config.look_floor)
     if alike < config.unlike:
         return _change(Verdict.EXCHANGED, one, other, 1 - same, evidence)
+    sized = likeness(one, other, config, with_size=True, with_feature=both.with_feature)
+    as_large = probability_same(sized, config.look_floor)
     shift = other.box.center - one.box.center
     is_away = float(np.linalg.norm(shift)) > config.moved_m + both.near_m - config.near_m
     moved = probability_changed(evidence, config)
-    if is_away and evidence.free >= config.moved_free and moved >= 0.5:
+    if is_away and sized >= config.unlike and evidence.free >= config.moved_free and moved >= 0.5:
         return _change(Verdict.MOVED, one, other, moved * same, evidence)
+    differs = _differs(evidence, both.evidence_in_a(j), config)
+    if differs >= config.min_probability:
+        # The same thing, turned on the spot, or another one.
+        is_turned = as_large >= config.alike
+        verdict, sure = (Verdict.MOVED, as_large) if is_turned else (Verdict.EXCHANGED, 1 - as_large)
+        return _change(verdict, one, other, differs * sure, evidence)
     # A place that is taken by something alike: overlap speaks for it as free space speaks against it.
     there = 1 - (1 - overlap) * moved
     return _change(Verdict.STILL_THERE, one, other, there, evidence)
+
+
+def _differs(left: Evidence, came: Evidence, config: ChangesConfig) -> float:
+    """Return how probable it is that not the same thing stands in one place, in the same way.
+
+    A thing that stays leaves no free space in its place, and reaches into none that was free: one of both maps saw
+    through a good part of what the other one has there. That the rest lies on a surface is the other thing's doing.
+    """
+    free = max(left, came, key=lambda one: one.free)
+    if free.free < config.min_free:
+        return 0.0
+    return probability_changed(replace(free, structure=0.0, objects=0.0), config)
 
 
 def _of_single(

@@ -44,6 +44,23 @@ def compared(before: MapSnapshot, after: MapSnapshot) -> MapChanges:
 STAYS, LEAVES, OTHER = crate(1, 1.0, 1.0), crate(2, 1.5, 3.0), crate(3, 4.5, 1.0, (1.0, 0.5, 0.8), BLUE)
 
 
+@pytest.mark.parametrize("sizes", [((0.3, 0.3, 0.3), (0.3, 0.3, 1.0)), ((0.3, 0.3, 1.0), (0.3, 0.3, 0.3))])
+def test_what_has_the_colour_but_not_the_extent_of_what_stood_there_was_exchanged(
+    sizes: tuple[tuple[float, float, float], ...],
+) -> None:
+    before, after = (crate(i, 1.0, 1.0, size) for i, size in enumerate(sizes, 1))
+    assert said(snapshot(before), snapshot(after)) == {(1, 2): Verdict.EXCHANGED}
+
+
+def test_what_was_turned_on_the_spot_was_moved() -> None:
+    long = crate(1, 1.0, 1.0, (1.2, 0.3, 0.6))
+    quarter = from_rotation_translation(yaw_rotation(np.pi / 2), np.zeros(3))
+    away = from_rotation_translation(np.eye(3), np.array([1.0, 1.0, 0.0]))
+    turned = replace(moved_object(long, away @ quarter @ invert(away)), id=2)
+    found = compared(snapshot(long), snapshot(turned))
+    assert [(one.verdict, one.id_a, one.id_b) for one in found.changes] == [(Verdict.MOVED, 1, 2)]
+
+
 def test_what_stays_is_still_there_and_what_left_is_gone() -> None:
     found = compared(snapshot(STAYS, LEAVES), snapshot(replace(STAYS, id=7)))
     assert {(one.id_a, one.id_b): one.verdict for one in found.changes} == {
