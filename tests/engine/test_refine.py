@@ -66,12 +66,13 @@ class Program:
 
     said: dict[str, Any]
     model: Any = None
+    colors: Any = None
     is_closed: bool = False
     name: str = "program"
 
     def ask(self, folder: Path, job: str) -> None:
         with np.load(folder / "model.npz") as content:
-            self.model = content["vertices"]
+            self.model, self.colors = content["vertices"], content["colors"]
         (folder / "result.json").write_text(json.dumps({"job": job, **self.said}))
 
     def close(self) -> None:
@@ -102,6 +103,7 @@ def test_the_pose_that_is_contradicted_less_stays(cost: float) -> None:
     middle = (placed.min(axis=0) + placed.max(axis=0)) / 2
     # It is shown the mesh as large as it was placed, about its own middle.
     assert program.model == pytest.approx(placed - middle, abs=1e-6)
+    assert np.array_equal(program.colors, MESH.colors)
     expected = apply(scene_pose(3) @ TOLD, placed - middle)
     assert embedded.guesses[0] is None
     assert apply(embedded.guesses[1], CORNERS.astype(np.float64)) == pytest.approx(expected, abs=1e-6)

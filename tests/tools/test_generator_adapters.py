@@ -22,11 +22,13 @@ from tools.benchmarks.adapter_fakes import (
     FOLDER,
     POINTS,
     REFINERS,
+    K,
     adapter_fault,
     faked,
     refiner_fault,
     shown_view,
 )
+from tools.benchmarks.adapter_graphs import graph_fault
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -67,8 +69,14 @@ class _Entered:
         self._context.__exit__(*error)  # type: ignore[attr-defined]
 
 
+def _needs_of(name: str) -> None:
+    if name == "foundationpose_onnx":
+        pytest.importorskip("embreex", reason="it has no wheel for Linux on ARM")
+
+
 @pytest.mark.parametrize("name", REFINERS)
 def test_a_refiner_says_where_the_known_object_lies(name: str) -> None:
+    _needs_of(name)
     assert refiner_fault(name) == ""
 
 
@@ -97,6 +105,66 @@ def test_foundation_pose_is_not_believed_where_it_had_too_little_depth() -> None
         # Its filters may leave less than was given: then the rotation is the identity, as here for the object itself.
         with pytest.raises(module.NoShapeError, match="too little depth"):
             place(view, module.Model(vertices=POINTS - POINTS.mean(axis=0), faces=FACES))
+
+
+@pytest.mark.parametrize("exchanged", ["INPUTS", "MOVES", "TURN", "blue first", "y up"])
+def test_crops_and_answers_of_the_onnx_files_that_are_exchanged_lead_elsewhere(exchanged: str) -> None:
+    _needs_of("foundationpose_onnx")
+    with faked("foundationpose_onnx") as module:
+        crop = module.six_channels
+        others = {
+            "INPUTS": module.INPUTS[::-1],
+            "MOVES": module.MOVES[::-1],
+            "TURN": -module.TURN,
+            "blue first": lambda *given: crop(*given)[..., [2, 1, 0, 3, 4, 5]],
+            "y up": lambda *given: crop(*given) * np.float32([1, 1, 1, 1, -1, 1]),
+        }
+        setattr(module, exchanged if exchanged.isupper() else "six_channels", others[exchanged])
+        assert "off its place" in graph_fault(module)
+
+
+def test_the_first_poses_of_the_onnx_files_look_from_everywhere() -> None:
+    with faked("foundationpose_onnx") as module:
+        turns = module.rotations()
+        view = shown_view(module)
+        poses = module.first_poses(view)
+        empty = type(view)(rgb=view.rgb, mask=view.mask, depth_m=0 * view.depth_m, K=view.K, seed=1)
+        with pytest.raises(module.NoShapeError, match="fewer than 4 pixels"):
+            module.first_poses(empty)
+    assert turns.shape == (252, 3, 3)
+    assert np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3))
+    cosines = (np.einsum("nij,mij->nm", turns, turns) - 1) / 2
+    # NVIDIA's pipeline drops those within 30 degrees of another one: there are none.
+    assert np.degrees(np.arccos(np.clip(cosines - 2 * np.eye(252), -1, 1).max())) > 30
+    # The middle of the rectangle of `shown_view` is at column 59.5, row 34.5, and 2 m away.
+    assert np.allclose(poses[:, :3, 3], [(59.5 - 40) / 100, (34.5 - 30) / 100, 2])
+
+
+def test_a_crop_is_rendered_as_it_is_observed_but_for_half_a_pixel() -> None:
+    _needs_of("foundationpose_onnx")
+    with faked("foundationpose_onnx") as module:
+        # A wall of one colour, 2 m away; a radius of it is 1 m.
+        wall = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]]) / np.sqrt(2)
+        colors = np.full((4, 3), 100, np.uint8)
+        faces = np.array([[0, 2, 1], [0, 3, 2]])
+        subject = module.subject_of(module.Model(vertices=wall + np.array([5, 6, 7]), faces=faces, colors=colors))
+        pose = np.eye(4)
+        pose[:3, 3] = 0, 0, 2
+        color, xyz = module._rendered(pose, subject, np.array([20, 10, 60, 50]), K)
+    assert np.allclose(subject.middle, (5, 6, 7))
+    assert subject.diameter_m == pytest.approx(2)
+    # It faces the camera: lit by 0.8 + 0.5.
+    assert np.allclose(color, 100 / 255 * 1.3)
+    first, last = xyz[0, 0], xyz[-1, -1]
+    left, right = 20 + 0.5 * 40 / 160 * 159 / 160, 20 + 159.5 * 40 / 160 * 159 / 160
+    assert np.allclose(first, [(left - 40) / 100, (left - 10 - 30) / 100, 2], atol=1e-5)
+    assert np.allclose(last, [(right - 40) / 100, (right - 10 - 30) / 100, 2], atol=1e-5)
+    six = module.six_channels(color, xyz, pose, subject)
+    assert six.dtype == np.float32
+    assert np.allclose(six[0, 0, 3:], [*first[:2], 0], atol=1e-5)
+    assert not module.six_channels(color, 0 * xyz, pose, subject)[..., 3:].any()
+    pose[2, 3] = 4.5
+    assert not module.six_channels(color, xyz, pose, subject)[..., 3:].any()
 
 
 @pytest.mark.parametrize("name", [*ADAPTERS, *REFINERS])
@@ -165,5 +233,5 @@ def test_the_installation_of_each_adapter_is_a_script_that_says_what_it_knows() 
     assert subprocess.run(["bash", "-n", script], check=False).returncode == 0
     said = subprocess.run(["bash", script, "another"], capture_output=True, text=True, check=False)
     assert said.returncode == 2
-    assert said.stderr.strip().endswith("triposr|trellis|sam3d|foundationpose")
+    assert said.stderr.strip().endswith("triposr|trellis|sam3d|foundationpose|foundationpose_onnx")
     assert set(said.stderr.split()[-1].split("|")) == {*ADAPTERS, *REFINERS}

@@ -19,6 +19,7 @@ from tools.benchmarks.processes import ROOT
 _HELPERS = {
     "__main__",
     "adapter_fakes",
+    "adapter_graphs",
     "align_unknown",
     "apartment_maps",
     "baseline",

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import trimesh
 
+from tools.benchmarks.adapter_graphs import graph_fault
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
 
 FOLDER = Path(__file__).resolve().parents[1] / "generators"
 ADAPTERS = ("triposr", "trellis", "sam3d")
-REFINERS = ("foundationpose",)
+REFINERS = ("foundationpose", "foundationpose_onnx")
 K = np.array([[200.0, 0, 40], [0, 200.0, 30], [0, 0, 1]])
 MIDDLE = np.array([0.05, -0.04, 2.0])
 # A corner at the middle, and arms of different lengths to the right, down and forward.
@@ -321,6 +323,8 @@ def refiner_fault(name: str) -> str:
     """Return what is wrong with a refiner of poses against the fake of its package, "" for nothing."""
     turn = trimesh.transformations.quaternion_matrix(_QUATERNION)[:3, :3]
     with faked(name) as module:
+        if name == "foundationpose_onnx":
+            return graph_fault(module)
         place, told = module.load()
         own = (POINTS - MIDDLE) @ turn + _SHIFT
         found = place(shown_view(module), module.Model(vertices=own, faces=FACES))

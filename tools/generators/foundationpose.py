@@ -41,7 +41,7 @@ def load() -> tuple[Callable[[View, Model], np.ndarray], dict[str, str]]:
     def place(view: View, model: Model) -> np.ndarray:
         if (view.mask & (view.depth_m >= _NEAREST_M)).sum() < _MIN_PIXELS:
             raise NoShapeError(f"fewer than {_MIN_PIXELS} pixels of the mask have depth")
-        mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
+        mesh = trimesh.Trimesh(model.vertices, model.faces, vertex_colors=model.colors, process=False)
         estimator = FoundationPose(
             model_pts=mesh.vertices,
             model_normals=mesh.vertex_normals,

@@ -46,10 +46,14 @@ class Made:
 
 @dataclass(frozen=True)
 class Model:
-    """A mesh of true size whose pose is asked for: `vertices` (V, 3) metres, `faces` (F, 3), in a frame of its own."""
+    """A mesh of true size whose pose is asked for, in a frame of its own.
+
+    `vertices` (V, 3) metres, `faces` (F, 3), `colors` (V, 3) uint8 or None.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
+    colors: np.ndarray | None = None
 
 
 class NoShapeError(Exception):
@@ -105,7 +109,7 @@ def answer_pose(folder: Path, place: Callable[[View, Model], np.ndarray]) -> Non
     job = json.loads((folder / "job.json").read_text())
     try:
         with np.load(folder / "model.npz", allow_pickle=False) as content:
-            model = Model(vertices=content["vertices"], faces=content["faces"])
+            model = Model(vertices=content["vertices"], faces=content["faces"], colors=content["colors"])
         camera_from_mesh = place(_shown(folder, job), model)
     except NoShapeError as error:
         _refuse(folder, job, error)

@@ -11,7 +11,8 @@ no_shape.json       instead of both: job and reason
 
 A refiner of poses is asked about a mesh instead of for one, and its answer has no mesh.glb:
 
-model.npz           vertices (V, 3) float32 in metres, faces (F, 3) int32, in a frame of their own
+model.npz           vertices (V, 3) float32 in metres, faces (F, 3) int32, in a frame of their own; colors (V, 3)
+                    uint8, red first
 result.json         job; camera_from_mesh, (4, 4) by rows, a rotation and a place
 """
 
@@ -52,8 +53,8 @@ def write_question(folder: Path, inputs: ShapeInputs, num_views: int, model: Mes
     digest = hashlib.sha256()
     if model is not None:
         vertices, faces = model.vertices.astype("<f4"), model.faces.astype("<i4")
-        np.savez(folder / MODEL, vertices=vertices, faces=faces)
-        digest.update(vertices.tobytes() + faces.tobytes())
+        np.savez(folder / MODEL, vertices=vertices, faces=faces, colors=model.colors)
+        digest.update(vertices.tobytes() + faces.tobytes() + model.colors.tobytes())
     for i, crop in enumerate(crops):
         place = folder if i == 0 else folder / "views" / str(i)
         place.mkdir(parents=True, exist_ok=True)
