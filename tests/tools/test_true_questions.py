@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.query.grammar import question_of
-from tools.benchmarks.true_questions import true_questions
+from tools.benchmarks.true_questions import TrueThing, relations, true_questions
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 
@@ -40,3 +42,19 @@ def test_a_map_that_lacks_what_an_answer_holds_by_cannot_answer(demo_truth: Path
     assert not carrying.is_held({answer})
     assert not carrying.is_held(carried)
     assert next(one for one in questions if not one.answers).is_held(())
+
+
+def test_what_carries_something_of_an_unclear_colour_is_not_asked_about() -> None:
+    things = [thing("table", 0.0, (0.5, 0.5, 0.5)), thing("box", 0.5, (0.8, 0.1, 0.1))]
+    maroon = replace(things[1], color=np.array([0.35, 0.2, 0.2]))
+    assert [carries_red(things)(one) for one in things] == [True, False]
+    assert carries_red([things[0], maroon])(things[0]) is None
+
+
+def thing(kind: str, bottom_m: float, color: tuple[float, float, float]) -> TrueThing:
+    bounds = np.array([[0.0, 0.0, bottom_m], [1.0, 1.0, bottom_m + 0.5]])
+    return TrueThing(id=len(kind), kind=kind, color=np.array(color), bounds=bounds)
+
+
+def carries_red(things: list[TrueThing]) -> Callable[[TrueThing], bool | None]:
+    return next(one.test for one in relations(things) if one.text == "carrying something red")

@@ -73,7 +73,7 @@ class _Condition:
 def true_questions(truth: Truth, count: int, rng: np.random.Generator) -> list[TrueQuestion]:
     """Return at most so many different questions, a tenth of them without an answer."""
     things = [_thing(truth, i) for i in range(len(truth.objects)) if truth.objects[i].seen_fraction >= _MIN_SEEN]
-    words = [*_words(), *_relations(things)]
+    words = [*_words(), *relations(things)]
     found: dict[bool, list[TrueQuestion]] = {True: [], False: []}
     asked: set[str] = set()
     for _ in range(60 * count):
@@ -107,17 +107,26 @@ def _words() -> list[_Condition]:
     ]
 
 
-def _relations(things: list[TrueThing]) -> list[_Condition]:
+def relations(things: list[TrueThing]) -> list[_Condition]:
+    """Return the conditions that name a place or other things."""
     found = [_Condition(text="on the floor", test=lambda one: _clear(-float(one.bounds[0, 2]), -0.02, -0.1))]
     for other in things:
         x, y = (float(part) for part in other.bounds.mean(axis=0)[:2].round(1))
         found.append(_Condition(text=f"near {x:g},{y:g}", test=partial(_is_near, x=x, y=y)))
     for word in _words()[: len(_HUES)]:
-        of = partial(_carried, of=[one for one in things if word.test(one)])
-        found.append(
-            _Condition(text=f"carrying something {word.text}", test=lambda one, of=of: bool(of(one)), holds_by=of)
-        )
+        plainly = partial(_carried, of=[one for one in things if word.test(one)])
+        perhaps = partial(_carried, of=[one for one in things if word.test(one) is None])
+        test = partial(_carries, plainly=plainly, perhaps=perhaps)
+        found.append(_Condition(text=f"carrying something {word.text}", test=test, holds_by=plainly))
     return found
+
+
+def _carries(
+    one: TrueThing,
+    plainly: Callable[[TrueThing], frozenset[int]],
+    perhaps: Callable[[TrueThing], frozenset[int]],
+) -> bool | None:
+    return True if plainly(one) else None if perhaps(one) else False
 
 
 def _carried(one: TrueThing, of: Sequence[TrueThing]) -> frozenset[int]:
@@ -128,8 +137,22 @@ def _thing(truth: Truth, i: int) -> TrueThing:
     item = truth.objects[i]
     mesh = mesh_of(truth, item)
     world = apply(item.world_from_object, mesh.vertices.astype(np.float64))
-    color = np.median(mesh.colors, axis=0) / 255
+    color = _median_color(world, mesh.faces, mesh.colors / 255)
     return TrueThing(id=item.id, kind=item.kind, color=color, bounds=np.array([world.min(axis=0), world.max(axis=0)]))
+
+
+def _median_color(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], colors: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the median colour (3,) by area: vertices are dense where the surface bends."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    of_faces = colors[faces].mean(axis=1)
+    middle = []
+    for channel in of_faces.T:
+        order = np.argsort(channel)
+        middle.append(channel[order][np.searchsorted(np.cumsum(areas[order]), areas.sum() / 2)])
+    return np.array(middle)
 
 
 def _sides(one: TrueThing) -> NDArray[np.float64]:
