@@ -46,7 +46,7 @@ def test_a_map_that_lacks_what_an_answer_holds_by_cannot_answer(demo_truth: Path
 
 def test_what_carries_something_of_an_unclear_colour_is_not_asked_about() -> None:
     things = [thing("table", 0.0, (0.5, 0.5, 0.5)), thing("box", 0.5, (0.8, 0.1, 0.1))]
-    maroon = replace(things[1], color=np.array([0.35, 0.2, 0.2]))
+    maroon = replace(things[1], color=np.array([0.35, 0.25, 0.25]))
     assert [carries_red(things)(one) for one in things] == [True, False]
     assert carries_red([things[0], maroon])(things[0]) is None
 
