@@ -74,7 +74,7 @@ _GONE = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunConfig(Ranged):
-    """How a run is carried out; nothing here changes the map of a playback.
+    """How a run is carried out; of this only lossy `view_colors` change the map of a playback: the colours of meshes.
 
     Attributes:
         workers: child processes that build shapes.
@@ -87,6 +87,8 @@ class RunConfig(Ranged):
         job_timeout_s, job_memory_mb: a shape job that takes longer or more is tried once more, then given up; that
             depends on the machine, so that such a run is marked as not reproducible. So is one whose worker died.
         crop_margin: a kept view shows this share of its box more on every side.
+        view_colors: kept views have their colours as PNG, or lossy and smaller; their masks and depths are exact.
+        view_quality: how good those are that are lossy.
         time_jump_s: stamps that go forward by more than this are a jump of time.
         late_s: a frame whose stamp is behind the one before by no more than this is late, and left out.
         grace_s: after a stop, this long is waited for jobs that are running.
@@ -102,6 +104,8 @@ class RunConfig(Ranged):
     job_timeout_s: float = number(60.0, 1e-9, 1e6, "s")
     job_memory_mb: float = number(4000.0, 1, 1e7, "MB")
     crop_margin: float = number(0.08, 0, 10, "share")
+    view_colors: Literal["png", "jpeg", "webp"] = "png"
+    view_quality: int = number(90, 1, 100, "percent")
     time_jump_s: float = number(60.0, 0.001, 1e9, "s")
     late_s: float = number(1.0, 0, 1e9, "s")
     grace_s: float = number(5.0, 0, 1e6, "s")

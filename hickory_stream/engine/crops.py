@@ -1,4 +1,7 @@
-"""The pixels of a kept view as three files: colour with the mask as alpha, depth in millimetres, camera and pose.
+"""The pixels of a kept view as files: colour with the mask as alpha, depth in millimetres, camera and pose.
+
+Colour may be lossy (`run.view_colors`): the mask then is a file of its own, as exact as ever, and the description has
+the checksum of the colour's file, as neither JPEG nor WebP has one. Which it is, the files say.
 
 They are written without a sync (2-3 ms a view); `MapFolder.save` syncs a view before the map first refers to it. The
 description comes last, so that a view which has one is complete.
@@ -13,10 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.config import RunConfig
 from hickory_stream.confined import plain_name, read_within
 from hickory_stream.engine.atomic import disk_errors, write_atomically
+from hickory_stream.engine.image_files import lossy_bytes, png_bytes, read_image
 from hickory_stream.errors import MapFolderError
-from hickory_stream.geometry.camera import MOST_SIDE_PX, Camera
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import Crop
@@ -27,39 +32,52 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _MAX_MM = 65535
-# A view is a part of an image of a camera.
-_MOST_PIXELS = 1 << 26
+_DEFAULT = RunConfig()
+_LOSSY = {"jpeg": ".jpg", "webp": ".webp"}
+# WebP has 14 bits for a side; a longer one is written as PNG.
+_MOST_LOSSY_SIDE_PX = 16383
 
 
-def crop_files(views: Path, name: str) -> tuple[Path, Path, Path]:
-    """Return the paths of a view's colour, depth and description in the folder `views`; a name is a plain one."""
+def crop_files(views: Path, name: str) -> tuple[Path, ...]:
+    """Return the paths of a view's colour, depth, mask and description in the folder `views`; a name is a plain one.
+
+    They have a mask where a lossy colour is there; of a view that is not there they are those of one in PNG.
+    """
     plain_name(name)
-    return views / f"{name}.color.png", views / f"{name}.depth.png", views / f"{name}.json"
+    depth, mask, description = views / f"{name}.depth.png", views / f"{name}.mask.png", views / f"{name}.json"
+    for suffix in _LOSSY.values():
+        color = views / f"{name}.color{suffix}"
+        if color.exists():
+            return color, depth, mask, description
+    return views / f"{name}.color.png", depth, description
 
 
-def write_crop(views: Path, name: str, crop: Crop) -> None:
+def write_crop(views: Path, name: str, crop: Crop, how: RunConfig = _DEFAULT) -> None:
     """Write a view's pixels into the folder `views` (a map folder's `views/`) under `name` (`View.name`).
 
-    Depth is rounded to millimetres; what is beyond 65.5 m becomes "no return".
+    Depth is rounded to millimetres; what is beyond 65.5 m becomes "no return". Colour is as `how.view_colors` says.
 
     Raises:
         MapFolderError: the disk refused.
     """
-    import cv2
-
-    color_file, depth_file, description_file = crop_files(views, name)
-    bgra = np.dstack([crop.rgb[..., ::-1], crop.mask.astype(np.uint8) * np.uint8(255)])
-    description = {
+    description: dict[str, Any] = {
         "camera": asdict(crop.camera),
         "world_from_camera": crop.world_from_camera.tolist(),
         "sensor": asdict(crop.sensor),
     }
-    # Run lengths only: as small as level 1 on camera images and a third quicker.
-    quick = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+    bgr, mask = crop.rgb[..., ::-1], crop.mask.astype(np.uint8) * np.uint8(255)
+    files = {"depth.png": png_bytes(_millimetres(crop.depth_m))}
+    if how.view_colors in _LOSSY and max(mask.shape) <= _MOST_LOSSY_SIDE_PX:
+        suffix = _LOSSY[how.view_colors]
+        color = lossy_bytes(np.ascontiguousarray(bgr), suffix, how.view_quality)
+        files |= {"mask.png": png_bytes(mask, is_bilevel=True), f"color{suffix}": color}
+        description["color_crc32"] = zlib.crc32(color)
+    else:
+        files["color.png"] = png_bytes(np.dstack([bgr, mask]))
     with disk_errors(views):
-        write_atomically(color_file, cv2.imencode(".png", bgra, quick)[1].tobytes(), sync=False)
-        write_atomically(depth_file, cv2.imencode(".png", _millimetres(crop.depth_m), quick)[1].tobytes(), sync=False)
-        write_atomically(description_file, dumps_exactly(description).encode(), sync=False)
+        for ending, data in files.items():
+            write_atomically(views / f"{name}.{ending}", data, sync=False)
+        write_atomically(views / f"{name}.json", dumps_exactly(description).encode(), sync=False)
 
 
 def read_crop(views: Path, name: str) -> Crop:
@@ -68,15 +86,17 @@ def read_crop(views: Path, name: str) -> Crop:
     Raises:
         MapFolderError: a file is missing or damaged.
     """
-    color_file, depth_file, description_file = crop_files(views, name)
-    bgra = _read_png(color_file, np.dtype(np.uint8), 3)
-    depth = _read_png(depth_file, np.dtype(np.uint16), 2)
+    color_file, depth_file, *mask_file, description_file = crop_files(views, name)
     try:
         description = json.loads(read_within(views, description_file.name))
+        crc32 = int(description["color_crc32"]) if mask_file else None
+        color = read_image(color_file, np.dtype(np.uint8), 3, crc32)
+        depth = read_image(depth_file, np.dtype(np.uint16), 2)
+        mask = read_image(mask_file[0], np.dtype(np.uint8), 2) if mask_file else color[..., 3]
         return Crop(
-            rgb=bgra[..., 2::-1],
+            rgb=color[..., 2::-1],
             depth_m=np.where(depth == 0, np.float32(np.nan), depth.astype(np.float32) / np.float32(1000)),
-            mask=bgra[..., 3] > 127,
+            mask=mask > 127,
             camera=Camera(**description["camera"]),
             world_from_camera=description["world_from_camera"],
             # Views of maps from before there was a sensor have none.
@@ -90,37 +110,3 @@ def _millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
     """Return a depth image in whole millimetres, 0 = no return."""
     millimetres = np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) * np.float32(1000))
     return np.where((millimetres > 0) & (millimetres <= _MAX_MM), millimetres, 0).astype(np.uint16)
-
-
-def _read_png(path: Path, dtype: np.dtype[Any], num_dimensions: int) -> NDArray[Any]:
-    """Return the image of a file as it was stored."""
-    import cv2
-
-    try:
-        data = read_within(path.parent, path.name)
-        width, height = _png_size(data)
-        if not (1 <= width <= MOST_SIDE_PX and 1 <= height <= MOST_SIDE_PX and width * height <= _MOST_PIXELS):
-            raise ValueError(f"{width} x {height} pixels, which no view has")
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except (OSError, ValueError, cv2.error) as error:
-        raise MapFolderError(f"cannot read {path}: {error}; play the log again") from error
-    if image is None or image.dtype != dtype or image.ndim != num_dimensions:
-        raise MapFolderError(f"{path} is no complete PNG image of a view; play the log again")
-    return np.asarray(image)
-
-
-def _png_size(data: bytes) -> tuple[int, int]:
-    """Return width and height that a PNG claims, before memory is taken for them.
-
-    Its checksums are looked at here: the decoder tells of a damaged file on the terminal, past everybody.
-    """
-    if len(data) < 24 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
-        raise ValueError("it is no PNG")
-    at, kind = 8, b""
-    while kind != b"IEND":
-        length, kind = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
-        end = at + 8 + length
-        if end + 4 > len(data) or zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4], "big"):
-            raise ValueError(f"it is cut off or damaged at byte {at}")
-        at = end + 4
-    return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")

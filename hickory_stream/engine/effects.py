@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from hickory_stream.config import RunConfig
     from hickory_stream.engine.loop_closing import LoopCloser
     from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.recorder import Recorder
@@ -76,12 +77,12 @@ class EffectRunner:
     """Owns the core; all that it decides, and all that it is told, goes through `handle`, on the thread `thinker`."""
 
     def __init__(
-        self, core: MapperCore, targets: EffectTargets, thinker: ThreadPoolExecutor, *, crop_margin: float
+        self, core: MapperCore, targets: EffectTargets, thinker: ThreadPoolExecutor, config: RunConfig
     ) -> None:
         self.core = core
         self._to = targets
         self._thinker = thinker
-        self._crop_margin = crop_margin
+        self._config = config
 
     async def handle(self, event: Event, at_hand: AtHand | None = None) -> Handled:
         """Give the core an event, and carry out its effects and those that follow from them."""
@@ -157,7 +158,7 @@ class EffectRunner:
 
         def write() -> None:
             for keep in keeps:
-                crop = crop_of(frame, observations[keep.observation_index], self._crop_margin)
-                write_crop(views, keep.view.name, crop)
+                crop = crop_of(frame, observations[keep.observation_index], self._config.crop_margin)
+                write_crop(views, keep.view.name, crop, self._config)
 
         await self._to.recorder.write_views(write)

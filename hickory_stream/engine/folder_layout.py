@@ -5,7 +5,8 @@
       objects.json    the last saved snapshot; names the files in points/ and space/ by the hash of their content
       points/         layer 1 of each object, compressed
       space/          observed voxels of each submap, compressed keys
-      views/          the pixels of the kept views: NAME.color.png, NAME.depth.png, NAME.json
+      views/          the pixels of the kept views: NAME.color.png, NAME.depth.png, NAME.json;
+                      of lossy ones NAME.color.jpg or .webp, and NAME.mask.png
       shapes/         layer 2 of each object, compressed
       jobs/           what shape workers are given and give back
       journal.mcap    all events, step by step, and the state of the core now and then

@@ -24,6 +24,7 @@ from hickory_stream.engine.folder_layout import (
     VIEWS,
     check_links,
     check_place,
+    files_of_name,
     remove_map,
 )
 from hickory_stream.engine.folder_lock import FolderLock
@@ -31,7 +32,7 @@ from hickory_stream.engine.journal_format import JOURNAL
 from hickory_stream.engine.manifest import MANIFEST, Manifest, manifest_json, pretty_json, read_manifest
 from hickory_stream.engine.map_codec import POINTS, SPACE, encode_snapshot
 from hickory_stream.engine.saved_map import open_map
-from hickory_stream.engine.saving import ReferencedFiles, SnapshotEncoder
+from hickory_stream.engine.saving import ReferencedNames, SnapshotEncoder
 from hickory_stream.errors import MapFolderError
 from hickory_stream.json_text import dumps_exactly
 
@@ -126,12 +127,12 @@ class MapFolder:
         self._folder_lock = lock
         self._last = snapshot
         self._encoder = SnapshotEncoder()
-        self._referenced = ReferencedFiles(path)
+        self._referenced = ReferencedNames()
         self._unsynced = set(self._referenced.follow(snapshot))
         self._is_swept = False
         self._shapes_to_keep: set[str] = set()
-        self._dropped: set[Path] = set()
-        self._drop_requests: deque[Path] = deque()
+        self._dropped: set[str] = set()
+        self._drop_requests: deque[str] = deque()
         self._lock = Lock()
 
     @property
@@ -173,15 +174,15 @@ class MapFolder:
 
     def drop_view(self, name: str) -> None:
         """Remove a view's pixels once the saved map does not refer to them."""
-        self._drop_requests.extend(crop_files(self.views, name))
+        self._drop_requests.append(f"{VIEWS}/{name}")
 
     def keep_views(self, names: Iterable[str]) -> set[str]:
         """Remove these views' pixels no more, though that was asked for; return those that are gone already."""
         with self._lock:
             self._take_requests()
-            files = {name: crop_files(self.views, name) for name in names}
-            self._dropped.difference_update(*files.values())
-            return {name for name, paths in files.items() if not all(path.exists() for path in paths)}
+            kept = set(names)
+            self._dropped -= {f"{VIEWS}/{name}" for name in kept}
+            return {name for name in kept if not all(path.exists() for path in crop_files(self.views, name))}
 
     def keep_shape(self, mesh_name: str) -> None:
         """Never remove a mesh: the map was known to have it at some moment."""
@@ -206,7 +207,9 @@ class MapFolder:
             self._referenced.follow(self._last)
             if finished_cleanly:
                 past = {self.shapes / name for name in self._shapes_to_keep}
-                self._dropped.update(self.views.iterdir(), set(self.shapes.iterdir()) - past)
+                kept = past.union(*(files_of_name(self.path, name) for name in self._referenced))
+                for path in {*self.views.iterdir(), *self.shapes.iterdir()} - kept:
+                    path.unlink(missing_ok=True)
             self._remove_dropped()
             if not (self.path / OBJECTS).exists():
                 document, _ = encode_snapshot(self._last)
@@ -239,13 +242,15 @@ class MapFolder:
     def _sync_referenced(self, snapshot: MapSnapshot) -> None:
         """Bring to the disk what others wrote without waiting for it, before the map refers to it."""
         self._unsynced.update(self._referenced.follow(snapshot))
-        new = {path for path in self._unsynced if path.exists()}
-        for path in new:
+        files = {name: files_of_name(self.path, name) for name in self._unsynced}
+        # The description of a view, the last of its files, is written last.
+        whole = {name for name, paths in files.items() if paths[-1].exists()}
+        for path in [path for name in whole for path in files[name] if path.exists()]:
             sync(path)
-        if new:
+        if whole:
             sync(self.views)
             sync(self.shapes)
-        self._unsynced = {path for path in self._unsynced - new if path in self._referenced}
+        self._unsynced = {name for name in self._unsynced - whole if name in self._referenced}
 
     def _remove_unreferenced(self, gone: Iterable[str]) -> None:
         """Remove files that the saved map names no more; at first also what others left, or a save that failed."""
@@ -266,8 +271,8 @@ class MapFolder:
 
     def _remove_dropped(self) -> None:
         self._take_requests()
-        unreferenced = {path for path in self._dropped if path not in self._referenced}
-        for path in unreferenced:
+        unreferenced = {name for name in self._dropped if name not in self._referenced}
+        for path in [path for name in unreferenced for path in files_of_name(self.path, name)]:
             path.unlink(missing_ok=True)
         self._dropped -= unreferenced
 

@@ -92,7 +92,9 @@ class Mapper:
         self._is_own = segmenter is None and extractor is None
         # What a generator computes depends on the machine as perception of a caller's own does.
         is_shown = self._is_own and self.config.shapes.reconstructor != "external"
-        self._processor = processor_of_run(self.config.perception, is_own=is_shown)
+        self._processor = processor_of_run(
+            self.config.perception, is_own=is_shown, has_lossy_views=self.config.run.view_colors != "png"
+        )
         self._core = core or MapperCore(self.config.mapping)
         self._workers = workers or make_workers(self.config)
         self._rehearsing = threading.Lock()

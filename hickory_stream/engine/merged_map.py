@@ -133,15 +133,15 @@ def _copy_views(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: 
     for view in item.views:
         origin = _origin(view, merged)
         old_name = replace(view, frame_index=view.frame_index - merged.first_frames[origin]).name
-        color, depth, description = crop_files(inputs[origin].views, old_name)
-        new_color, new_depth, new_description = crop_files(folder.views, view.name)
-        _copied(inputs[origin].folder, f"views/{color.name}", new_color)
-        _copied(inputs[origin].folder, f"views/{depth.name}", new_depth)
+        *images, description = crop_files(inputs[origin].views, old_name)
+        for image in images:
+            new_name = f"{view.name}{image.name.removeprefix(old_name)}"
+            _copied(inputs[origin].folder, f"views/{image.name}", folder.views / new_name)
         told = read_json(inputs[origin].views, description.name) | {
             "world_from_camera": view.world_from_camera.tolist()
         }
         with disk_errors(folder.path):
-            write_atomically(new_description, dumps_exactly(told).encode(), sync=False)
+            write_atomically(folder.views / f"{view.name}.json", dumps_exactly(told).encode(), sync=False)
 
 
 def _with_mesh(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: Sequence[SavedMap]) -> TrackedObject:

@@ -2,8 +2,8 @@
 
 From pixels to layer 4 that is shown for x86-64 (`tools/bench engine --only processors`). The network of affinities adds
 integers (`perception/pixel_network.py`). It is not shown for other networks, which run as onnxruntime chooses, for
-perception that a caller brings, for alignment, and on other architectures, where libraries may have been compiled with
-fused products.
+perception that a caller brings, for alignment, for the codecs of lossy views, and on other architectures, where
+libraries may have been compiled with fused products.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import platform
 from functools import cache
 from typing import TYPE_CHECKING
 
+import cv2
 from llvmlite import binding
 from threadpoolctl import threadpool_info
 
@@ -33,8 +34,13 @@ def processor_of_shapes() -> str:
     return "" if platform.machine().lower() in _SHOWN else processor_kind()
 
 
-def processor_of_run(perception: PerceptionConfig, *, is_own: bool) -> str:
-    """Return the kind of processor that a run's map depends on, "" for none; `is_own`: perception is the configured."""
+def processor_of_run(perception: PerceptionConfig, *, is_own: bool, has_lossy_views: bool = False) -> str:
+    """Return the kind of processor that a run's map depends on, "" for none; `is_own`: perception is the configured.
+
+    Lossy views have the colours that a codec gave them, whose version is named then, too.
+    """
+    if has_lossy_views:
+        return f"{processor_kind()}, codecs of OpenCV {cv2.__version__}"
     has_network = (
         perception.segmenter == "fastsam" or perception.extractor != "color_texture" or perception.semantics != "none"
     )

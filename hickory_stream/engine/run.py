@@ -100,7 +100,7 @@ class Run:
             extractor=parts.extractor,
             publish=self._announcer.publish,
         )
-        self._effects = EffectRunner(parts.core, targets, self._thinker, crop_margin=config.run.crop_margin)
+        self._effects = EffectRunner(parts.core, targets, self._thinker, config.run)
         self._due = DueShapes(
             self._shapes,
             self._effects,

@@ -10,14 +10,13 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.folder_layout import files_of_name, named_by
+from hickory_stream.engine.folder_layout import named_by
 from hickory_stream.engine.map_codec import encode_graph, encode_object, encode_submap
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.records import Submap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from hickory_stream.engine.map_codec import Json
     from hickory_stream.records import MapSnapshot, TrackedObject
@@ -65,22 +64,23 @@ class SnapshotEncoder:
         return {name for entry in (*self._submaps.values(), *self._objects.values()) for name in entry.files}
 
 
-class ReferencedFiles:
-    """The files of views and meshes that a snapshot refers to, counted by the names of these."""
+class ReferencedNames:
+    """The views and meshes that a snapshot refers to, by their names below the map folder."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self) -> None:
         self._names: dict[int, tuple[TrackedObject, frozenset[str]]] = {}
         self._num: Counter[str] = Counter()
-        self._files: set[Path] = set()
 
-    def __contains__(self, file: object) -> bool:
-        return file in self._files
+    def __contains__(self, name: object) -> bool:
+        return name in self._num
 
-    def follow(self, snapshot: MapSnapshot) -> list[Path]:
-        """Take up a snapshot; return the files that the last one did not refer to."""
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._num)
+
+    def follow(self, snapshot: MapSnapshot) -> list[str]:
+        """Take up a snapshot; return the names that the last one did not refer to."""
         before, self._names = self._names, {}
-        new: list[Path] = []
+        new: list[str] = []
         for tracked in snapshot.objects:
             known = before.pop(tracked.id, None)
             if known is not None and known[0] is tracked:
@@ -91,10 +91,9 @@ class ReferencedFiles:
             old = known[1] if known is not None else frozenset()
             for name in names - old:
                 if name not in self._num:
-                    new += files_of_name(self._path, name)
+                    new.append(name)
                 self._num[name] += 1
             self._let_go(old - names)
-        self._files.update(new)
         for _, names in before.values():
             self._let_go(names)
         return new
@@ -104,7 +103,6 @@ class ReferencedFiles:
             self._num[name] -= 1
             if not self._num[name]:
                 del self._num[name]
-                self._files.difference_update(files_of_name(self._path, name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

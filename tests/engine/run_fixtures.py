@@ -10,7 +10,7 @@ import numpy as np
 import psutil
 
 from hickory_stream.box_scene import SCENE_BOXES, SceneSource
-from hickory_stream.config import MapperConfig, read_config
+from hickory_stream.config import MapperConfig, RunConfig, read_config
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.keyframe_images import crop_of
 from hickory_stream.engine.mapper import Mapper
@@ -37,6 +37,7 @@ NUM_FRAMES = 8
 SOON = ("mapping.requests.first_sightings=2", "mapping.requests.latency_s=0.5")
 # A worker takes two seconds to start, and there are three shapes.
 FEW = ("run.workers=1",)
+DEFAULT_RUN = RunConfig()
 NO_SHAPES = ("mapping.requests.max_failures=0",)
 
 
@@ -115,7 +116,9 @@ def _command(process: psutil.Process) -> list[str]:
         return []
 
 
-def scene_request(views: Path, *, ticket: int = 1, due_ns: int = 0, num_views: int = 4) -> RequestShape:
+def scene_request(
+    views: Path, *, ticket: int = 1, due_ns: int = 0, num_views: int = 4, views_as: RunConfig = DEFAULT_RUN
+) -> RequestShape:
     """Write the views of the tallest box into a folder and return the request for its shape."""
     source = SceneSource(num_views)
     segmenter, config = InstanceSegmenter(source.instances), PerceptionConfig()
@@ -136,7 +139,7 @@ def scene_request(views: Path, *, ticket: int = 1, due_ns: int = 0, num_views: i
             variance=None,
             feature=None,
         )
-        write_crop(views, view.name, crop_of(frame, observation, 0.08))
+        write_crop(views, view.name, crop_of(frame, observation, 0.08), views_as)
         kept.append(view)
         points.append(observation.points_world)
         colors.append(observation.colors)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import trimesh
 
+from hickory_stream.config import RunConfig
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from hickory_stream.engine.map_folder import MapFolder
 
 VOXEL_M = 0.02
+DEFAULT_RUN = RunConfig()
 
 
 def box_mesh(extents_m: tuple[float, float, float], color: tuple[int, int, int]) -> Mesh:
@@ -139,7 +141,7 @@ def make_space() -> ObservedSpace:
     )
 
 
-def make_snapshot(folder: MapFolder | None = None, revision: int = 3) -> MapSnapshot:
+def make_snapshot(folder: MapFolder | None = None, revision: int = 3, views_as: RunConfig = DEFAULT_RUN) -> MapSnapshot:
     """Return a map of three objects; with a folder, write the meshes and views that it refers to."""
     parts = [
         (1, box_mesh((1.2, 0.8, 0.05), (150, 110, 70)), placed(0.2, 0.3, 0.7), (0.6, 0.4, 0.025)),
@@ -153,7 +155,7 @@ def make_snapshot(folder: MapFolder | None = None, revision: int = 3) -> MapSnap
         if folder:
             write_glb(mesh, folder.shapes / shape.mesh_name)
             for view in views:
-                write_crop(folder.views, view.name, make_crop(view.frame_index))
+                write_crop(folder.views, view.name, make_crop(view.frame_index), views_as)
     ball = trimesh.creation.icosphere(2, 0.15)
     count = len(ball.vertices)
     ball_mesh = Mesh(

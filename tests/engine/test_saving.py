@@ -1,13 +1,11 @@
 """Saving one snapshot after another gives the document of the whole, and only the files that are new."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from hickory_stream.engine.crops import crop_files
 from hickory_stream.engine.map_codec import encode_snapshot
-from hickory_stream.engine.saving import ReferencedFiles, SnapshotEncoder
+from hickory_stream.engine.saving import ReferencedNames, SnapshotEncoder
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.records import MapSnapshot
 from tests.engine.snapshot_fixtures import make_snapshot
@@ -46,13 +44,12 @@ def test_it_is_the_document_of_the_whole_and_what_is_new_and_gone_adds_up_to_its
         assert (encoded.new == {}) == (i in (1, 3, 5))
 
 
-def test_the_files_that_a_snapshot_refers_to_are_followed(tmp_path: Path) -> None:
-    referenced, before = ReferencedFiles(tmp_path), set()
+def test_the_views_and_meshes_that_a_snapshot_refers_to_are_followed() -> None:
+    referenced, before = ReferencedNames(), set()
     for snapshot in series():
-        views = [view.name for tracked in snapshot.objects for view in tracked.views]
-        wanted = {file for name in views for file in crop_files(tmp_path / "views", name)}
+        wanted = {f"views/{view.name}" for tracked in snapshot.objects for view in tracked.views}
         shapes = [tracked.shape for tracked in snapshot.objects]
-        wanted |= {tmp_path / "shapes" / shape.mesh_name for shape in shapes if shape is not None}
+        wanted |= {f"shapes/{shape.mesh_name}" for shape in shapes if shape is not None}
         assert set(referenced.follow(snapshot)) == wanted - before
-        assert {file for file in before | wanted if file in referenced} == wanted
+        assert {name for name in before | wanted if name in referenced} == set(referenced) == wanted
         before = wanted

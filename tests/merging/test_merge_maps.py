@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
+from hickory_stream.config import RunConfig
+from hickory_stream.engine.crops import crop_files, read_crop
 from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.boxes import gravity_aligned_box
@@ -158,9 +160,10 @@ def test_merge_writes_a_map_that_opens_and_names_its_sources(
 
 def test_views_and_meshes_move_along_under_names_of_their_own(tmp_path: Path) -> None:
     paths = []
-    for name, pose in (("a", np.eye(4)), ("b", B_FROM_WORLD)):
+    lossy = RunConfig(view_colors="jpeg")
+    for name, pose, views_as in (("a", np.eye(4), RunConfig()), ("b", B_FROM_WORLD, lossy)):
         folder = create_map_folder(tmp_path / name, config={}, source={"uri": name})
-        real = make_snapshot(folder)
+        real = make_snapshot(folder, views_as=views_as)
         base = snapshot_of(ITEMS[:10], pose)
         # A table with mesh and views of its own in both maps, far from everything else.
         offset = 20
@@ -174,13 +177,16 @@ def test_views_and_meshes_move_along_under_names_of_their_own(tmp_path: Path) ->
     assert with_views
     names = [view.name for tracked in with_views for view in tracked.views]
     assert len(names) == len(set(names))
+    kinds: set[str] = set()
     for tracked in with_views:
         for view in tracked.views:
             told = json.loads((saved.views / f"{view.name}.json").read_text())
             assert np.allclose(told["world_from_camera"], view.world_from_camera)
-            assert (saved.views / f"{view.name}.color.png").is_file()
+            kinds |= {file.name.removeprefix(view.name) for file in crop_files(saved.views, view.name)}
+            read_crop(saved.views, view.name)
         if tracked.shape is not None:
             assert len(saved.mesh(tracked.shape).vertices) > 0
+    assert kinds == {".color.png", ".color.jpg", ".mask.png", ".depth.png", ".json"}
     table = next(tracked for tracked in first.snapshot.objects if tracked.views)
     mine = next(tracked for tracked in saved.snapshot.objects if tracked.id == table.id)
     assert np.allclose(

@@ -12,18 +12,19 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
+    from hickory_stream.config import RunConfig
     from hickory_stream.records import FrameReport, MapSnapshot, Observation
 
 
 class EveryView:
     """A sink that writes the pixels of all observations that went to an object into a folder, as `views/` has them.
 
-    `margin` is that of the run's own views (`mapper.crop_margin`). The sink must miss no report.
+    `config` is that of the run, whose own views are made by it. The sink must miss no report.
     """
 
-    def __init__(self, folder: Path, margin: float) -> None:
+    def __init__(self, folder: Path, config: RunConfig) -> None:
         self.folder = folder
-        self._margin = margin
+        self._config = config
         self._by_track: dict[int, list[View]] = {}
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -35,7 +36,8 @@ class EveryView:
             if track_id is None:
                 continue
             view = _view(report, observation, track_id)
-            write_crop(self.folder, view.name, crop_of(report.frame, observation, self._margin))
+            crop = crop_of(report.frame, observation, self._config.crop_margin)
+            write_crop(self.folder, view.name, crop, self._config)
             self._by_track.setdefault(track_id, []).append(view)
 
     def close(self) -> None:

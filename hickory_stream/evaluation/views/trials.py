@@ -92,7 +92,7 @@ def try_views(
     )
     config = replace(config, mapping=mapping)
     with tempfile.TemporaryDirectory(prefix="hickory-views-") as temporary:
-        views = EveryView(Path(temporary), config.run.crop_margin)
+        views = EveryView(Path(temporary), config.run)
         play(
             Mapper(config, out=out, overwrite=True),
             source,
