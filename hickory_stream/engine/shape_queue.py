@@ -174,7 +174,8 @@ class ShapeQueue:
 
     async def _commit(self, ticket: int, stamp_ns: int) -> ShapeReady | ShapeFailed:
         job = self._open[ticket]
-        reason = await job.answer
+        # Whoever gives up waiting, as a stop does, does not give up the job: it stays open and may be waited for again.
+        reason = await asyncio.shield(job.answer)
         del self._open[ticket]
         if job.known is not None:
             return replace(job.known, stamp_ns=stamp_ns)

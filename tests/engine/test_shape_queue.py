@@ -190,6 +190,18 @@ def test_an_answer_that_cannot_be_read_comes_as_failed(desk: Desk) -> None:
     assert "no readable answer" in event.reason
 
 
+def test_a_job_that_somebody_gave_up_waiting_for_is_still_open(desk: Desk) -> None:
+    async def patience() -> tuple[bool, list[tuple[int, int]]]:
+        await desk.ask(1, due_ns=SECOND_NS)
+        with pytest.raises(asyncio.TimeoutError):
+            await asyncio.wait_for(desk.queue.next_due(None), timeout=0.01)
+        is_wanted = not desk.workers.open[1][1].cancelled()
+        desk.workers.answer(1)
+        return is_wanted, await desk.committed(None)
+
+    assert run(patience) == (True, [(1, SECOND_NS)])
+
+
 def test_a_cancelled_job_is_neither_waited_for_nor_committed(desk: Desk) -> None:
     async def use() -> list[tuple[int, int]]:
         await desk.ask(1, 0)
