@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,14 +90,17 @@ def _robots(plan: Plan, i: int, target: Path) -> None:
         scene="outdoor", seed=_SEED + 200 + i, seconds=plan.robot_seconds, rate_hz=5.0, layout="kimera_multi",
         robots=_ROBOTS, width=640, height=480,
     )  # fmt: skip
-    for walk in _ROBOT_WALKS[i % len(_ROBOT_WALKS)]:
-        config = outdoors(replace(base, walk_index=walk))
-        name = f"robot{walk + 1}"
-        truth = make_recording(config, target, name)
-        body_from_camera = KimeraMultiLog.body_from_infra1 @ KimeraMultiLog.infra1_from_color
-        lines = ["#timestamp_kf,x,y,z,qw,qx,qy,qz"]
-        lines += _csv_rows(truth, config, invert(body_from_camera))
-        (target / f"{name}_gt_odom.csv").write_text("\n".join(lines) + "\n", encoding="ascii")
+    _side_by_side(partial(_robot, base, target), _ROBOT_WALKS[i % len(_ROBOT_WALKS)])
+
+
+def _robot(base: RecordingConfig, target: Path, walk: int) -> None:
+    config = outdoors(replace(base, walk_index=walk))
+    name = f"robot{walk + 1}"
+    truth = make_recording(config, target, name)
+    body_from_camera = KimeraMultiLog.body_from_infra1 @ KimeraMultiLog.infra1_from_color
+    lines = ["#timestamp_kf,x,y,z,qw,qx,qy,qz"]
+    lines += _csv_rows(truth, config, invert(body_from_camera))
+    (target / f"{name}_gt_odom.csv").write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
 def _quadruped(plan: Plan, i: int, target: Path) -> None:
@@ -104,11 +109,20 @@ def _quadruped(plan: Plan, i: int, target: Path) -> None:
         scene="apartment", seed=_SEED + 300 + i, seconds=plan.nus_seconds, rate_hz=4.0, layout="nus_clb", robots=2,
         width=640, height=360, camera_offset=True,
     )  # fmt: skip
-    for walk in (0, 1):
-        config = replace(base, walk_index=walk)
-        truth = make_recording(config, target, f"run{walk + 1}")
-        rows = _tum_rows(truth, config)
-        (target / f"run{walk + 1}.tum").write_text("\n".join(rows) + "\n", encoding="ascii")
+    _side_by_side(partial(_run, base, target), (0, 1))
+
+
+def _run(base: RecordingConfig, target: Path, walk: int) -> None:
+    config = replace(base, walk_index=walk)
+    truth = make_recording(config, target, f"run{walk + 1}")
+    rows = _tum_rows(truth, config)
+    (target / f"run{walk + 1}.tum").write_text("\n".join(rows) + "\n", encoding="ascii")
+
+
+def _side_by_side(record: Callable[[int], None], walks: tuple[int, ...]) -> None:
+    """Record walks in processes of their own: an outdoor frame takes a second of one processor."""
+    with ProcessPoolExecutor(len(walks), mp_context=get_context("spawn")) as pool:
+        list(pool.map(record, walks))
 
 
 def _csv_rows(truth: Truth, config: RecordingConfig, camera_from_body: NDArray[np.float64]) -> list[str]:
