@@ -70,7 +70,7 @@ def markdown(table: Table) -> str:
         best = [_best(column, [cells[i].value for _, cells in group]) for i, column in enumerate(table.columns)]
         for title, cells in group:
             shown = [
-                _shown(cell, column, is_best=cell.value is not None and cell.value == top)
+                _shown(cell, column, is_best=_is_shown_as(cell.value, top, column.digits))
                 for cell, column, top in zip(cells, table.columns, best, strict=True)
             ]
             lines.append(f"| {title} | " + " | ".join(shown) + " |")
@@ -119,6 +119,11 @@ def _best(column: Column, values: Sequence[float | None]) -> float | None:
     if not column.more or len(known) < 2 or min(known) == max(known):
         return None
     return max(known) if column.more > 0 else min(known)
+
+
+def _is_shown_as(value: float | None, top: float | None, digits: int) -> bool:
+    """Return whether a value has the digits of the best one: what looks the same is as good."""
+    return value is not None and top is not None and f"{value:.{digits}f}" == f"{top:.{digits}f}"
 
 
 def _shown(cell: Cell, column: Column, *, is_best: bool) -> str:
