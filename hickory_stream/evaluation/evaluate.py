@@ -101,7 +101,7 @@ def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
     truth = placed.truth
     meshes = meshes_of(saved)
     detection = score_map(saved.snapshot, meshes, truth)
-    surfaces = {item.id: _true_surface(truth, item) for item in truth.objects}
+    surfaces = {item.id: true_surface(truth, item) for item in truth.objects}
     seen = seen_samples(truth, surfaces, structure_meshes(truth))
     by_id = {tracked.id: tracked for tracked in saved.snapshot.objects}
     rows = tuple(
@@ -133,7 +133,8 @@ def is_inside(primitives: Superquadrics, points: NDArray[np.float64]) -> NDArray
     return inside
 
 
-def _true_surface(truth: Truth, item: TruthObject) -> TrueSurface:
+def true_surface(truth: Truth, item: TruthObject) -> TrueSurface:
+    """Return the surface of a true object in the world, with samples of what is visible from outside."""
     mesh = true_mesh_world(truth, item)
     samples, _ = exposed_samples(mesh, SAMPLES, np.random.default_rng(item.id))
     return TrueSurface(mesh=mesh, samples=samples.astype(np.float64))

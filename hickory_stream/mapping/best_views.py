@@ -30,7 +30,13 @@ def propose_views(
         if track_id is None or sighting.is_part:
             continue
         observation, track = sighting.observation, state.tracks[track_id]
-        view = view_of(event, observation, track_id)
+        view = view_of(
+            observation,
+            track_id,
+            frame_index=event.frame_index,
+            stamp_ns=event.stamp_ns,
+            world_from_camera=event.world_from_camera,
+        )
         best = track.best_view
         bound = score_bound(view, config)
         if best is None or best.score is None or bound > best.score:

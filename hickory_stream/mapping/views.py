@@ -20,8 +20,8 @@ from hickory_stream.records import View
 
 if TYPE_CHECKING:
     import numpy as np
+    from numpy.typing import NDArray
 
-    from hickory_stream.events import FrameObserved
     from hickory_stream.records import Observation
 
 Strategy = Literal["s_score", "initial", "max_area", "max_box", "max_volume"]
@@ -107,14 +107,21 @@ def covers_better(view: View, incumbent: View | None, config: ViewConfig) -> boo
     return incumbent is None or usefulness(view) > config.better_by * usefulness(incumbent)
 
 
-def view_of(event: FrameObserved, observation: Observation, track_id: int) -> View:
-    """Return an observation of a track as a view that has no score yet."""
+def view_of(
+    observation: Observation,
+    track_id: int,
+    *,
+    frame_index: int,
+    stamp_ns: int,
+    world_from_camera: NDArray[np.float64],
+) -> View:
+    """Return an observation of a track as a view that has no score yet; the rest says of which keyframe it is."""
     return View(
         object_id=track_id,
-        frame_index=event.frame_index,
-        stamp_ns=event.stamp_ns,
+        frame_index=frame_index,
+        stamp_ns=stamp_ns,
         box_px=observation.box_px,
-        world_from_camera=event.world_from_camera,
+        world_from_camera=world_from_camera,
         r_area=observation.r_area,
         r_depth=observation.r_depth,
         box_volume_m3=observation.box.volume_m3,

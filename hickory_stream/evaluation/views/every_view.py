@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.keyframe_images import crop_of
-from hickory_stream.records import View
+from hickory_stream.mapping.views import view_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
     from hickory_stream.config import RunConfig
-    from hickory_stream.records import FrameReport, MapSnapshot, Observation
+    from hickory_stream.records import FrameReport, MapSnapshot, View
 
 
 class EveryView:
@@ -35,7 +35,13 @@ class EveryView:
         for track_id, observation in zip(report.object_ids, report.observations, strict=True):
             if track_id is None:
                 continue
-            view = _view(report, observation, track_id)
+            view = view_of(
+                observation,
+                track_id,
+                frame_index=report.index,
+                stamp_ns=report.stamp_ns,
+                world_from_camera=report.world_from_camera,
+            )
             crop = crop_of(report.frame, observation, self._config.crop_margin)
             write_crop(self.folder, view.name, crop, self._config)
             self._by_track.setdefault(track_id, []).append(view)
@@ -62,21 +68,3 @@ def largest_of_frames(views: Iterable[View]) -> list[View]:
         if before is None or view.r_area > before.r_area:
             largest[view.frame_index] = view
     return list(largest.values())
-
-
-def _view(report: FrameReport, observation: Observation, track_id: int) -> View:
-    return View(
-        object_id=track_id,
-        frame_index=report.index,
-        stamp_ns=report.stamp_ns,
-        box_px=observation.box_px,
-        world_from_camera=report.world_from_camera,
-        r_area=observation.r_area,
-        r_depth=observation.r_depth,
-        box_volume_m3=observation.box.volume_m3,
-        score=None,
-        variance=None,
-        feature=None,
-        is_cut=observation.is_cut,
-        observation_index=observation.index,
-    )

@@ -18,12 +18,11 @@ from hickory_stream.engine.crops import read_crop
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
 from hickory_stream.engine.saved_map import open_map
-from hickory_stream.evaluation.evaluate import true_mesh_world
-from hickory_stream.evaluation.exposed import exposed_samples
+from hickory_stream.evaluation.evaluate import true_surface
 from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.placement import placed_truth
 from hickory_stream.evaluation.supports import supports_of
-from hickory_stream.evaluation.surface_score import SAMPLES, SurfaceScore, TrueSurface, diameter_m, surface_score
+from hickory_stream.evaluation.surface_score import SurfaceScore, TrueSurface, diameter_m, surface_score
 from hickory_stream.evaluation.truth import moved_mesh
 from hickory_stream.evaluation.views.every_view import EveryView, largest_of_frames
 from hickory_stream.geometry.rigid import compose, invert
@@ -103,7 +102,8 @@ def try_views(
         truth = placed_truth(saved, truth).truth
         rows = [row for row in score_map(saved.snapshot, meshes_of(saved), truth).truth if row.counts]
         seen = _seen_objects(saved.snapshot, views, config.mapping)
-        surfaces = {row.truth_id: _surface(truth, row.truth_id) for row in rows}
+        items = {item.id: item for item in truth.objects}
+        surfaces = {row.truth_id: true_surface(truth, items[row.truth_id]) for row in rows}
         return {
             name: tuple(_trial(row, seen, surfaces[row.truth_id], reconstructor, views.folder) for row in rows)
             for name, reconstructor in reconstructors.items()
@@ -147,13 +147,6 @@ def chosen_views(item: TrackedObject, seen: Sequence[View]) -> dict[str, View]:
                 largest_of_frames(seen), key=lambda view: (score(view, 0.0, config), -view.frame_index)
             )
     return chosen
-
-
-def _surface(truth: Truth, truth_id: int) -> TrueSurface:
-    item = next(item for item in truth.objects if item.id == truth_id)
-    mesh = true_mesh_world(truth, item)
-    samples, _ = exposed_samples(mesh, SAMPLES, np.random.default_rng(item.id))
-    return TrueSurface(mesh=mesh, samples=samples.astype(np.float64))
 
 
 def _trial(
