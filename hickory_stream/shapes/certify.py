@@ -15,7 +15,8 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.portable_kernels import exp, log
-from hickory_stream.shapes.cover import NET, NET_FACTOR, log_gauge, log_gauge_of_ball
+from hickory_stream.shapes.cover import NET, NET_FACTOR, local_abs, log_gauge, log_gauge_of_ball
+from hickory_stream.shapes.dominance import new_stairs, place_of, put
 from hickory_stream.shapes.sdf import distance_grid
 
 if TYPE_CHECKING:
@@ -199,12 +200,39 @@ def _ball_in(point, k, exponents, axes, poses, radius, log_g, net, factor):  # t
     x = abs(poses[k, 0, 0] * dx + poses[k, 1, 0] * dy + poses[k, 2, 0] * dz)
     y = abs(poses[k, 0, 1] * dx + poses[k, 1, 1] * dy + poses[k, 2, 1] * dz)
     z = abs(poses[k, 0, 2] * dx + poses[k, 1, 2] * dy + poses[k, 2, 2] * dz)
-    if x + radius > axes[k, 0] or y + radius > axes[k, 1] or z + radius > axes[k, 2]:
+    return _local_ball_in(x, y, z, axes[k], exponents[k], radius, log_g, net, factor)
+
+
+@numba.njit(cache=True, nogil=True)
+def _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the same of a ball whose centre has these absolute local coordinates."""
+    if x + radius > axes[0] or y + radius > axes[1] or z + radius > axes[2]:
         return np.inf
-    e1, e2 = exponents[k, 0], exponents[k, 1]
+    e1, e2 = exponents[0], exponents[1]
     limit = 0.5 * e1 * log_g
-    value = log_gauge_of_ball(x, y, z, radius, axes[k], e1, e2, limit, net, factor)
+    value = log_gauge_of_ball(x, y, z, radius, axes, e1, e2, limit, net, factor)
     return 2.0 / e1 * value if value <= limit else np.inf
+
+
+@numba.njit(cache=True, nogil=True)
+def _balls_in(points, exponents, axes, pose, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) upper bounds of ln G as `_ball_in` over the balls around (N, 3) points, in one primitive.
+
+    A point that another one dominates is in where that is, with its bound.
+    """
+    local = local_abs(points, pose)
+    out = np.empty(len(points))
+    stairs, count = new_stairs(len(points)), 0
+    for n in np.argsort(-local[:, 0], kind="mergesort"):
+        x, y, z = local[n, 0], local[n, 1], local[n, 2]
+        at = place_of(stairs, count, y)
+        if at < count and stairs[at, 1] >= z:
+            out[n] = stairs[at, 2]
+            continue
+        out[n] = _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor)
+        if out[n] < np.inf:
+            count = put(stairs, count, at, y, z, out[n])
+    return out
 
 
 @numba.njit(cache=True, nogil=True)
@@ -230,9 +258,8 @@ def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, fact
     """Return the number of pieces, that of uncovered triangles, and the largest ln G of a covered one."""
     count = len(axes)
     bounds = np.empty((len(vertices), count))
-    for n in range(len(vertices)):
-        for k in range(count):
-            bounds[n, k] = _ball_in(vertices[n], k, exponents, axes, poses, radius, log_g, net, factor)
+    for k in range(count):
+        bounds[:, k] = _balls_in(vertices, exponents[k], axes[k], poses[k], radius, log_g, net, factor)
     corners = np.empty((_MAX_BISECTIONS + 2, 3, 3))
     values = np.empty((_MAX_BISECTIONS + 2, 3, count))
     depths = np.empty(_MAX_BISECTIONS + 2, np.int64)

@@ -35,6 +35,7 @@ from hickory_stream.shapes.cover import (
     with_net,
     worst_balls,
 )
+from hickory_stream.shapes.dominance import undominated
 from hickory_stream.shapes.quadric_lm import row_of
 from hickory_stream.shapes.residual_boxes import boxes_around
 from hickory_stream.shapes.surface_partition import owned_pieces, owners_of
@@ -262,7 +263,8 @@ class _Share:
         """
         is_residual = self.distances > self.config.tolerance * _UNIT_CELLS
         have_residuals = np.unique(self.owners[is_residual])
-        without = self._of_items(~is_residual).grown(have_residuals)
+        # Their extreme points are enough to tell how large they would be: this is not a result.
+        without = self._of_items(~is_residual).grown(have_residuals, by_extremes=True)
         is_residual &= (volumes_m3(grown) > _OVERGROWN * volumes_m3(without))[self.owners]
         if not is_residual.any():
             return None
@@ -302,14 +304,17 @@ class _Share:
             share, grown = more, _replaced(grown, more.grown(which), which)
         return grown
 
-    def grown(self, which: NDArray[np.int64] | None = None) -> Superquadrics:
-        """Return the primitives, each grown to contain its share; only those of the indices `which` (M,), if given."""
+    def grown(self, which: NDArray[np.int64] | None = None, *, by_extremes: bool = False) -> Superquadrics:
+        """Return the primitives, each grown to contain its share; only those of the indices `which` (M,), if given.
+
+        `by_extremes`: not all of the share is looked at, only its extreme points, which nearly determine the result.
+        """
         exponents, axes = self.primitives.exponents.copy(), self.primitives.semi_axes_m.copy()
         for i in range(len(self.primitives)) if which is None else which:
             own = np.zeros(len(self.points), bool)
             own[self.items[self.owners == i]] = True
             if own.any():
-                exponents[i], in_units = self._grown_one(i, own)
+                exponents[i], in_units = self._grown_one(i, own, by_extremes=by_extremes)
                 axes[i] = in_units * self.unit_m
         return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=self.primitives.world_from_local)
 
@@ -325,25 +330,32 @@ class _Share:
     def _of_items(self, are_in: NDArray[np.bool_]) -> _Share:
         return replace(self, items=self.items[are_in], owners=self.owners[are_in], distances=self.distances[are_in])
 
-    def _grown_one(self, index: int, own: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _grown_one(
+        self, index: int, own: NDArray[np.bool_], *, by_extremes: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         pose = self.primitives.world_from_local[index].copy()
         pose[:3, 3] = (pose[:3, 3] - self.offset_m) / self.unit_m
-        points, radii = local_abs(self.points[own], pose), self.radii[own]
+        points, radii = _deciding(local_abs(self.points[own], pose), self.radii[own])
         before = self.primitives.semi_axes_m[index] / self.unit_m
         exponents = self.primitives.exponents[index]
         if self.config.rule == "single_factor":
             return exponents, _by_one_factor(points, radii, before, exponents, self.config.g)
         if self.config.rule != "per_axis":
             assert_never(self.config.rule)
-        # The extreme points in many directions nearly determine the result; other points are added if they protrude.
+        # The extreme points in many directions nearly determine the result.
         scale = np.maximum(points.max(axis=0) + radii.max(), before)
         far = extremes(points / scale, _octant_directions())
         binding = with_net(points[far], radii[far], NET, NET_FACTOR)
         binding = binding[extremes(binding / scale, _octant_directions())]
         candidates = _candidates(exponents)
-        sizes = [_size_around(binding, before, rounder, self.config.g) for rounder in candidates]
-        best = candidates[int(np.argmin(sizes))]
-        return best, _axes_around(points, radii, binding, before, best, self.config.g)
+        axes = [_least_around(binding, before, rounder, self.config.g) for rounder in candidates]
+        sizes = [_log_size(*tried) for tried in zip(axes, candidates, strict=True)]
+        best = int(np.argmin(sizes))
+        if by_extremes:
+            return candidates[best], axes[best]
+        return candidates[best], _axes_around(
+            points, radii, binding, before, candidates[best], self.config.g, first=axes[best]
+        )
 
 
 def _replaced(primitives: Superquadrics, others: Superquadrics, which: NDArray[np.int64]) -> Superquadrics:
@@ -351,6 +363,17 @@ def _replaced(primitives: Superquadrics, others: Superquadrics, which: NDArray[n
     exponents, axes = primitives.exponents.copy(), primitives.semi_axes_m.copy()
     exponents[which], axes[which] = others.exponents[which], others.semi_axes_m[which]
     return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=primitives.world_from_local)
+
+
+def _deciding(
+    points: NDArray[np.float64], radii: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return those of the balls around (N, 3) absolute local points that decide on growth, and their radii (N,)."""
+    kept = np.zeros(len(points), bool)
+    for radius in np.unique(radii):
+        alike = np.flatnonzero(radii == radius)
+        kept[alike[undominated(points[alike])]] = True
+    return points[kept], radii[kept]
 
 
 def _candidates(exponents: NDArray[np.float64]) -> list[NDArray[np.float64]]:
@@ -369,13 +392,17 @@ def _alone(first: int, count: int) -> NDArray[np.int64]:
     return np.repeat(np.arange(first, first + count)[:, None], 3, axis=1)
 
 
-def _size_around(
+def _least_around(
     binding: NDArray[np.float64], before: NDArray[np.float64], exponents: NDArray[np.float64], g: float
-) -> float:
-    """Return the logarithm of the volume, up to a constant, of the least primitive around (N, 3) points."""
+) -> NDArray[np.float64]:
+    """Return the (3,) semi-axes of about the least volume, none below `before`, that contain (N, 3) points."""
     e1, e2 = float(exponents[0]), float(exponents[1])
-    axes = least_axes(binding, before, e1, e2, e1 / 2 * float(log(g)) - _SLACK)
-    return float(portable.log(axes).sum()) + _log_share(e1, e2)
+    return np.asarray(least_axes(binding, before, e1, e2, e1 / 2 * float(log(g)) - _SLACK))
+
+
+def _log_size(axes: NDArray[np.float64], exponents: NDArray[np.float64]) -> float:
+    """Return the logarithm of the volume of a primitive, up to a constant."""
+    return float(portable.log(axes).sum()) + _log_share(float(exponents[0]), float(exponents[1]))
 
 
 def _axes_around(
@@ -385,17 +412,22 @@ def _axes_around(
     before: NDArray[np.float64],
     exponents: NDArray[np.float64],
     g: float,
+    *,
+    first: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the (3,) semi-axes of about the least volume that contain all balls; points `binding` are tried first."""
+    """Return the (3,) semi-axes of about the least volume that contain all balls; `first` are those around `binding`.
+
+    Balls that protrude from these are added to the points `binding`, round by round.
+    """
     e1, e2 = float(exponents[0]), float(exponents[1])
     limit = e1 / 2 * float(log(g)) - _SLACK
-    axes = before
+    axes = first
     for _ in range(_ROUNDS):
-        axes = least_axes(binding, before, e1, e2, limit)
         worst, count = worst_balls(points, radii, axes, e1, e2, limit + _SLACK / 2, NET, NET_FACTOR, _WORST)
         if count == 0:
-            return np.asarray(axes)
+            return axes
         binding = np.concatenate([binding, with_net(points[worst], radii[worst], NET, NET_FACTOR)])
+        axes = _least_around(binding, before, exponents, g)
     return _by_one_factor(points, radii, axes, exponents, g)
 
 

@@ -44,9 +44,11 @@ def usable(mesh: Mesh) -> Mesh:
 
 def used_surface(vertices: NDArray[Any], faces: NDArray[np.int32]) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
     """Return (V,) which vertices belong to triangles with an extent, and these triangles with their new indices."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    # NaN is not equal to anything: triangles with NaN are kept, and reported by the caller.
-    is_point = ((a == b) & (b == c)).all(axis=1)
+    is_point = np.ones(len(faces), bool)
+    for along in vertices.T:
+        a, b, c = (along[faces[:, corner]] for corner in range(3))
+        # NaN is not equal to anything: triangles with NaN are kept, and reported by the caller.
+        is_point &= (a == b) & (b == c)
     kept = faces[~is_point]
     is_used = np.zeros(len(vertices), bool)
     is_used[kept.ravel()] = True
