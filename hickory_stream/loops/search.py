@@ -25,7 +25,7 @@ from hickory_stream.geometry.rigid import (
 )
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.graph.gate import difference, mahalanobis2
-from hickory_stream.loops.surfaces import Surface, SurfaceFit, registered
+from hickory_stream.loops.surfaces import Surface, SurfaceFit, approached, refined, registered
 from hickory_stream.records import Loop, MapSnapshot
 
 if TYPE_CHECKING:
@@ -99,7 +99,12 @@ def _by_surface(query: LoopQuery, earlier_id: int, config: LoopConfig) -> Loop:
     """Register a submap to an earlier one from where the graph has it, and from around there."""
     earlier, later, predicted = query.surfaces[earlier_id], query.surfaces[query.later_id], query.predicted[earlier_id]
     reach_m = _WITHIN_SIGMAS * predicted.sigma_m
-    fits = [registered(earlier, later, start, reach_m) for start in _starts(predicted, later)]
+    fits: list[SurfaceFit] = []
+    for start in _starts(predicted, later):
+        near = approached(earlier, later, start, reach_m)
+        # Most starts come to where one before has led to; one that led nowhere says nothing about the others.
+        if not any(_why_not(fit, config) is None and _is_at(near, fit, later) for fit in fits):
+            fits.append(refined(earlier, later, start, near))
     best = max(fits, key=lambda fit: fit.support)
     reason = _why_not(best, config)
     rivals = [fit.support for fit in fits if not _is_same(fit, best, later)]
@@ -127,9 +132,19 @@ def _starts(predicted: Predicted, later: Surface) -> list[NDArray[np.float64]]:
 
 def _is_same(a: SurfaceFit, b: SurfaceFit, later: Surface) -> bool:
     """Return whether two fits say the same, along the directions in which both say anything."""
-    error = difference(compose(a.earlier_from_later, later.anchor), compose(b.earlier_from_later, later.anchor))
+    return _differ(a.earlier_from_later, b.earlier_from_later, a.covariance + b.covariance, later) < 1.0
+
+
+def _is_at(near: NDArray[np.float64], fit: SurfaceFit, later: Surface) -> bool:
+    """Return whether a place, earlier_from_later, is that of a fit, along the directions in which it says anything."""
+    return _differ(near, fit.earlier_from_later, fit.covariance, later) < 1.0
+
+
+def _differ(a: NDArray[np.float64], b: NDArray[np.float64], covariance: NDArray[np.float64], later: Surface) -> float:
+    """Return the squared distance of two places, earlier_from_later, in units of what makes places two."""
+    error = difference(compose(a, later.anchor), compose(b, later.anchor))
     tolerance = np.diag([_SAME_RAD * _SAME_RAD] * 3 + [_SAME_M * _SAME_M] * 3)
-    return mahalanobis2(error, a.covariance + b.covariance + tolerance) < 1.0
+    return mahalanobis2(error, covariance + tolerance)
 
 
 def _why_not(fit: SurfaceFit, config: LoopConfig) -> str | None:

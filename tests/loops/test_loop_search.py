@@ -3,13 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.loops import search
 from hickory_stream.loops.config import LoopConfig
 from hickory_stream.loops.predictions import Predicted
 from hickory_stream.loops.search import LoopQuery, search_loops
-from hickory_stream.loops.surfaces import Surface
+from hickory_stream.loops.surfaces import Surface, SurfaceFit, refined
 from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.loops.loop_fixtures import air, off, room, shift, surface
@@ -56,6 +58,23 @@ def test_like_things_in_a_row_are_told_to_fit_elsewhere_as_well() -> None:
     (loop,) = search_loops(query(surface(row), surface(row, seed=1), sigma_m=0.4), CONFIG)
     assert loop.reason is not None
     assert "fits elsewhere" in loop.reason
+
+
+def test_starts_that_come_to_one_place_are_refined_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    starts: list[NDArray[np.float64]] = []
+
+    def counted(
+        earlier: Surface, later: Surface, predicted: NDArray[np.float64], near: NDArray[np.float64]
+    ) -> SurfaceFit:
+        starts.append(predicted)
+        return refined(earlier, later, predicted, near)
+
+    monkeypatch.setattr(search, "refined", counted)
+    again = surface(room(), own_from_world=DRIFT, seed=1)
+    (loop,) = search_loops(query(surface(room(), free=air()), again, sigma_m=0.15), CONFIG)
+    assert loop.reason is None
+    assert off(loop.earlier_from_later, DRIFT)[0] < 0.015
+    assert len(starts) == 1
 
 
 def test_what_lies_in_free_space_is_no_loop() -> None:
