@@ -10,7 +10,7 @@ import numpy as np
 
 from hickory_stream.engine.checkpoints import unpacked
 from hickory_stream.engine.journal_chunks import JournalChunks, unpacked_array
-from hickory_stream.engine.journal_format import ARRAYS, CHANNELS, CHECKPOINT, COLOR, EVENT_NAMES, TOLD
+from hickory_stream.engine.journal_format import ARRAYS, CHANNELS, CHECKPOINT, COLOR, EVENT_NAMES, KNOWN, TOLD
 from hickory_stream.engine.record_codec import PartPlace, decode, part_references
 from hickory_stream.engine.step import Checkpoint, JournalEntry, Step, StepKind
 from hickory_stream.engine.unread_records import UnreadRecords, as_array
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mcap.records import Message
     from numpy.typing import NDArray
 
+    from hickory_stream.engine.known_records import Known
     from hickory_stream.events import Event
 
 
@@ -39,6 +40,7 @@ class Journal:
         self.path = self._chunks.path
         self._places = self._chunks.places
         self._steps = [i for i, place in enumerate(self._places) if place.is_step]
+        self._known_parts: dict[tuple[int, int], Any] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -107,6 +109,51 @@ class Journal:
             if self._places[chunk].channel == CHECKPOINT:
                 return bisect_right(self._steps, chunk) - 1, self._checkpoint(chunk, reads_later=reads_later)
         return None
+
+    def known(self, index: int) -> Known | None:
+        """Return where the public records of the map after a step are, all of them; None: an older journal has none.
+
+        Raises:
+            MapFolderError: it is damaged.
+        """
+        changes: list[Known] = []
+        while not changes or not changes[-1].is_whole:
+            chunk = self._steps[index] - 1 if index >= 0 else -1
+            if chunk < 0 or self._places[chunk].channel != KNOWN:
+                return None
+            changes.append(self._decoded(bytes(self._chunks.contents(chunk)[0]), "Known"))
+            index -= 1
+        objects: dict[int, tuple[int, int]] = {}
+        submaps: dict[int, tuple[int, int]] = {}
+        for change in reversed(changes):
+            objects = {key: place for key, place in objects.items() if key not in change.gone_objects}
+            submaps = {key: place for key, place in submaps.items() if key not in change.gone_submaps}
+            objects |= change.objects
+            submaps |= change.submaps
+        return replace(changes[0], is_whole=True, objects=objects, submaps=submaps, gone_objects=(), gone_submaps=())
+
+    def known_record(self, place: tuple[int, int], kind: type) -> Any:
+        """Return the record that `known` says is there; a part that records share is one and the same.
+
+        Raises:
+            MapFolderError: it is damaged, or no record of this kind.
+        """
+
+        def part(chunk: int, number: int) -> Any:
+            # What a record refers to was written before it.
+            if not (0, 1) <= (chunk, number) < place:
+                raise ValueError(f"a part is said to be number {number} of chunk {chunk}")
+            if (chunk, number) not in self._known_parts:
+                self._known_parts[chunk, number] = decode(bytes(self._chunks.contents(chunk)[number]), part)
+            return self._known_parts[chunk, number]
+
+        try:
+            if not 0 <= place[0] < len(self._places) or self._places[place[0]].channel != KNOWN or place[1] < 1:
+                raise ValueError(f"a record is said to be number {place[1]} of chunk {place[0]}")
+            data = bytes(self._chunks.contents(place[0])[place[1]])
+        except (ValueError, IndexError) as error:
+            raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
+        return self._decoded(data, kind.__name__, part)
 
     def entries(self, first: int = 0) -> Iterator[JournalEntry]:
         """Yield the steps from one on."""

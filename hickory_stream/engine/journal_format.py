@@ -10,6 +10,9 @@ frame of zstd by itself with a checksum, then the records, which name arrays and
 and their place in it (the first message of either chunk is none of these). Older journals have arrays and records in
 one chunk.
 
+Before the chunk of a step is one of its own with what of the map's public records the step has changed, without points
+and space (`known_records`): first where they are, then the records. Older journals have none.
+
 A chunk reaches the operating system when its step is over, so that a killed process loses nothing of it; it reaches the
 disk (fsync) at most `flush_s` later, which is what a lost power supply may cost.
 """
@@ -18,7 +21,7 @@ from __future__ import annotations
 
 JOURNAL = "journal.mcap"
 PROFILE = "hickory-stream/1"
-STEP, OLD_CHECKPOINT, COLOR, TOLD, CHECKPOINT, ARRAYS = 1, 2, 3, 4, 5, 6
+STEP, OLD_CHECKPOINT, COLOR, TOLD, CHECKPOINT, ARRAYS, KNOWN = 1, 2, 3, 4, 5, 6, 7
 """Checkpoints of older journals have records of another form: they are not read, the events are all that is needed."""
 
 TOPICS = {
@@ -28,6 +31,7 @@ TOPICS = {
     TOLD: "told",
     CHECKPOINT: "checkpoint/2",
     ARRAYS: "checkpoint/arrays",
+    KNOWN: "known",
 }
 ENCODINGS = {COLOR: "image", ARRAYS: "cbor+zstd"}
 """Of messages that are not plain CBOR."""

@@ -23,11 +23,13 @@ from hickory_stream.engine.journal_format import (
     COLOR,
     ENCODINGS,
     JOURNAL,
+    KNOWN,
     PROFILE,
     STEP,
     TOLD,
     TOPICS,
 )
+from hickory_stream.engine.known_records import KnownRecords
 from hickory_stream.engine.record_codec import encode
 
 if TYPE_CHECKING:
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.engine.journal import Journal
     from hickory_stream.engine.step import Checkpoint, JournalEntry
+    from hickory_stream.records import MapSnapshot
 
 _NO_LIMIT = 1 << 60
 
@@ -57,6 +60,7 @@ class JournalWriter:
         self._flush_s = flush_s
         self._parts = _Parts()
         self._packer = Packer()
+        self._known = KnownRecords()
         self._num_chunks = 0
         self._synced_s = time.monotonic()
         partial = folder / f".{JOURNAL}{PARTIAL_SUFFIX}"
@@ -76,10 +80,14 @@ class JournalWriter:
                 partial.unlink(missing_ok=True)
                 raise
 
-    def append(self, entry: JournalEntry, color: bytes | None = None) -> None:
-        """Add a step; `color` is the compressed image of its keyframe."""
+    def append(self, entry: JournalEntry, color: bytes | None = None, known: MapSnapshot | None = None) -> None:
+        """Add a step; `color` is the compressed image of its keyframe, `known` the map after it."""
         stamp_ns = entry.step.stamp_ns
         with disk_errors(self._path):
+            if known is not None:
+                for message in self._known.messages(known, self._num_chunks):
+                    self._add(KNOWN, stamp_ns, message)
+                self._end_chunk()
             # First in its chunk: it tells what the chunk is.
             self._add(STEP, stamp_ns, encode(entry.step))
             for event in entry.events:

@@ -337,7 +337,8 @@ def _records() -> dict[str, Any]:
     import hickory_stream.mapping
 
     names = ["hickory_stream.records", "hickory_stream.events", "hickory_stream.engine.step"]
-    names += ["hickory_stream.engine.checkpoints", "hickory_stream.graph.factors"]
+    names += ["hickory_stream.engine.checkpoints", "hickory_stream.engine.known_records"]
+    names += ["hickory_stream.graph.factors"]
     for package in (hickory_stream.geometry, hickory_stream.mapping):
         names += [f"{package.__name__}.{module.name}" for module in pkgutil.iter_modules(package.__path__)]
     found: dict[str, Any] = {}

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from hickory_stream.engine.shape_queue import ShapeQueue
     from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, Told
     from hickory_stream.events import Event
+    from hickory_stream.records import MapSnapshot
 
 
 @dataclass(slots=True)
@@ -55,15 +56,19 @@ class Recorder:
         entry: JournalEntry,
         *,
         color: Callable[[], bytes | None],
+        known: MapSnapshot,
         checkpoint: Checkpoint | None,
         dropped_views: list[str],
         ended_jobs: list[int],
         shapes: ShapeQueue,
     ) -> None:
-        """Have a step written, with what `color` gives; then remove the views that it dropped and the ended jobs."""
+        """Have a step written, with what `color` gives; then remove the views that it dropped and the ended jobs.
+
+        `known` is the map after it.
+        """
 
         def write() -> None:
-            self._journal.append(entry, color())
+            self._journal.append(entry, color(), known)
             if checkpoint is not None:
                 self._journal.checkpoint(checkpoint, entry.step.stamp_ns)
             for name in dropped_views:

@@ -85,6 +85,7 @@ class Run:
             self._clock,
             self._shapes,
             parts.source,
+            lambda: self._effects.core.snapshot(),
             checkpoint_keyframes=config.journal.checkpoint_keyframes,
         )
         self._announcer = Announcer(parts.sinks, parts.publish, parts.progress, waits=parts.mode == "playback")

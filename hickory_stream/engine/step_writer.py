@@ -19,20 +19,32 @@ if TYPE_CHECKING:
     from hickory_stream.events import Event, Publish
     from hickory_stream.mapping.core import MapperCore
     from hickory_stream.ports import Source
+    from hickory_stream.records import MapSnapshot
 
 Metrics = tuple[tuple[str, float], ...]
 
 
 class StepWriter:
-    """Collects frames, events and what is to be removed after them; `commit` makes a step of it."""
+    """Collects frames, events and what is to be removed after them; `commit` makes a step of it.
+
+    `snapshot` gives the map as the core holds it.
+    """
 
     def __init__(
-        self, recorder: Recorder, clock: RunClock, shapes: ShapeQueue, source: Source, *, checkpoint_keyframes: int
+        self,
+        recorder: Recorder,
+        clock: RunClock,
+        shapes: ShapeQueue,
+        source: Source,
+        snapshot: Callable[[], MapSnapshot],
+        *,
+        checkpoint_keyframes: int,
     ) -> None:
         self._recorder = recorder
         self._clock = clock
         self._shapes = shapes
         self._source = source
+        self._snapshot = snapshot
         self._checkpoint_keyframes = checkpoint_keyframes
         self._unwritten = Unwritten()
 
@@ -106,6 +118,7 @@ class StepWriter:
         await self._recorder.commit(
             JournalEntry(step=step, events=tuple(done.events), told=done.told),
             color=color,
+            known=self._snapshot(),
             checkpoint=checkpoint,
             dropped_views=done.dropped_views,
             # After a stop the jobs stay: a run that is continued commits them when they are due.

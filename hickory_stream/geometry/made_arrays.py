@@ -33,7 +33,7 @@ class _Maker:
     `keeps`: what was made stays, until it is given up again.
     """
 
-    make: Callable[[str], Mapping[str, NDArray[Any]]]
+    make: Callable[[str], Mapping[str, Any]]
     names: tuple[str, ...]
     keeps: bool
 
@@ -53,10 +53,11 @@ class GivesUpArrays:
         if maker is None or name not in maker.names:
             raise AttributeError(name)
         made = maker.make(name)
-        for each, array in made.items():
-            array.flags.writeable = False
+        for each, value in made.items():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
             if maker.keeps:
-                object.__setattr__(self, each, array)
+                object.__setattr__(self, each, value)
         return made[name]
 
 
@@ -71,7 +72,15 @@ def read_later(record: GivesUpArrays, read: MakeAll, *names: str) -> None:
     `read` gives all of them by their names, checked, or raises what whoever asks is to see; it must not hold the
     record.
     """
-    _let_go(record, _Maker(lambda _: read(), names, keeps=True))
+    read_parts(record, lambda _: read(), *names)
+
+
+def read_parts(record: GivesUpArrays, read: Callable[[str], Mapping[str, Any]], *names: str) -> None:
+    """Have fields of a record, arrays or not, read when one of them is asked for; then they stay.
+
+    `read` gives the one of that name, and others that are read with it; it is as that of `read_later`.
+    """
+    _let_go(record, _Maker(read, names, keeps=True))
 
 
 def compress(record: GivesUpArrays, *names: str) -> None:

@@ -122,6 +122,8 @@ def _keyframes(folder: Path, *, quick: bool) -> list[Figure]:
     save_ms = float(np.median([cost.save_ms for cost in costs if cost.save_ms][-5:]))
     save_all_ms = float(np.median([cost.save_all_ms for cost in costs if cost.save_all_ms][-5:]))
     reading = reading_of(large)
+    known_of = f"{reading.objects} objects; {reading.known_records_seconds:.2f} s more for all records of half of them"
+    known_of += f", {reading.known_points_seconds:.2f} s for their points"
     figures = [
         _figure("scale_objects", last.objects, "", "higher", of),
         _figure("scale_keyframe_ratio", ratio, "x", "lower", f"{of}; the core, in turn with a map of few objects"),
@@ -134,7 +136,7 @@ def _keyframes(folder: Path, *, quick: bool) -> list[Figure]:
         _figure("save_ms", save_ms, "ms", "lower", "what a keyframe changed"),
         _figure("save_all_ms", save_all_ms, "ms", "lower", f"what {DiskSinkConfig().every_keyframes} keyframes did"),
         _figure("open_seconds", reading.open_seconds, "s", "lower", f"{reading.objects} objects"),
-        _figure("known_at_seconds", reading.known_at_seconds, "s", "lower", f"{reading.objects} objects"),
+        _figure("known_at_seconds", reading.known_at_seconds, "s", "lower", known_of),
         _figure("render_seconds", reading.render_seconds, "s", "lower", f"{reading.objects} objects"),
     ]  # fmt: skip
     if reading.path_ms is not None:

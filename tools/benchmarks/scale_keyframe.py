@@ -276,7 +276,8 @@ class Mapped:
             shape_counts={},
         )
         told = Told(decisions=self._published.decisions, submap_id=self.core.submaps[-1].id)
-        self._journal.append(JournalEntry(step=step, events=tuple(done), told=told))
+        entry = JournalEntry(step=step, events=tuple(done), told=told)
+        self._journal.append(entry, known=self.core.snapshot())
         if self._num_keyframes % self._config.journal.checkpoint_keyframes == 0:
             jobs = tuple(
                 OpenJob(ticket=job.ticket, object_id=job.object_id, due_ns=job.due_ns) for job in self._jobs.values()

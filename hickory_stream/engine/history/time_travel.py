@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hickory_stream.engine.history.core_replay import Replay
+from hickory_stream.engine.history.known_map import known_map
 from hickory_stream.engine.history.recorded_config import recorded_config
 from hickory_stream.engine.journal import Journal
 from hickory_stream.errors import InputError
@@ -50,16 +51,24 @@ class Change:
 def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
     """Return the map exactly as the core held it at a stamp; an empty one before the first keyframe.
 
+    Each object is read when somebody looks at it (`known_map`).
+
     Raises:
-        MapFolderError: there is no map or no journal, or it is damaged or of another version.
+        MapFolderError: there is no map or no journal, or it is damaged or of another version; also from what of the map
+            is looked at later.
     """
-    with Journal(path) as journal:
-        index = step_at(journal.stamps_ns, stamp_ns)
-        if index is None:
-            return MapSnapshot(revision=0, stamp_ns=stamp_ns, submaps=(), objects=())
-        replay = Replay(journal, recorded_config(path).mapping, reads_later=True)
-        replay.seek(index)
-        return replay.snapshot()
+    # It stays open for whoever looks at the map later, and is closed with it.
+    journal = Journal(path)
+    index = step_at(journal.stamps_ns, stamp_ns)
+    if index is None:
+        return MapSnapshot(revision=0, stamp_ns=stamp_ns, submaps=(), objects=())
+    config = recorded_config(path).mapping
+    known = known_map(journal, index, config)
+    if known is not None:
+        return known
+    replay = Replay(journal, config, reads_later=True)
+    replay.seek(index)
+    return replay.snapshot()
 
 
 def seen_by(final: MapSnapshot, stamp_ns: int) -> MapSnapshot:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -8,10 +9,13 @@ import pytest
 
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
 from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history.time_travel import changes, own_clock_s, stamp_of
+from hickory_stream.engine.history.core_replay import Replay
+from hickory_stream.engine.history.time_travel import as_known_at, changes, own_clock_s, stamp_of
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.journal_chunks import JournalChunks
 from hickory_stream.engine.journal_format import ARRAYS, JOURNAL
+from hickory_stream.engine.journal_writer import JournalWriter
+from hickory_stream.engine.known_records import object_without_points
 from hickory_stream.engine.record_codec import encode
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError, MapFolderError
@@ -157,6 +161,50 @@ def test_differences_know_merged_moved_and_dropped_objects() -> None:
     assert "by 0.30 m" in change.text
 
 
+def test_only_points_and_space_need_the_events_and_the_records_are_the_same_without(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stamp_ns = watched.reports[4].stamp_ns
+    with monkeypatch.context() as context:
+        context.setattr(Replay, "seek", _refuse)
+        known = watched.saved.as_known_at(stamp_ns)
+        light = [encode(object_without_points(tracked)) for tracked in known.objects]
+        assert [tracked.best_view in tracked.views for tracked in known.objects].count(True) > 0
+        with pytest.raises(AssertionError, match="nobody looked"):
+            _ = known.objects[0].points_world
+        with pytest.raises(AssertionError, match="nobody looked"):
+            _ = known.submaps[0].observed_space.free
+    with monkeypatch.context() as context:
+        context.setattr(Journal, "known", lambda *_: None)
+        replayed = watched.saved.as_known_at(stamp_ns)
+    assert light == [encode(object_without_points(tracked)) for tracked in replayed.objects]
+    assert encode(known.objects) == encode(replayed.objects)
+    assert encode(known.submaps) == encode(replayed.submaps)
+    assert (known.revision, known.stamp_ns) == (replayed.revision, replayed.stamp_ns)
+
+
+def _refuse(*_: object) -> None:
+    raise AssertionError("nobody looked at points")
+
+
+def test_a_record_that_is_not_what_the_events_make_is_told_where_its_points_are_looked_at(
+    watched: Watched, tmp_path: Path
+) -> None:
+    shutil.copy(watched.run.folder.path / "manifest.json", tmp_path)
+    with Journal(watched.run.folder.path) as journal:
+        entries = list(journal.entries())[:5]
+    writer = JournalWriter(tmp_path, flush_s=60.0)
+    for entry, report in zip(entries, watched.reports, strict=False):
+        assert report.snapshot is not None
+        objects = tuple(replace(tracked, sightings=99) for tracked in report.snapshot.objects)
+        writer.append(entry, known=replace(report.snapshot, objects=objects))
+    writer.close()
+    known = as_known_at(tmp_path, entries[-1].step.stamp_ns)
+    assert known.objects[0].sightings == 99
+    with pytest.raises(MapFolderError, match="record of object 1 is not what its events make"):
+        _ = known.objects[0].points_world
+
+
 def test_times_are_seconds_of_the_maps_own_clock_or_stamps(watched: Watched) -> None:
     folder = watched.run.folder.path
     assert stamp_of(folder, "0") == START_NS
@@ -181,8 +229,6 @@ def test_of_a_looped_log_the_last_round_counts(tmp_path: Path) -> None:
 
 
 def test_a_map_without_a_journal_says_so(watched: Watched, tmp_path: Path) -> None:
-    import shutil
-
     shutil.copytree(watched.run.folder.path, tmp_path / "map")
     (tmp_path / "map/journal.mcap").unlink()
     with pytest.raises(MapFolderError, match="holds no journal"):
