@@ -12,6 +12,7 @@ from hickory_stream.engine.jobs import take_result, write_job
 from hickory_stream.engine.workers import LocalWorkers, WorkerLimits
 from tests.engine.run_fixtures import scene_config, scene_request
 from tests.engine.test_dask_workers import cluster
+from tests.in_process_workers import InProcessWorkers
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator
@@ -24,11 +25,14 @@ pytestmark = [pytest.mark.timeout(180), pytest.mark.filterwarnings("ignore")]
 LIMITS = WorkerLimits(time_s=60.0, memory_mb=4000.0)
 
 
-@pytest.fixture(scope="module", params=["local", "dask"])
+@pytest.fixture(scope="module", params=["local", "dask", "in process"])
 def use(request: pytest.FixtureRequest) -> Iterator[Callable[[Callable[[ShapeWorkers], Awaitable[Any]]], Any]]:
     """Give workers of a kind to a coroutine function."""
     if request.param == "local":
         yield lambda function: asyncio.run(_with(LocalWorkers(2, LIMITS), function))
+        return
+    if request.param == "in process":
+        yield lambda function: asyncio.run(_with(InProcessWorkers(), function))
         return
     pytest.importorskip("distributed")
     from hickory_stream.engine.dask_workers import DaskWorkers

@@ -15,4 +15,4 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="session")
 def undisturbed_run(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
     """The run of the scene by one worker, which nobody disturbs; its folder is not to be changed."""
-    return map_scene(tmp_path_factory.mktemp("undisturbed"))
+    return map_scene(tmp_path_factory.mktemp("undisturbed"), child_workers=True)

@@ -21,6 +21,7 @@ from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.records import View
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.conftest import COARSE_SHAPES
+from tests.in_process_workers import InProcessWorkers
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Sequence
@@ -73,8 +74,12 @@ def map_scene(
     segmenter: Segmenter | None = None,
     on_progress: Callable[[Mapper, Progress], None] = lambda _, __: None,
     on_snapshot: Callable[[Mapper, MapSnapshot], Awaitable[None]] | None = None,
+    child_workers: bool = False,
 ) -> SceneRun:
-    """Map the scene, of all or of some `boxes`, or a source that wraps it, into `tmp_path/name`."""
+    """Map the scene, of all or of some `boxes`, or a source that wraps it, into `tmp_path/name`.
+
+    Shapes are built on a thread, by the workers that the configuration asks for only with `child_workers`.
+    """
     scene = SceneSource(NUM_FRAMES, boxes)
 
     async def run() -> SceneRun:
@@ -83,6 +88,7 @@ def map_scene(
             out=tmp_path / name,
             segmenter=segmenter or InstanceSegmenter(scene.instances),
             extractor=MeanColorExtractor(),
+            workers=None if child_workers else InProcessWorkers(),
         ) as mapper:
             snapshots = []
             played = mapper.run(

@@ -42,7 +42,7 @@ def test_a_job_that_goes_wrong_says_why_and_leaves_the_rest_of_the_map(
     limits = ("run.job_timeout_s=1.0",) if way == "hangs" else ("run.job_memory_mb=300.0",) if way == "grows" else ()
     # A worker that has to be replaced takes seconds: one object then, which is tried twice.
     boxes = SCENE_BOXES if is_reproducible else SCENE_BOXES[:1]
-    run = map_scene(tmp_path, *ONCE, *limits, f"run.worker_python={python}", boxes=boxes)
+    run = map_scene(tmp_path, *ONCE, *limits, f"run.worker_python={python}", boxes=boxes, child_workers=True)
     saved = open_map(run.folder.path)
     assert saved.manifest.finished_cleanly
     assert saved.manifest.is_reproducible == is_reproducible
@@ -68,13 +68,13 @@ def _reasons(path: Path) -> str:
 
 def test_a_reconstructor_may_print_what_it_likes(tmp_path: Path) -> None:
     python = write_interpreter(tmp_path / "python", "prints")
-    run = map_scene(tmp_path, *ONCE, f"run.worker_python={python}")
+    run = map_scene(tmp_path, *ONCE, f"run.worker_python={python}", child_workers=True)
     assert all(tracked.shape is not None for tracked in open_map(run.folder.path).snapshot.objects)
 
 
 def test_an_interpreter_that_does_not_exist_is_refused_before_anything_is_played(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="worker_python is /no/such/python, which is no program"):
-        map_scene(tmp_path, "run.worker_python=/no/such/python")
+        map_scene(tmp_path, "run.worker_python=/no/such/python", child_workers=True)
     assert not (tmp_path / "map").exists()
 
 
@@ -82,7 +82,7 @@ def test_an_interpreter_that_cannot_run_a_worker_fails_every_job_with_the_reason
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\nexit 3\n")
     broken.chmod(0o755)
-    run = map_scene(tmp_path, *ONCE, f"run.worker_python={broken}")
+    run = map_scene(tmp_path, *ONCE, f"run.worker_python={broken}", child_workers=True)
     assert "ended with status 3" in _reasons(run.folder.path)
     assert open_map(run.folder.path).manifest.finished_cleanly
 
@@ -103,11 +103,18 @@ def test_a_second_playback_takes_its_shapes_from_the_cache(tmp_path: Path, monke
     monkeypatch.setenv("HICKORY_CACHE", str(tmp_path / "cache"))
     first = map_scene(tmp_path, "run.shape_cache=true", name="first")
     python = write_interpreter(tmp_path / "python", "raises")
-    second = map_scene(tmp_path, "run.shape_cache=true", f"run.worker_python={python}", name="second")
+    second = map_scene(
+        tmp_path, "run.shape_cache=true", f"run.worker_python={python}", name="second", child_workers=True
+    )
     shapes = open_map(second.folder.path).ledger["shapes"]
     assert shapes["cached"] == shapes["requested"] == shapes["ready"] >= 3
     assert second.digest == first.digest
     changed = map_scene(
-        tmp_path, "run.shape_cache=true", "shapes.inflate.r_safe_m=0.03", f"run.worker_python={python}", name="third"
+        tmp_path,
+        "run.shape_cache=true",
+        "shapes.inflate.r_safe_m=0.03",
+        f"run.worker_python={python}",
+        name="third",
+        child_workers=True,
     )
     assert "cached" not in open_map(changed.folder.path).ledger["shapes"]

@@ -19,6 +19,7 @@ from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
+from tests.in_process_workers import InProcessWorkers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -135,7 +136,9 @@ def test_a_run_that_was_stopped_goes_on_with_its_corrections(tmp_path: Path) -> 
 
     async def resume() -> MapSnapshot:
         segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
-        async with Mapper.resuming(tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor()) as mapper:
+        async with Mapper.resuming(
+            tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
+        ) as mapper:
             *_, last = [snapshot async for snapshot in mapper.run(JumpingSource(NUM_FRAMES))]
             return last
 

@@ -98,7 +98,7 @@ def test_a_cluster_makes_the_same_map_as_child_processes(tmp_path: Path, undistu
     from distributed import LocalCluster
 
     with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as made:
-        away = map_scene(tmp_path, f"run.cluster={made.scheduler_address}", name="away")
+        away = map_scene(tmp_path, f"run.cluster={made.scheduler_address}", name="away", child_workers=True)
     assert away.digest == undisturbed_run.digest
     assert away.folder.manifest.is_reproducible
 
@@ -140,5 +140,5 @@ def test_a_scheduler_that_is_lost_and_regained_loses_no_job(tmp_path: Path) -> N
 def test_an_address_with_nobody_there_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hickory_stream.engine.dask_workers._CONNECT_S", 1.0)
     with pytest.raises(ConfigError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:\d+; start one"):
-        map_scene(tmp_path, f"run.cluster=tcp://127.0.0.1:{free_port()}")
+        map_scene(tmp_path, f"run.cluster=tcp://127.0.0.1:{free_port()}", child_workers=True)
     assert not (tmp_path / "map").exists()

@@ -220,7 +220,7 @@ def test_a_job_never_names_the_program(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_run_has_shapes_of_the_generator_and_says_so_in_decisions_and_summary(tmp_path: Path, toml: Path) -> None:
     chosen = ("shapes.reconstructor=external", f"run.generator={toml}", "run.i_accept=I do research")
-    run = map_scene(tmp_path, *chosen, boxes=SCENE_BOXES[-1:])
+    run = map_scene(tmp_path, *chosen, boxes=SCENE_BOXES[-1:], child_workers=True)
     (tracked,) = run.snapshots[-1].objects
     assert tracked.shape is not None
     assert tracked.shape.reconstructor == "box-generator"
@@ -242,7 +242,9 @@ def test_what_was_made_up_is_taken_back_when_a_later_view_sees_free_space_there(
         "shapes.judgement.most_less=0.3",
     )
     walk = SceneSource(14, SCENE_BOXES[-1:], step_of=lambda i: i // 2 if i < 6 else 3 * i - 15)
-    run = map_scene(tmp_path, *chosen, *rare, source=walk, segmenter=InstanceSegmenter(walk.instances))
+    run = map_scene(
+        tmp_path, *chosen, *rare, source=walk, segmenter=InstanceSegmenter(walk.instances), child_workers=True
+    )
     steps = recorded_steps(tmp_path / "map", run.snapshots[-1])
     told = [decision.text for step in steps for decision in step.decisions if decision.kind == "shape"]
     shapes = [snapshot.objects[0].shape for snapshot in run.snapshots if snapshot.objects]

@@ -24,6 +24,7 @@ from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.registration_sources import NUM_FRAMES, Drifting, Unaware, room
 from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
+from tests.in_process_workers import InProcessWorkers
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -168,7 +169,9 @@ def test_a_corrected_run_that_was_stopped_goes_on_to_the_same_map(
 
     async def resume() -> str | None:
         segmenter = InstanceSegmenter(room().instances)
-        async with Mapper.resuming(tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor()) as mapper:
+        async with Mapper.resuming(
+            tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
+        ) as mapper:
             async for _ in mapper.run(Drifting(room())):
                 pass
             assert mapper.folder is not None

@@ -17,6 +17,7 @@ from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, yaw_rotation
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
+from tests.in_process_workers import InProcessWorkers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -112,7 +113,10 @@ def test_a_run_that_was_stopped_while_a_loop_was_searched_comes_to_the_same_map(
     async def resume() -> MapSnapshot:
         again = DriftingSource(NUM_FRAMES, camera=CAMERA, step_of=step_of)
         async with Mapper.resuming(
-            tmp_path / "map", segmenter=InstanceSegmenter(again.instances), extractor=MeanColorExtractor()
+            tmp_path / "map",
+            segmenter=InstanceSegmenter(again.instances),
+            extractor=MeanColorExtractor(),
+            workers=InProcessWorkers(),
         ) as mapper:
             *_, last = [snapshot async for snapshot in mapper.run(again)]
             return last

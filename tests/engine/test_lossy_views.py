@@ -25,6 +25,7 @@ from hickory_stream.shapes.build import build_shape, make_reconstructor
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, scene_config, scene_request
 from tests.engine.snapshot_fixtures import make_snapshot
+from tests.in_process_workers import InProcessWorkers
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,7 +51,9 @@ def test_a_run_with_lossy_views_goes_on_to_the_same_map(tmp_path: Path) -> None:
 
     async def resume() -> str | None:
         segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
-        async with Mapper.resuming(stopped, segmenter=segmenter, extractor=MeanColorExtractor()) as mapper:
+        async with Mapper.resuming(
+            stopped, segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
+        ) as mapper:
             async for _ in mapper.run(SceneSource(NUM_FRAMES)):
                 pass
             assert mapper.folder is not None

@@ -119,7 +119,7 @@ def test_a_consumer_that_leaves_early_leaves_a_map_that_opens_and_no_child(tmp_p
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        map_scene(tmp_path, on_snapshot=leave)
+        map_scene(tmp_path, on_snapshot=leave, child_workers=True)
     assert not open_map(tmp_path / "map").manifest.finished_cleanly
     assert shape_workers() == []
 

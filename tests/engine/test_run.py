@@ -44,7 +44,7 @@ def saved_with(*others: tuple[Sink, bool]) -> Callable[[MapFolder], list[tuple[S
 
 
 def test_two_workers_make_the_same_map_as_one(tmp_path: Path, calm_digest: str) -> None:
-    assert map_scene(tmp_path, "run.workers=2").digest == calm_digest
+    assert map_scene(tmp_path, "run.workers=2", child_workers=True).digest == calm_digest
 
 
 def test_the_map_is_the_scene_with_all_four_layers(undisturbed_run: SceneRun) -> None:
@@ -73,12 +73,14 @@ def test_a_worker_that_is_killed_is_replaced_and_the_map_is_the_same(tmp_path: P
                 killed.append(child.pid)
                 child.kill()
 
-    assert map_scene(tmp_path, on_progress=kill_once).digest == calm_digest
+    assert map_scene(tmp_path, on_progress=kill_once, child_workers=True).digest == calm_digest
     assert len(killed) == 1
 
 
 def test_jobs_that_time_out_leave_objects_without_shape_and_a_run_that_ends(tmp_path: Path) -> None:
-    run = map_scene(tmp_path, "run.job_timeout_s=1e-9", "mapping.requests.max_failures=1", boxes=SCENE_BOXES[:1])
+    run = map_scene(
+        tmp_path, "run.job_timeout_s=1e-9", "mapping.requests.max_failures=1", boxes=SCENE_BOXES[:1], child_workers=True
+    )
     assert [tracked.shape for tracked in run.snapshots[-1].objects] == [None]
     ledger = json.loads((run.folder.path / "ledger.json").read_text())
     assert ledger["shapes"] == {"requested": 1, "failed": 1, "limits": 1}
@@ -142,7 +144,7 @@ def test_a_failing_essential_sink_stops_the_run_with_its_error(tmp_path: Path) -
 def test_a_source_that_breaks_ends_the_run_with_its_error_and_keeps_the_map(tmp_path: Path) -> None:
     source = BreakingSource(SceneSource(NUM_FRAMES), 6, RecordingError("desk.mcap is torn at 60 %"))
     with pytest.raises(RecordingError, match="torn at 60 %"):
-        map_scene(tmp_path, source=source, sinks=saved_with())
+        map_scene(tmp_path, source=source, sinks=saved_with(), child_workers=True)
     saved = open_map(tmp_path / "map")
     assert not saved.manifest.finished_cleanly
     assert len(saved.snapshot.objects) == 3
@@ -153,7 +155,7 @@ def test_a_source_that_breaks_ends_the_run_with_its_error_and_keeps_the_map(tmp_
 def test_a_source_that_fails_in_its_own_way_does_not_leave_a_child_either(tmp_path: Path) -> None:
     source = BreakingSource(SceneSource(NUM_FRAMES), 6, ZeroDivisionError("in somebody's source"))
     with pytest.raises(ZeroDivisionError):
-        map_scene(tmp_path, source=source)
+        map_scene(tmp_path, source=source, child_workers=True)
     assert shape_workers() == []
 
 
@@ -162,7 +164,7 @@ def test_a_stop_ends_after_the_frames_that_are_read_and_saves(tmp_path: Path) ->
         if progress.keyframes == 2:
             mapper.stop()
 
-    run = map_scene(tmp_path, "run.grace_s=0.0", on_progress=stop)
+    run = map_scene(tmp_path, "run.grace_s=0.0", on_progress=stop, child_workers=True)
     saved = open_map(run.folder.path)
     assert not saved.manifest.finished_cleanly
     assert 2 <= saved.ledger["frames"]["keyframes"] < NUM_FRAMES
@@ -176,7 +178,7 @@ def test_a_stop_while_the_last_shapes_are_built_does_not_wait_for_all_of_them(tm
             mapper.stop()
 
     patience = ("mapping.requests.first_sightings=99", "run.grace_s=0.0")
-    run = map_scene(tmp_path, *patience, on_progress=stop)
+    run = map_scene(tmp_path, *patience, on_progress=stop, child_workers=True)
     saved = open_map(run.folder.path)
     assert not saved.manifest.finished_cleanly
     assert 1 <= sum(tracked.shape is not None for tracked in saved.snapshot.objects) < 3

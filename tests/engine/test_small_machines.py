@@ -52,7 +52,7 @@ def test_a_shape_worker_computes_on_one_thread_however_many_cores_there_are(tmp_
     with pytest.MonkeyPatch.context() as patched:
         for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
             patched.setenv(name, "12")
-        map_scene(tmp_path, *SOON, f"run.worker_python={python}")
+        map_scene(tmp_path, *SOON, f"run.worker_python={python}", child_workers=True)
     done = subprocess.run(
         [sys.executable, "-c", _THREADS],
         env=json.loads(told.read_text()),

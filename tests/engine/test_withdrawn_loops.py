@@ -21,6 +21,7 @@ from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.records import Loop
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
+from tests.in_process_workers import InProcessWorkers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -137,7 +138,9 @@ def test_a_run_that_was_stopped_while_it_was_believed_comes_to_the_same_map(whol
 
     async def resume() -> MapSnapshot:
         segmenter = InstanceSegmenter(scene.instances)
-        async with Mapper.resuming(tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor()) as mapper:
+        async with Mapper.resuming(
+            tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
+        ) as mapper:
             *_, last = [snapshot async for snapshot in mapper.run(source())]
             return last
 

@@ -17,6 +17,7 @@ from hickory_stream.fleet.resuming import has_ended, send_recorded
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene
+from tests.in_process_workers import InProcessWorkers
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -82,7 +83,9 @@ def test_a_robot_that_was_stopped_sends_the_rest_after_what_it_had_sent(
 
     async def go_on() -> None:
         segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
-        async with Mapper.resuming(tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor()) as mapper:
+        async with Mapper.resuming(
+            tmp_path / "map", segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
+        ) as mapper:
             async for _ in mapper.run(SceneSource(NUM_FRAMES), sinks=lambda folder: saved_and(growth, folder)):
                 pass
 

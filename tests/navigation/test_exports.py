@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
@@ -18,6 +19,7 @@ from hickory_stream.navigation.observed import Band
 from hickory_stream.navigation.occupancy import Cell, frame_around
 from hickory_stream.navigation.simulators import SimulatedObject, mjcf_files, polyhedron_around, urdf_files
 from hickory_stream.navigation.walls import wall_boxes
+from hickory_stream.textures.textured_mesh import TexturedMesh
 from tests.engine.snapshot_fixtures import box_mesh, placed
 from tests.navigation.rooms import boxes, snapshot, table
 from tests.navigation.test_clearance import random_primitives
@@ -116,6 +118,30 @@ def test_mujoco_opens_the_mjcf_and_a_ball_comes_to_rest_on_the_table(tmp_path: P
     names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, i) for i in range(model.ngeom)]
     assert at.geom_xpos[names.index("crate-0")] == pytest.approx([4.5, 1.0, 0.3], abs=1e-6)
     assert at.geom_xpos[names.index("table-0")] == pytest.approx([1.5, 2.0, 0.7], abs=1e-6)
+
+
+def test_mujoco_has_the_texture_of_an_object_the_right_way_round(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    objects, walls = scene()
+    mesh = objects[0].mesh
+    assert mesh is not None
+    low, size = mesh.vertices.min(axis=0), np.ptp(mesh.vertices, axis=0)
+    # The picture as on the front of the table: left red, right blue, the lower half darker.
+    right, height = ((mesh.vertices - low) / size)[:, [0, 2]].T
+    image = np.zeros((8, 8, 3), np.uint8)
+    image[:, :4], image[:, 4:] = (200, 0, 0), (0, 0, 200)
+    image[4:] //= 2
+    uv = np.column_stack([0.05 + 0.9 * right, 0.95 - 0.9 * height])
+    textured = TexturedMesh(mesh=mesh, uv=uv, image=image, source=np.arange(len(uv)))
+    write(mjcf_files([replace(objects[0], texture=textured)], walls, 0.0, "room"), tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
+    seen = next(i for i in range(model.ngeom) if model.geom_matid[i] >= 0)
+    data = model.geom_dataid[seen]
+    first = model.mesh_texcoordadr[data]
+    found = model.mesh_texcoord[first : first + model.mesh_texcoordnum[data]]
+    assert sorted(map(tuple, found.round(4))) == sorted(map(tuple, uv.round(4)))
+    assert (model.tex_width[0], model.tex_height[0], model.tex_nchannel[0]) == (8, 8, 3)
+    assert (model.tex_data[: image.size].reshape(image.shape) == image).all()
 
 
 def test_the_urdf_has_a_link_for_each_object_whose_meshes_lie_where_the_object_is(tmp_path: Path) -> None:

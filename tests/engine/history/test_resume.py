@@ -21,6 +21,7 @@ from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.testing import BreakingSource, InstanceSegmenter, MeanColorExtractor
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
+from tests.in_process_workers import InProcessWorkers
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,7 +39,9 @@ def undisturbed(undisturbed_run: SceneRun) -> SceneRun:
 def resume(path: Path, source: SceneSource | None = None) -> str | None:
     async def run() -> str | None:
         segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
-        async with Mapper.resuming(path, segmenter=segmenter, extractor=MeanColorExtractor()) as mapper:
+        async with Mapper.resuming(
+            path, segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
+        ) as mapper:
             async for _ in mapper.run(source or SceneSource(NUM_FRAMES)):
                 pass
             assert mapper.folder is not None

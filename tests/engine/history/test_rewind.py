@@ -21,6 +21,7 @@ from hickory_stream.errors import MapFolderError
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
 from players.playback import PlaybackClock, PlayedSource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
+from tests.in_process_workers import InProcessWorkers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -163,7 +164,7 @@ def test_a_run_that_was_sought_in_and_stopped_cannot_be_resumed_but_saved(tmp_pa
     assert was_sought(path)
 
     async def resume() -> None:
-        async with Mapper.resuming(path, extractor=MeanColorExtractor()) as mapper:
+        async with Mapper.resuming(path, extractor=MeanColorExtractor(), workers=InProcessWorkers()) as mapper:
             async for _ in mapper.run(SceneSource(NUM_FRAMES)):
                 pass
 

@@ -1,0 +1,54 @@
+"""Shape workers for tests of something else: jobs are done on a thread, where kernels are loaded already.
+
+A child process takes two seconds to start, and most runs of the tests have three small shapes. That it answers the same
+as one: conformance/test_workers_conformance.py.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Self
+
+from hickory_stream.engine.shape_worker import serve
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class InProcessWorkers:
+    """One thread that does jobs; leaving waits for the one that it is at, and drops the others."""
+
+    num_limits = 0
+    num_alive = 1
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, "shapes")
+        self._open: set[asyncio.Future[str | None]] = set()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await asyncio.to_thread(self._thread.shutdown, cancel_futures=True)
+
+    @property
+    def num_open(self) -> int:
+        return len(self._open)
+
+    def submit(self, folder: Path) -> asyncio.Future[str | None]:
+        answer: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
+        self._open.add(answer)
+        answer.add_done_callback(self._open.discard)
+        job = asyncio.wrap_future(self._thread.submit(_served, folder, answer))
+        job.add_done_callback(lambda done: _hand_over(done, answer))
+        return answer
+
+
+def _served(folder: Path, answer: asyncio.Future[str | None]) -> str | None:
+    return None if answer.cancelled() else serve(folder)
+
+
+def _hand_over(done: asyncio.Future[str | None], answer: asyncio.Future[str | None]) -> None:
+    if not answer.done() and not done.cancelled():
+        answer.set_result(done.result())
