@@ -22,7 +22,7 @@ import trimesh
 from rerun.chunk import RrdReader
 
 from hickory_stream.cli import main
-from hickory_stream.config import from_dict, read_config
+from hickory_stream.config_text import from_dict, read_config
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play

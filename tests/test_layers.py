@@ -18,8 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (
     ("hickory_stream.errors", "hickory_stream.confined"),
     (
-        "hickory_stream.ranges",
-        "hickory_stream.json_text+hickory_stream.terminal+hickory_stream.html_page",
+        "hickory_stream.ranges+hickory_stream.config_text+hickory_stream.json_text+hickory_stream.terminal+hickory_stream.html_page",
         "hickory_stream.caches+hickory_stream.compiling+hickory_stream.compiled",
     ),
     ("hickory_stream.geometry",),

@@ -10,7 +10,7 @@ from typing import Any, get_type_hints
 import pytest
 
 from hickory_stream.alignment.align_config import AlignConfig
-from hickory_stream.config import from_dict, read_config, to_toml
+from hickory_stream.config_text import from_dict, read_config, to_toml
 from hickory_stream.errors import ConfigError, RangeError
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.merging.merge_maps import MergeMapsConfig

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.config import RunConfig
 from hickory_stream.confined import plain_name, read_within
 from hickory_stream.engine.atomic import disk_errors, write_atomically
 from hickory_stream.engine.image_files import lossy_bytes, png_bytes, read_image
@@ -31,8 +30,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.config import RunConfig
+
 _MAX_MM = 65535
-_DEFAULT = RunConfig()
 _LOSSY = {"jpeg": ".jpg", "webp": ".webp"}
 # WebP has 14 bits for a side; a longer one is written as PNG.
 _MOST_LOSSY_SIDE_PX = 16383
@@ -52,10 +52,11 @@ def crop_files(views: Path, name: str) -> tuple[Path, ...]:
     return views / f"{name}.color.png", depth, description
 
 
-def write_crop(views: Path, name: str, crop: Crop, how: RunConfig = _DEFAULT) -> None:
+def write_crop(views: Path, name: str, crop: Crop, how: RunConfig | None = None) -> None:
     """Write a view's pixels into the folder `views` (a map folder's `views/`) under `name` (`View.name`).
 
-    Depth is rounded to millimetres; what is beyond 65.5 m becomes "no return". Colour is as `how.view_colors` says.
+    Depth is rounded to millimetres; what is beyond 65.5 m becomes "no return". Colour is as `how.view_colors` says,
+    exact without it.
 
     Raises:
         MapFolderError: the disk refused.
@@ -67,7 +68,7 @@ def write_crop(views: Path, name: str, crop: Crop, how: RunConfig = _DEFAULT) ->
     }
     bgr, mask = crop.rgb[..., ::-1], crop.mask.astype(np.uint8) * np.uint8(255)
     files = {"depth.png": png_bytes(_millimetres(crop.depth_m))}
-    if how.view_colors in _LOSSY and max(mask.shape) <= _MOST_LOSSY_SIDE_PX:
+    if how is not None and how.view_colors in _LOSSY and max(mask.shape) <= _MOST_LOSSY_SIDE_PX:
         suffix = _LOSSY[how.view_colors]
         color = lossy_bytes(np.ascontiguousarray(bgr), suffix, how.view_quality)
         files |= {"mask.png": png_bytes(mask, is_bilevel=True), f"color{suffix}": color}

@@ -21,7 +21,6 @@ import llvmlite.binding
 
 from hickory_stream.caches import cache_root, mark_used
 from hickory_stream.compiled import kernels_folder, numba, source_hash
-from hickory_stream.engine.warm_up import PARTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -30,6 +29,8 @@ logger = logging.getLogger(__name__)
 
 _ROOT = Path(__file__).resolve().parents[1]
 _PACKAGES = ("geometry", "perception", "mapping", "shapes")
+PARTS = ("mapping", "shapes")
+"""What `warm_up` compiles, a process each."""
 _LEFT_OUT = "models"  # networks have kernels that few runs need
 _TELL_EVERY_S = 1.0
 _DECORATOR = "@numba.njit("

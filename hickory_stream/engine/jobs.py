@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.config import from_dict
+from hickory_stream.config_text import from_dict
 from hickory_stream.confined import path_within, plain_name, read_within
 from hickory_stream.engine.array_files import npy_array
 from hickory_stream.engine.atomic import disk_errors, link_or_copy, outside_errors, write_atomically

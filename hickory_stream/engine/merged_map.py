@@ -11,7 +11,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.config import from_dict
+from hickory_stream.config_text import from_dict
 from hickory_stream.confined import path_within
 from hickory_stream.engine.atomic import disk_errors, link_or_copy, outside_errors, write_atomically
 from hickory_stream.engine.crops import crop_files, read_crop

@@ -18,7 +18,6 @@ from typing import Any
 from hickory_stream.engine.first_run import are_compiled
 from hickory_stream.engine.generators.choose import reconstructor_of
 from hickory_stream.engine.jobs import read_job, write_result
-from hickory_stream.engine.warm_up import warm_up
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import build_shape
@@ -31,6 +30,9 @@ def main() -> None:
     jobs: queue.Queue[str] = queue.Queue()
     threading.Thread(target=_listen, args=(jobs,), name="listen", daemon=True).start()
     if not are_compiled():
+        # What it imports a worker needs this once.
+        from hickory_stream.engine.warm_up import warm_up
+
         warm_up()
     with contextlib.suppress(BrokenPipeError):
         _say(answers, {"ready": os.getpid()})

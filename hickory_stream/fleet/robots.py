@@ -7,7 +7,7 @@ import tomllib
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.config import from_dict
+from hickory_stream.config_text import from_dict
 from hickory_stream.errors import ConfigError
 from hickory_stream.merging.joining import JoiningConfig
 from hickory_stream.ranges import Ranged, number

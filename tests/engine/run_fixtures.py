@@ -10,7 +10,8 @@ import numpy as np
 import psutil
 
 from hickory_stream.box_scene import SCENE_BOXES, SceneSource
-from hickory_stream.config import MapperConfig, RunConfig, read_config
+from hickory_stream.config import MapperConfig, RunConfig
+from hickory_stream.config_text import read_config
 from hickory_stream.engine.crops import write_crop
 from hickory_stream.engine.keyframe_images import crop_of
 from hickory_stream.engine.mapper import Mapper

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from perception_scenes import Block, floor, looking, render
 
-from hickory_stream.config import read_config
+from hickory_stream.config_text import read_config
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.lattice import Lattice

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneBox, cast_scene
-from hickory_stream.config import MapperConfig, read_config
+from hickory_stream.config import MapperConfig
+from hickory_stream.config_text import read_config
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.saved_map import open_map

@@ -129,7 +129,7 @@ def _toml_text(kind: str) -> str:
         return (resources.files("hickory_stream.navigation") / "robots" / "b2.toml").read_text(encoding="utf-8")
     if kind == "profile":
         return (resources.files("players") / "profiles" / "realsense.toml").read_text(encoding="utf-8")
-    from hickory_stream.config import to_toml
+    from hickory_stream.config_text import to_toml
     from hickory_stream.settings import Settings
 
     return to_toml(Settings())

@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
-from hickory_stream.config import MapperConfig, read_config
+from hickory_stream.config import MapperConfig
+from hickory_stream.config_text import read_config
 from hickory_stream.engine.manifest import is_map_folder
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.maps.trial import error_of, normalised_square

@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.config import MapperConfig, read_config
+from hickory_stream.config import MapperConfig
+from hickory_stream.config_text import read_config
 from hickory_stream.engine.jobs import write_job
 from hickory_stream.engine.manifest import MANIFEST, manifest_json
 from hickory_stream.engine.mapper import Mapper

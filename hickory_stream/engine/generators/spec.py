@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hickory_stream.config import from_dict
+from hickory_stream.config_text import from_dict
 from hickory_stream.errors import ConfigError
 from hickory_stream.ranges import Ranged, number
 

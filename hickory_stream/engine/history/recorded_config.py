@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from hickory_stream.config import MapperConfig, as_far_as_known, from_dict
+from hickory_stream.config import MapperConfig, as_far_as_known
+from hickory_stream.config_text import from_dict
 from hickory_stream.engine.manifest import read_manifest
 from hickory_stream.errors import ConfigError, MapFolderError
 
