@@ -171,9 +171,14 @@ class _Stored:
         self._part: Callable[[], object] = weakref.ref(part) if isinstance(part, np.ndarray) else lambda: part
         self.place = (0, 0)
         self.uses: list[_Stored] = []
+        self.used_in = -1
 
     def is_of(self, part: object) -> bool:
         return self._part() is part
+
+    @property
+    def is_there(self) -> bool:
+        return self._part() is not None
 
 
 class _Parts:
@@ -217,8 +222,11 @@ class _Parts:
         return stored.place
 
     def _use(self, stored: _Stored) -> None:
-        if self._used.get(stored.key) is not stored:
-            self._used[stored.key] = stored
+        if stored.used_in != self._chunk:
+            stored.used_in = self._chunk
+            # The identity of an array that is gone may be another one's by now.
+            if stored.is_there:
+                self._used[stored.key] = stored
             for other in stored.uses:
                 self._use(other)
 

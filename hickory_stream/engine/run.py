@@ -31,6 +31,7 @@ from hickory_stream.engine.announcer import Announcer
 from hickory_stream.engine.corrections import Corrections
 from hickory_stream.engine.due_shapes import DueShapes, OutOfPatienceError
 from hickory_stream.engine.effects import AtHand, EffectRunner, EffectTargets
+from hickory_stream.engine.far_arrays import FarArrays
 from hickory_stream.engine.first_run import compile_kernels
 from hickory_stream.engine.frame_outcomes import FrameOutcome, KeyframeChoice
 from hickory_stream.engine.frame_placing import Placing
@@ -101,6 +102,8 @@ class Run:
             extractor=parts.extractor,
             publish=self._announcer.publish,
         )
+        self._far = FarArrays(folder.path)
+        parts.core.keep_far_arrays(self._far.keep)
         self._effects = EffectRunner(parts.core, targets, self._thinker, config.run)
         self._due = DueShapes(
             self._shapes,
@@ -272,6 +275,7 @@ class Run:
         folder, config, now = self._parts.folder, self._parts.config, self._effects.core
         rewound = await on_thread(self._thinker, rewound_to, folder, config, stamp_ns, now)
         self._effects.core = rewound.core
+        rewound.core.keep_far_arrays(self._far.keep)
         self._placing.restore(rewound.registration)
         self._steps.rewind(rewound, self._shapes.rewind(rewound.open_jobs, rewound.answers))
         self._loops.restart(rewound.core.searches)

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
     Make = Callable[[str], NDArray[Any]]
     MakeAll = Callable[[], Mapping[str, NDArray[Any]]]
-    Compressed = tuple[str, tuple[int, ...], bytes]
+    Compressed = tuple[str, tuple[int, ...], Callable[[], bytes]]
+    Keep = Callable[[bytes], Callable[[], bytes]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +84,17 @@ def read_parts(record: GivesUpArrays, read: Callable[[str], Mapping[str, Any]], 
     _let_go(record, _Maker(read, names, keeps=True))
 
 
-def compress(record: GivesUpArrays, *names: str) -> None:
-    """Keep arrays of a record compressed alone; those that were read since the last time are let go again."""
+def in_memory(data: bytes) -> Callable[[], bytes]:
+    """Keep bytes, and return what gives them back: the simplest of the places that compressed arrays can go to."""
+    return lambda: data
+
+
+def compress(record: GivesUpArrays, *names: str, keep: Keep = in_memory) -> None:
+    """Have arrays of a record kept compressed alone; those that were read since the last time are let go again."""
     with _lock:
         if record in _makers:
             return _let_go(record, _makers[record])
-        packed = {name: compressed(getattr(record, name)) for name in names}
+        packed = {name: compressed(getattr(record, name), keep) for name in names}
         return _let_go(record, _Maker(lambda name: {name: restored(packed[name])}, names, keeps=True))
 
 
@@ -107,22 +113,22 @@ def _let_go(record: GivesUpArrays, maker: _Maker) -> None:
                 pass  # given up before
 
 
-def compressed(array: NDArray[Any]) -> Compressed:
-    """Return an array packed: keys and other whole numbers in a row as steps."""
+def compressed(array: NDArray[Any], keep: Keep = in_memory) -> Compressed:
+    """Return an array packed, its bytes where `keep` has them: keys and other whole numbers in a row as steps."""
     if array.size == 0:
-        return array.dtype.str, array.shape, b""
+        return array.dtype.str, array.shape, in_memory(b"")
     steps = np.diff(array, prepend=array.dtype.type(0)) if _is_row(array) else array
     # A copy: what zstandard returns holds the memory of the most that it could have become.
-    return array.dtype.str, array.shape, bytes(memoryview(zstandard.compress(planes_of(steps), 1)))
+    return array.dtype.str, array.shape, keep(bytes(memoryview(zstandard.compress(planes_of(steps), 1))))
 
 
 def restored(packed: Compressed) -> NDArray[Any]:
     """Return the array that was packed."""
     name, shape, data = packed
     dtype = np.dtype(name)
-    if not data:
+    if 0 in shape:
         return np.empty(shape, dtype)
-    array = array_of(zstandard.decompress(data), dtype, shape)
+    array = array_of(zstandard.decompress(data()), dtype, shape)
     return np.cumsum(array, dtype=dtype) if _is_row(array) else array
 
 

@@ -12,12 +12,14 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from hickory_stream.geometry.made_arrays import compressed, restored
+from hickory_stream.geometry.made_arrays import compressed, in_memory, restored
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
+
+    from hickory_stream.geometry.made_arrays import Keep
 
 NAMES = ("keys", "points", "colors", "hits")
 
@@ -33,22 +35,22 @@ class _Packed:
     array: Callable[[str], NDArray[Any]]
 
 
-def pack(cloud: Any) -> None:
-    """Compress the arrays of a cloud."""
+def pack(cloud: Any, keep: Keep = in_memory) -> None:
+    """Compress the arrays of a cloud, and have them kept."""
     with _lock:
         if cloud not in _cold and len(cloud.keys):
-            packed = {name: compressed(getattr(cloud, name)) for name in NAMES}
+            packed = {name: compressed(getattr(cloud, name), keep) for name in NAMES}
             _keep(cloud, _Packed(len(cloud.keys), lambda name: restored(packed[name])))
 
 
-def pack_part(part: Any, whole: Any) -> None:
+def pack_part(part: Any, whole: Any, keep: Keep = in_memory) -> None:
     """Let go of the arrays of a cloud that are some of another one's, which is packed as well.
 
     Where they are not some of those the part is compressed by itself.
     """
     with _lock:
         if part in _cold or part is whole:
-            return pack(whole)
+            return pack(whole, keep)
         marks = np.isin(whole.keys, part.keys, assume_unique=True)
         chosen = {name: getattr(whole, name)[marks] for name in NAMES}
         if all(np.array_equal(chosen[name], getattr(part, name)) for name in NAMES):
@@ -60,8 +62,8 @@ def pack_part(part: Any, whole: Any) -> None:
 
             _keep(part, _Packed(len(part.keys), chosen_of))
         else:
-            pack(part)
-        return pack(whole)
+            pack(part, keep)
+        return pack(whole, keep)
 
 
 def leave_unread(cloud: Any, count: int | None, array: Callable[[str], NDArray[Any]]) -> None:

@@ -45,6 +45,7 @@ from hickory_stream.mapping.tracker import Tracker
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
+    from hickory_stream.geometry.made_arrays import Keep
     from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.mapping.submaps import SubmapState
     from hickory_stream.mapping.tracker import Associator
@@ -116,8 +117,6 @@ class MapperCore:
             case _:
                 assert_never(event)
 
-    # ---- a keyframe --------------------------------------------------------------------------------------------------
-
     def _keyframe(self, event: FrameObserved) -> list[Effect]:
         state, config, tracker = self._state, self._config, self._tracker
         open_id = state.submaps.open_id
@@ -167,8 +166,6 @@ class MapperCore:
             ),
         ]
 
-    # ---- other events ------------------------------------------------------------------------------------------------
-
     def _poses_corrected(self, event: PosesCorrected) -> list[Effect]:
         """Set corrected submap poses. Data stay in the odometry frame; the correction is applied on output."""
         effects = place_submaps(self._state, event, self._config, merges=not self._tracker.is_told)
@@ -181,8 +178,6 @@ class MapperCore:
         effects = [*end_tracks(state, self._config, merges=not self._tracker.is_told), *end_elsewhere(state)]
         state.absorbed, state.joins = {}, {}  # no track can be split off or parted any more
         return [*effects, *self._conclude((), is_final=True)]
-
-    # ---- the map -----------------------------------------------------------------------------------------------------
 
     def snapshot(self) -> MapSnapshot:
         """Return the map as it is now."""
@@ -218,6 +213,10 @@ class MapperCore:
     def view_names(self) -> set[str]:
         """Return the names of the views that the tracks have, or that a later split could restore."""
         return self._state.view_names()
+
+    def keep_far_arrays(self, keep: Keep) -> None:
+        """Have `keep` hold what no keyframe is about any more, compressed, e.g. on the disk; otherwise memory does."""
+        self._state.derived.warm.keep = keep
 
     def state(self) -> dict[str, object]:
         """Return the complete state by name, from which `from_state` can resume; later events do not change it."""

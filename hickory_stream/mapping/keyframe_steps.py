@@ -28,8 +28,9 @@ def begin_keyframe(state: MapState, event: FrameObserved, config: MappingConfig)
         raise ValueError(f"frame {event.frame_index} came while features of {state.pending.frame_index} are pending")
     state.revision += 1
     state.advance_clock(event.stamp_ns)
-    state.submaps = looking_at(with_keyframe(state.submaps, event, config.submaps), event.space)
-    state.derived.warm.follow(state.tracks, state.sight, state.revision)
+    warm = state.derived.warm
+    state.submaps = looking_at(with_keyframe(state.submaps, event, config.submaps), event.space, warm.keep)
+    warm.follow(state.tracks, state.absorbed, state.split_candidates, sight=state.sight, revision=state.revision)
     for rejected in event.rejected:
         state.decide("reject", None, f"mask {rejected.box_px}: {rejected.reason}")
 
@@ -40,4 +41,4 @@ def see_space(state: MapState, event: FrameObserved) -> None:
     changed = floor_change(state.submaps.space, seen_m, false_floor(state.submaps, seen_m))
     if changed is not None:
         state.decide("floor", None, changed)
-    state.submaps = with_seen(state.submaps, event.space)
+    state.submaps = with_seen(state.submaps, event.space, state.derived.warm.keep)

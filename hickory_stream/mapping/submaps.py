@@ -24,7 +24,7 @@ import numpy as np
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.directions import turned_directions
-from hickory_stream.geometry.made_arrays import compress, give_up
+from hickory_stream.geometry.made_arrays import compress, give_up, in_memory
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from hickory_stream.geometry.voxels import contains, difference, exchanged, places, union
 from hickory_stream.mapping import observed_space
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.events import FrameObserved, KeyframeRegistered
+    from hickory_stream.geometry.made_arrays import Keep
     from hickory_stream.mapping.submap_surface import SurfacePoints
 
 
@@ -259,8 +260,11 @@ def torn(submaps: Submaps) -> Submaps:
     return replace(opened, states=(*opened.states[:-1], replace(opened.states[-1], after_jump=True)))
 
 
-def looking_at(submaps: Submaps, seen: SpaceObservation) -> Submaps:
-    """Return the submaps with their space, and the owners of its voxels, of a window around what a keyframe sees."""
+def looking_at(submaps: Submaps, seen: SpaceObservation, keep: Keep = in_memory) -> Submaps:
+    """Return the submaps with their space, and the owners of its voxels, of a window around what a keyframe sees.
+
+    Where the window moves, what lies outside is compressed, and `keep` has it.
+    """
     sight = window_of(seen.free_keys, seen.structure_keys, seen.surface_keys)
     if submaps.first == submaps.open_id or sight is None:
         return submaps
@@ -269,7 +273,7 @@ def looking_at(submaps: Submaps, seen: SpaceObservation) -> Submaps:
     if submaps.window is not None and submaps.window.holds(least):
         return submaps
     moved = _within(submaps, least.wider(round(_MOST_BESIDE_M / voxel_m)))
-    _compress_far(moved)
+    _compress_far(moved, keep)
     return moved
 
 
@@ -293,11 +297,11 @@ def false_floor(submaps: Submaps, seen_m: float | None) -> float | None:
     return observed_space.false_floor(replace(everywhere, floor_z_m=submaps.space.floor_z_m), seen_m)
 
 
-def with_seen(submaps: Submaps, seen: SpaceObservation) -> Submaps:
+def with_seen(submaps: Submaps, seen: SpaceObservation, keep: Keep = in_memory) -> Submaps:
     """Return the submaps after one more keyframe; a new one is opened on another storey, since each has one floor."""
     false_m = false_floor(submaps, seen.floor_z_m)
     if false_m is None and is_another_storey(submaps.space, seen.floor_z_m):
-        submaps = looking_at(_opened(_closed(submaps)), seen)
+        submaps = looking_at(_opened(_closed(submaps)), seen, keep)
     last = submaps.states[-1]
     if submaps.first == submaps.open_id:
         space = added(submaps.space, seen, false_m)
@@ -439,15 +443,15 @@ def _survey(surface: SubmapSurface, space: SpaceState, name: str) -> NDArray[Any
     return array
 
 
-def _compress_far(submaps: Submaps) -> None:
+def _compress_far(submaps: Submaps, keep: Keep) -> None:
     """Compress the spaces and surfaces of the submaps that the window does not reach."""
     window = submaps.window
     for state in submaps.states[:-1]:
         reach = extent(state.space)
         if state.id < submaps.first or (window is not None and reach is not None and not window.meets(reach)):
             for space in (state.space, state.seen):
-                compress(space, "free", "hidden_free", "surface", "hits", "misses", "room")
-            compress(state.surface, "keys", "points", "normals", "hits")
+                compress(space, "free", "hidden_free", "surface", "hits", "misses", "room", keep=keep)
+            compress(state.surface, "keys", "points", "normals", "hits", keep=keep)
 
 
 def own_space(state: SubmapState) -> SpaceState:

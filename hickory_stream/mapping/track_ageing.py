@@ -82,7 +82,7 @@ def _as_warm_as_before(state: MapState, track_id: int) -> Iterator[None]:
     was_packed = track is not None and is_packed(track.cloud)
     yield
     if was_packed and (track := state.tracks.get(track_id)) is not None:
-        pack_part(track.solid, track.cloud)
+        pack_part(track.solid, track.cloud, state.derived.warm.keep)
 
 
 class Case:

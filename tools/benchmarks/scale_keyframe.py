@@ -30,6 +30,7 @@ import numpy as np
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.crops import crop_files
 from hickory_stream.engine.digest import map_digest
+from hickory_stream.engine.far_arrays import FarArrays
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.map_folder import create_map_folder
@@ -181,6 +182,7 @@ class Mapped:
         self.core = MapperCore(self._config.mapping)
         self._folder = create_map_folder(folder, config={}, source={}, run={}, overwrite=True)
         self._journal = JournalWriter(folder, flush_s=2.0)
+        self.core.keep_far_arrays(FarArrays(folder).keep)
         self._jobs: dict[int, RequestShape] = {}
         self._num_keyframes = 0
         self._published: Publish | None = None
