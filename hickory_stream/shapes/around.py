@@ -37,7 +37,7 @@ def around_all(vertices: NDArray[np.float64], faces: NDArray[np.int32], min_size
     if extent.min() <= min_size_m:
         return whole
     box = OrientedBox(world_from_box=whole.world_from_local[0], half_extents_m=whole.semi_axes_m[0])
-    surface = _surface_samples(vertices, faces)
+    surface = surface_samples(vertices[faces])
     found = sketch(surface, box)
     candidates = [whole, *_cylinders_in(whole), *([] if found is None else [found])]
     return min(candidates, key=lambda candidate: _cover_m3(candidate, surface))
@@ -66,9 +66,9 @@ def _cover_m3(primitive: Superquadrics, points: NDArray[np.float64]) -> float:
     return float(volumes_m3(primitive)[0] * (scale * scale * scale))
 
 
-def _surface_samples(vertices: NDArray[np.float64], faces: NDArray[np.int32], count: int = 500) -> NDArray[np.float64]:
-    """Return (count, 3) points distributed over triangles by area, deterministically."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+def surface_samples(corners: NDArray[np.float64], count: int = 500) -> NDArray[np.float64]:
+    """Return (count, 3) points distributed over (F, 3, 3) triangles by area, deterministically."""
+    a, b, c = corners.transpose(1, 0, 2)
     passed = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     steps = np.arange(count)
     chosen = np.searchsorted(passed, (steps + 0.5) / count * passed[-1])

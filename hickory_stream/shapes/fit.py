@@ -26,10 +26,11 @@ from hickory_stream.shapes.envelope import filled
 from hickory_stream.shapes.fit_field import FitField
 from hickory_stream.shapes.frame import object_axes
 from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplified
-from hickory_stream.shapes.panels import panels
+from hickory_stream.shapes.panels import panels, sheet_thickness
 from hickory_stream.shapes.quadric_lm import ROW, row_of
 from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
 from hickory_stream.shapes.seeds import chessboard_depth, grown_box, principal_axes
+from hickory_stream.shapes.thin_parts import with_thin_parts
 from hickory_stream.shapes.usable import usable
 
 if TYPE_CHECKING:
@@ -146,11 +147,23 @@ def _fitted(vertices: NDArray[np.float64], faces: NDArray[np.int32], config: Fit
             max_cells=2 * config.cells,
         )
         solid, overlap = marched(distance_grid(vertices, faces, cells=cells, band_cells=config.band_cells), config)
-        if solid is not None and overlap >= config.min_overlap:
+        if solid is not None:
+            solid = with_thin_parts(
+                solid,
+                vertices,
+                faces,
+                step_m=longest / cells,
+                most=config.max_primitives + config.max_protruding,
+                least_area=config.min_gain,
+            )
+        # What is thinner than a cell may agree with the grid and yet not with the mesh.
+        if solid is not None and overlap >= config.min_overlap and sheet_thickness(vertices, faces) > longest / cells:
             return Fitted(primitives=solid, kind="solid")
     thin = panels(vertices, faces, most=config.max_primitives, min_size_m=_THINNEST * longest)
     if thin.share >= max(config.min_overlap, overlap):
         return Fitted(primitives=thin.primitives, kind="panels")
+    if solid is not None and overlap >= config.min_overlap:
+        return Fitted(primitives=solid, kind="solid")
     whole = filled(distance_grid(vertices, faces, cells=config.cells, band_cells=config.band_cells))
     if whole is not None:
         envelope, overlap = marched(whole, config)
