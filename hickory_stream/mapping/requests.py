@@ -61,13 +61,16 @@ class RequestConfig(Ranged):
     replace_by: float = number(0.5, 0, 1e6, "ratio")
 
 
+Rank = tuple[bool, float, float, int]
+
+
 def next_requests(
     tracks: Mapping[int, Track], num_open: int, clock_ns: int, *, is_final: bool, config: RequestConfig
 ) -> list[int]:
     """Return the ids of the objects whose shapes to request now, most urgent first; all of them at the end."""
-    wanted = [t for t in tracks.values() if _is_wanted(t, clock_ns, is_final=is_final, config=config)]
+    wanted = [t for t in tracks.values() if is_wanted(t, clock_ns, is_final=is_final, config=config)]
     free = len(wanted) if is_final else max(0, config.max_in_flight - num_open)
-    return [track.id for track in sorted(wanted, key=lambda track: _rank(track, config))[:free]]
+    return [track.id for track in sorted(wanted, key=lambda track: rank_of(track, config))[:free]]
 
 
 def next_replacements(tracks: Mapping[int, Track], clock_ns: int, config: RequestConfig) -> list[int]:
@@ -136,17 +139,18 @@ def _is_new(track: Track) -> bool:
     return track.shape is None and not track.shape_state.asked_views
 
 
-def _rank(track: Track, config: RequestConfig) -> tuple[bool, float, float, int]:
-    """Return the sort key of requests: new objects first, then the increase in S per second, then `gain_of`."""
+def rank_of(track: Track, config: RequestConfig) -> Rank:
+    """Return the sort key of requests: new objects first, then the increase in S per second, then `gain_of`; the id."""
     return not _is_new(track), -increase_in_score(track) / predicted_s(track, config), -gain_of(track), track.id
 
 
 def may_be_wanted(track: Track, config: RequestConfig) -> bool:
     """Return whether a shape of a track is wanted now, or once enough time has passed, if nothing of it changes."""
-    return _is_wanted(track, _NEVER_NS, is_final=False, config=config)
+    return is_wanted(track, _NEVER_NS, is_final=False, config=config)
 
 
-def _is_wanted(track: Track, clock_ns: int, *, is_final: bool, config: RequestConfig) -> bool:
+def is_wanted(track: Track, clock_ns: int, *, is_final: bool, config: RequestConfig) -> bool:
+    """Return whether a shape of a track is wanted now."""
     state = track.shape_state
     if not is_object(track) or state.open_ticket is not None:
         return False

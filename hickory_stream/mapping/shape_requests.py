@@ -29,8 +29,10 @@ def request_shapes(state: MapState, mapping: MappingConfig, *, is_final: bool) -
     wishes.follow(state.tracks, state.elsewhere, config)
     num_open = wishes.num_open
     replaced = [] if is_final else next_replacements(wishes.with_job(state.tracks), state.clock_ns, config)
-    maybe = state.tracks if is_final else wishes.wanting(state.tracks)
-    wanted = next_requests(maybe, num_open, state.clock_ns, is_final=is_final, config=config)
+    if is_final:
+        wanted = next_requests(state.tracks, num_open, state.clock_ns, is_final=True, config=config)
+    else:
+        wanted = wishes.next_wanted(state.tracks, state.clock_ns, config)
     effects = [effect for track_id in (*replaced, *wanted) for effect in _requested(state, track_id, mapping)]
     if is_final:
         missing = next_requests(state.elsewhere, num_open, state.clock_ns, is_final=True, config=config)

@@ -43,7 +43,7 @@ class Snapshots:
         self._marks: tuple[Mark, Mark] | None = None
         self._places: dict[int, NDArray[np.float64]] = {}
         self._objects: dict[int, _Shown] = {}
-        self._submaps: dict[int, tuple[SubmapState, Submap]] = {}
+        self._submaps: dict[int, tuple[SubmapState, Submap, bool]] = {}
         self._phases: dict[int, Phase] = {}
         self._num_of: Counter[Phase] = Counter()
         self._scores: dict[int, float] = {}
@@ -142,11 +142,13 @@ class Snapshots:
     def _submap(self, state: SubmapState) -> Submap:
         shown = self._submaps.get(state.id)
         if shown is None or shown[0] is not state:
-            shown = self._submaps[state.id] = (state, record_of(state))
-        if has_given_up(state.space):
+            shown = self._submaps[state.id] = (state, record_of(state), False)
+        _, submap, gives_up = shown
+        if not gives_up and has_given_up(state.space):
             # A record whose space is compressed does not hold it either.
-            give_up(shown[1].observed_space, lambda name: _of_space(state, name), "free", "structure")
-        return shown[1]
+            give_up(submap.observed_space, lambda name: _of_space(state, name), "free", "structure")
+            self._submaps[state.id] = (state, submap, True)
+        return submap
 
 
 def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> TrackedObject:

@@ -46,7 +46,7 @@ from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import SpaceObservation, Submap, SurveyedSubmap
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -284,7 +284,7 @@ def space_around(submaps: Submaps, bounds: NDArray[np.float32], reach_m: float) 
     voxel_m = submaps.space.voxel_m
     low, high = np.floor((bounds[:, :2] + [[-reach_m], [reach_m]]) / voxel_m).astype(np.int64)
     around = Window((int(low[0]), int(low[1])), (int(high[0]) + 1, int(high[1]) + 1))
-    return submaps.space if submaps.window.holds(around) else _within(submaps, around).space
+    return submaps.space if submaps.window.holds(around) else _space_within(submaps, around)
 
 
 def false_floor(submaps: Submaps, seen_m: float | None) -> float | None:
@@ -492,16 +492,11 @@ def _judged_by_rigid_ones(submaps: Submaps) -> Submaps:
 
 def _within(submaps: Submaps, window: Window | None) -> Submaps:
     """Return the submaps with the space, and the owners of its voxels, of another window; None: of everything."""
-    last = submaps.states[-1].space
-    floor_m = last.floor_z_m if window is None else submaps.space.floor_z_m
-    some: list[SpaceState] = []
-    closed: list[tuple[int, SpaceState]] = []
-    for state in submaps.states[submaps.first :]:
-        reach = extent(_shown_space(state))
-        if reach is not None and (window is None or window.meets(reach)):
-            some.append(_shown_space(state) if window is None else cut(_shown_space(state), window))
-            if state.id != submaps.open_id:
-                closed.append((state.id, state.space if window is None else cut(state.space, window)))
+    closed = [
+        (state.id, state.space if window is None else cut(state.space, window))
+        for state in _reaching(submaps, window)
+        if state.id != submaps.open_id
+    ]
     keys = [_voxels(space) for _, space in closed]
     owned = np.concatenate([np.empty(0, np.int64), *keys])
     owners = np.concatenate(
@@ -509,9 +504,27 @@ def _within(submaps: Submaps, window: Window | None) -> Submaps:
     )
     # Of submaps that were moved apart for a while both may have a voxel: it is the earlier one's again.
     owned, at = np.unique(owned, return_index=True)
-    space = observed_space.joined(some or [empty_space(last.voxel_m)])
-    space = replace(space, floor_z_m=floor_m)
+    space = _space_within(submaps, window)
     return replace(submaps, space=space, owned=owned, owners=owners[at], window=window)
+
+
+def _space_within(submaps: Submaps, window: Window | None) -> SpaceState:
+    """Return the space of a window; None: of everything."""
+    last = submaps.states[-1].space
+    some = [
+        _shown_space(state) if window is None else cut(_shown_space(state), window)
+        for state in _reaching(submaps, window)
+    ]
+    space = observed_space.joined(some or [empty_space(last.voxel_m)])
+    return replace(space, floor_z_m=last.floor_z_m if window is None else submaps.space.floor_z_m)
+
+
+def _reaching(submaps: Submaps, window: Window | None) -> Iterator[SubmapState]:
+    """Yield the submaps that are judged together and reach into a window."""
+    for state in submaps.states[submaps.first :]:
+        reach = extent(_shown_space(state))
+        if reach is not None and (window is None or window.meets(reach)):
+            yield state
 
 
 def _closed(submaps: Submaps) -> Submaps:
