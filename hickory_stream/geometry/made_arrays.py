@@ -6,6 +6,7 @@ tell but by the time it takes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import RLock
 from typing import TYPE_CHECKING, Any
@@ -17,14 +18,16 @@ import zstandard
 from hickory_stream.geometry.packing import array_of, planes_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
     Make = Callable[[str], NDArray[Any]]
     MakeAll = Callable[[], Mapping[str, NDArray[Any]]]
     Compressed = tuple[str, tuple[int, ...], Callable[[], bytes]]
-    Keep = Callable[[bytes], Callable[[], bytes]]
+
+Keep = Callable[[bytes], Callable[[], bytes]]
+"""Keeps bytes, and returns what gives them back."""
 
 
 @dataclass(frozen=True, slots=True)
