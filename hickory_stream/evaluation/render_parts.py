@@ -31,13 +31,15 @@ _FLOOR_REACH_M, _CUT_M = 0.15, 2.0
 _MIN_WALL_M = 0.6
 _STEPS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 _AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))
+# What is nearer to one another in the image than this is one.
+_STEP_PX = 0.5
 # Points of a map are no nearer to one another than about this.
 _FINEST_M = 0.004
 _QUAD = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 _QUAD_FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
-def point_surface(tracked: TrackedObject, viewpoint: Viewpoint, step_px: float = 0.5) -> Surface:
+def point_surface(tracked: TrackedObject, viewpoint: Viewpoint, step_px: float = _STEP_PX) -> Surface:
     """Return layer 1 as squares that face the viewer, about as large as the spacing of the points.
 
     Of points that are nearer to one another than `step_px` in the image one is enough: a large map has millions.
@@ -68,6 +70,24 @@ def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Su
         mesh, uv, image = textured.mesh, textured.uv, textured.image
     vertices = apply(tracked.shape.world_from_object, mesh.vertices)
     return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=tracked.id, uv=uv, image=image)
+
+
+def as_fine_as_seen(surface: Surface, viewpoint: Viewpoint) -> Surface:
+    """Return a surface without triangles that are smaller than half a pixel: a large map has millions.
+
+    Vertices in one cell of that size become one of them (Rossignac and Borrel 1993). One with an image stays as it is.
+    """
+    apart_m = _STEP_PX * viewpoint.pixel_m(surface.vertices)
+    if apart_m <= _FINEST_M or surface.image is not None:
+        return surface
+    _, chosen, cell_of = np.unique(keys_of_points(surface.vertices, apart_m), return_index=True, return_inverse=True)
+    faces = cell_of.astype(np.int32)[surface.faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    if len(faces) == 0:
+        # All of it is in a cell or two: still to be seen.
+        return surface
+    return Surface(vertices=surface.vertices[chosen], faces=faces, colors=surface.colors[chosen], owner=surface.owner)
 
 
 def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Surface]:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from hickory_stream.evaluation.raycast import Scene
-from hickory_stream.evaluation.render_parts import point_surface, wall_surface
+from hickory_stream.evaluation.render_parts import as_fine_as_seen, point_surface, wall_surface
 from hickory_stream.geometry.arrays import freeze
 
 if TYPE_CHECKING:
@@ -66,9 +66,10 @@ class _Scenes:
 
 def draw_view(model: Model, viewpoint: Viewpoint) -> NDArray[np.uint8]:
     """Return the (H, W, 3) picture from one viewpoint: one ray per pixel, and four more at edges of colour."""
+    solid, translucent = ([as_fine_as_seen(one, viewpoint) for one in of] for of in (model.solid, model.translucent))
     scenes = _Scenes(
-        solid=Scene([*model.solid, *(point_surface(tracked, viewpoint) for tracked in model.points)]),
-        translucent=Scene(model.translucent),
+        solid=Scene([*solid, *(point_surface(tracked, viewpoint) for tracked in model.points)]),
+        translucent=Scene(translucent),
         walls=Scene([wall_surface(submap, model.floor.z_m, viewpoint) for submap in model.submaps]),
     )
     centers = viewpoint.centers_px()

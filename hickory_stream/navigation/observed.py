@@ -56,7 +56,8 @@ def seen_columns(submaps: Sequence[Submap], frame: GridFrame, band: Band, floor_
     heights = _heights(submaps, band)
     is_seen = np.zeros((len(heights), frame.rows + 1, frame.columns + 1), bool)
     for submap in submaps:
-        is_seen |= _seen_in(submap, frame, heights)
+        rows, columns, is_seen_there = _seen_in(submap, frame, heights)
+        is_seen[:, rows, columns] |= is_seen_there
     corners = is_seen.sum(axis=0) >= _SEEN_SHARE * len(heights)
     is_known = corners[1:, 1:] & corners[1:, :-1] & corners[:-1, 1:] & corners[:-1, :-1]
     return SeenColumns(walls=np.concatenate(walls), is_known=is_known)
@@ -137,21 +138,42 @@ def _heights(submaps: Sequence[Submap], band: Band) -> NDArray[np.float64]:
     return np.asarray(band.low_m + (np.arange(count) + 0.5) * (band.high_m - band.low_m) / count)
 
 
-def _seen_in(submap: Submap, frame: GridFrame, heights: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (L, rows + 1, columns + 1) whether a submap saw the corners of the cells at these heights."""
+def _seen_in(submap: Submap, frame: GridFrame, heights: NDArray[np.float64]) -> tuple[slice, slice, NDArray[np.bool_]]:
+    """Return the rows and the columns of corners where a submap may have seen, and (L, R, C) whether it did.
+
+    The corners are those of the cells, at these heights.
+    """
     space = submap.observed_space
     # The submap's z axis is nearly vertical: heights in the submap and the world differ by a constant.
     layers = np.floor((heights - submap.world_from_submap[2, 3]) / space.voxel_m + 1e-9).astype(np.int64)
     first, seen = _seen_columns_of(space.free, space.structure, layers)
-    x = frame.origin_m[0] + np.arange(frame.columns + 1) * frame.cell_m
-    y = frame.origin_m[1] + np.arange(frame.rows + 1) * frame.cell_m
+    rows, columns = _corners_around(submap, first, seen.shape[1:], frame, heights[0])
+    x = frame.origin_m[0] + np.arange(columns.start, columns.stop) * frame.cell_m
+    y = frame.origin_m[1] + np.arange(rows.start, rows.stop) * frame.cell_m
     places = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), heights[0])], axis=-1).reshape(-1, 3)
     local = apply(invert(submap.world_from_submap), places)[:, :2]
     column = np.floor(local / space.voxel_m).astype(np.int64) - first
     is_inside = ((column >= 0) & (column < seen.shape[1:])).all(axis=1)
     is_seen = np.zeros((len(layers), len(column)), bool)
     is_seen[:, is_inside] = seen[:, column[is_inside, 0], column[is_inside, 1]]
-    return is_seen.reshape(len(layers), len(y), len(x))
+    return rows, columns, is_seen.reshape(len(layers), len(y), len(x))
+
+
+def _corners_around(
+    submap: Submap, first: NDArray[np.int64], shape: tuple[int, ...], frame: GridFrame, z_m: float
+) -> tuple[slice, slice]:
+    """Return the rows and columns of a grid's corners around a submap's columns of voxels, as they are at a height."""
+    low, high = first * submap.observed_space.voxel_m, (first + shape) * submap.observed_space.voxel_m
+    across = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    turn, off = submap.world_from_submap[:3, :3], submap.world_from_submap[:3, 3]
+    up = (z_m - off[2] - across @ turn[2, :2]) / turn[2, 2]
+    places = (np.column_stack([across, up]) @ turn.T + off)[:, :2]
+    # One more on each side: the same places are computed in another way here.
+    begin = np.floor((places.min(axis=0) - frame.origin_m) / frame.cell_m).astype(int) - 1
+    end = np.ceil((places.max(axis=0) - frame.origin_m) / frame.cell_m).astype(int) + 2
+    count = np.array([frame.columns + 1, frame.rows + 1])
+    (left, bottom), (right, top) = np.clip(begin, 0, count), np.clip(end, 0, count)
+    return slice(int(bottom), int(max(bottom, top))), slice(int(left), int(max(left, right)))
 
 
 def _seen_columns_of(

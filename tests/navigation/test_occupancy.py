@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
@@ -12,6 +13,7 @@ from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, taken
 from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells
+from hickory_stream.navigation import observed
 from hickory_stream.navigation.observed import Band, rectangles, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import Cell, Occupancy, distance_field_m, frame_around
 from hickory_stream.navigation.robot import Part
@@ -141,6 +143,23 @@ def test_what_submaps_saw_between_them_is_as_known_as_if_one_had_seen_it_all() -
     assert 0.3 < expected.mean() < 0.6
     assert np.array_equal(seen_columns(submaps, frame, band, 0.0).is_known, expected)
     assert not seen_columns((), frame, band, 0.0).is_known.any()
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-0.05, 0.05), st.floats(-9.0, 9.0), st.floats(-9.0, 9.0))
+@settings(max_examples=15)
+def test_a_submap_is_looked_up_only_around_it_and_nothing_is_missed(
+    yaw: float, tilt: float, x: float, y: float
+) -> None:
+    turn = trimesh.transformations.euler_matrix(tilt, -tilt / 2, yaw)[:3, :3]
+    pose = from_rotation_translation(turn, np.array([x, y, 0.1]))
+    submaps = snapshot(space=seen_room(dark_m=(4.0, 5.0)), world_from_submap=pose).submaps
+    frame = frame_around(np.array([-4.0, -2.0]), np.array([8.0, 8.0]), 0.05)
+    band = Band(low_m=0.05, high_m=0.6)
+    found = seen_columns(submaps, frame, band, 0.0).is_known
+    everywhere = (slice(0, frame.rows + 1), slice(0, frame.columns + 1))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(observed, "_corners_around", lambda *_: everywhere)
+        assert np.array_equal(found, seen_columns(submaps, frame, band, 0.0).is_known)
 
 
 def test_the_traversable_height_under_a_table_is_that_below_its_top() -> None:
