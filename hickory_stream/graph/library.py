@@ -14,7 +14,7 @@ from hickory_stream.geometry import portable
 from hickory_stream.graph.graduated import sharper, smoothest, weights_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -88,6 +88,26 @@ class Factors:
                 weighted.replace(place, factor.cloneWithNewNoiseModel(model))
             values = values.retract(weighted.linearize(values).optimize(ordering))
         return weights, values
+
+    def surprises(self, asked: Sequence[int], left_out: Collection[int], values: Any) -> NDArray[np.float64]:
+        """Return the squared Mahalanobis distances (K,) of the factors at the places `asked` from what others predict.
+
+        The others are all but those at the places `left_out`, which has what is asked. Each distance is by how much
+        their least squared residual rises when the factor joins them, to first order at `values`; raises RuntimeError.
+        """
+        ordering = self._gtsam.Ordering.ColamdNonlinearFactorGraph(self.graph)
+        linear = self.graph.linearize(values)
+        others = self._gtsam.GaussianFactorGraph()
+        for place in range(linear.size()):
+            if place not in left_out:
+                others.push_back(linear.at(place))
+        without = others.error(others.optimize(ordering))
+        rises = []
+        for place in asked:
+            joined = others.clone()
+            joined.push_back(linear.at(place))
+            rises.append(2.0 * (joined.error(joined.optimize(ordering)) - without))
+        return np.array(rises)
 
     def chi2(self, place: int, values: Any) -> float:
         """Return the squared residual of a factor, by its covariance."""

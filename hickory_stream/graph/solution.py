@@ -27,8 +27,8 @@ class Solution:
     """Where the nodes lie, and which loops are believed.
 
     `world_from_node` (N, 4, 4). `loop_weights` (L,) are those of graduated non-convexity in the order of the graph's
-    loops, 0 where a loop was impossible to begin with. `accepted` are ids, ascending. `chi2` with `dof` degrees of
-    freedom says how well all of it fits.
+    loops, 0 where a loop was impossible to begin with, 1 where nothing but odometry had spoken against it. `accepted`
+    are ids, ascending. `chi2` with `dof` degrees of freedom says how well all of it fits.
     """
 
     world_from_node: NDArray[np.float64]

@@ -3,6 +3,7 @@
 1. A loop that odometry, as uncertain as it is, cannot explain is impossible (`gate.py`).
 2. The others are judged by graduated non-convexity with truncated least squares (Yang et al., RA-L 2020), as GTSAM has
    it, on the skeleton of the graph: the nodes at which loops end, and odometry with verticals composed between them.
+   Of those that it gives up, the ones that no believed loop speaks against are believed.
 3. All nodes are placed by least squares over odometry, verticals and the believed loops.
 
 Only loops are ever cut, as in Kimera-RPGO: were edges of odometry cut alike, each wrong loop could be had by cutting
@@ -26,13 +27,15 @@ from hickory_stream.graph.library import Factors, poses_of, settled
 from hickory_stream.graph.solution import NoSolution, RejectedLoop, Solution
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from hickory_stream.graph.factors import LoopEdge, PoseGraph
 
 _BELIEVED = 0.5
+_SAME_CHI2 = 0.01
+"""Squared distances that differ by less are the same: what rounding leaves where loops do not concern one another."""
 
 
 def solve(
@@ -109,7 +112,35 @@ def _judged(chain: Chain, loops: Sequence[LoopEdge], config: GraphConfig) -> tup
         factors.add_odometry(edge)
     places = [factors.add_loop(loop) for loop in loops]
     weights, values = factors.judged(places, config.inlier_chi2)
+    weights = _reconsidered(factors, places, weights, values)
     return weights.tolist(), chain.carried(dict(zip(nodes, poses_of(values, nodes), strict=True)))
+
+
+def _reconsidered(
+    factors: Factors, places: Sequence[int], weights: NDArray[np.float64], values: Any
+) -> NDArray[np.float64]:
+    """Return the weights (K,), 1 for each loop left out that no believed loop speaks against.
+
+    Graduated non-convexity gives next to no weight at first to a loop for which odometry must stretch far, and where
+    hardly any other loop helps that weight never grows, although the gate has allowed the stretch. What contradicts a
+    loop are others: those believed make it more surprising than it is to odometry alone. One that they do not is
+    believed, what fits them best first.
+    """
+    believed = weights > _BELIEVED
+    doubted = np.flatnonzero(~believed)
+    if len(doubted) == 0:
+        return weights
+
+    def surprises(asked: Iterable[int], left_out: Iterable[int]) -> NDArray[np.float64]:
+        return factors.surprises([places[i] for i in asked], {places[i] for i in left_out}, values)
+
+    most = surprises(doubted, range(len(places))) + _SAME_CHI2
+    together = surprises(doubted, doubted)
+    for k in np.argsort(together, kind="stable"):
+        if together[k] <= most[k]:
+            left_out = np.flatnonzero(~believed)
+            believed[doubted[k]] = surprises([doubted[k]], left_out)[0] <= most[k]
+    return np.where(believed, 1.0, weights)
 
 
 def _placed(

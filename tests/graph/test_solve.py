@@ -122,6 +122,59 @@ def test_a_loop_that_later_ones_contradict_is_withdrawn() -> None:
     assert together.loop_weights.tolist() == [0.0, 1.0, 1.0, 1.0]
 
 
+def corridor(*loops: tuple[int, int, float], surprise: float = 20.0) -> PoseGraph:
+    """A way of 30 m without turns, with loops (earlier, later, share).
+
+    With a share of 1 a loop is so far along the way from where odometry has it that the gate is surprised by so much.
+    """
+    step = from_rotation_translation(np.eye(3), np.array([5.0, 0.0, 0.0]))
+    edges = [
+        OdometryEdge(before=i, after=i + 1, before_from_after=step, covariance=odometry_covariance(5.0, 3.0, CONFIG))
+        for i in range(6)
+    ]
+    bare = PoseGraph(world_from_node=chained(edges, 7), odometry=tuple(edges), loops=(), gravity_sigma_rad=0.01)
+    found = []
+    for i, (earlier, later, share) in enumerate(loops):
+        covariance = np.diag([0.004 * 0.004] * 3 + [0.02 * 0.02] * 3)
+        expected = Chain(bare).predictions([(earlier, later)])[0]
+        off_m = share * np.sqrt(surprise * (expected.covariance + covariance)[3, 3])
+        told = expected.earlier_from_later @ from_rotation_translation(np.eye(3), np.array([off_m, 0.0, 0.0]))
+        found.append(
+            LoopEdge(
+                id=i, earlier=earlier, later=later, earlier_from_later=told, covariance=covariance, method="surface",
+                score=1.0, stamp_ns=0,
+            )
+        )  # fmt: skip
+    return replace(bare, loops=tuple(found))
+
+
+@pytest.mark.parametrize("surprise", [1.0, 8.0, 14.0, 22.0])
+def test_a_lone_loop_that_the_gate_allows_is_believed_however_far_odometry_must_stretch(surprise: float) -> None:
+    graph = corridor((0, 5, 1.0), surprise=surprise)
+    answer = solved(graph)
+    assert answer.accepted == (0,)
+    residual = difference(
+        graph.loops[0].earlier_from_later, invert(answer.world_from_node[0]) @ answer.world_from_node[5]
+    )
+    assert np.abs(residual).max() < 0.02
+    assert not solved(corridor((0, 5, 1.0), surprise=CONFIG.gate_chi2 + 0.1)).accepted
+
+
+def test_a_loop_beside_which_others_say_nothing_is_believed_as_if_it_were_alone() -> None:
+    assert solved(corridor((0, 2, 0.0), (2, 6, 1.0))).accepted == (0, 1)
+
+
+def test_of_two_loops_that_odometry_hardly_allows_both_are_believed_only_if_they_agree() -> None:
+    assert solved(corridor((0, 5, 1.0), (0, 5, 0.99))).accepted == (0, 1)
+    assert solved(corridor((0, 5, 1.0), (0, 5, -0.9))).accepted == (1,)
+
+
+def test_a_loop_that_odometry_allows_and_believed_ones_speak_against_stays_rejected() -> None:
+    answer = solved(corridor((0, 5, 0.0), (0, 5, 0.0), (0, 5, 1.0), (1, 5, 0.8)))
+    assert answer.accepted == (0, 1)
+    assert answer.loop_weights.tolist() == [1.0, 1.0, 0.0, 0.0]
+
+
 def nearby(walk: SimulatedGraph, loop: LoopEdge, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     noise = from_rotation_translation(rotation_of_vector(rng.normal(0, 0.005, 3)), rng.normal(0, 0.02, 3))
