@@ -8,6 +8,7 @@ to the last. NumPy's own sums, means, sorts with kind="stable", quotients and ro
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,13 +32,13 @@ def matmul(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
     if left.shape[-1] != right.shape[-2]:
         raise ValueError(f"cannot multiply {a.shape} and {b.shape}")
     if right.ndim == 2:
-        # Rows are rows, of one matrix or of a stack.
-        rows = _writable(left.reshape(-1, left.shape[-1]), dtype)
+        # Rows are rows, of one matrix or of a stack; there may be none, or nothing in them.
+        rows = _writable(left.reshape(math.prod(left.shape[:-1]), left.shape[-1]), dtype)
         product = _product(rows, right, dtype).reshape(*left.shape[:-1], right.shape[-1])
     else:
         stack = np.broadcast_shapes(left.shape[:-2], right.shape[:-2])
         product = np.zeros((*stack, left.shape[-2], right.shape[-1]), dtype=dtype)
-        out = product.reshape(-1, *product.shape[-2:])
+        out = product.reshape(math.prod(stack), *product.shape[-2:])
         _multiply_stacks(_stacked(left, stack, dtype), _stacked(right, stack, dtype), out)
     if a.ndim == 1:
         product = product[..., 0, :]
@@ -183,7 +184,7 @@ def _stacked(matrices: NDArray[Any], stack: tuple[int, ...], dtype: Any) -> NDAr
     """Return (N, n, m) the matrices of a whole stack, or (1, n, m) the one that stands for all of them."""
     if matrices.ndim > 2:
         matrices = np.broadcast_to(matrices, (*stack, *matrices.shape[-2:]))
-    return _writable(matrices.reshape(-1, *matrices.shape[-2:]), dtype)
+    return _writable(matrices.reshape(math.prod(matrices.shape[:-2]), *matrices.shape[-2:]), dtype)
 
 
 def _of_each(kernel: Callable[[NDArray[np.float64]], None], values: ArrayLike) -> NDArray[np.float64]:

@@ -53,6 +53,14 @@ def test_surface_in_what_the_other_saw_to_be_free_speaks_against_a_fit() -> None
     assert moved.num_known > moved.num_met
 
 
+def test_where_no_surface_is_near_nothing_is_known() -> None:
+    fit = registered(surface(room()), surface(room(), seed=1), shift(50.0, 0.0, 0.0), 0.3)
+    assert fit.num_met == 0
+    assert fit.agreement == 0.0
+    assert np.allclose(fit.earlier_from_later, shift(50.0, 0.0, 0.0))
+    assert np.linalg.eigvalsh(fit.covariance)[0] > 1.0
+
+
 def test_the_same_surfaces_give_the_same_bytes() -> None:
     fits = [
         registered(surface(room()), surface(room(), own_from_world=DRIFT, seed=1), np.eye(4), 0.5) for _ in range(2)
