@@ -42,6 +42,21 @@ def rows_of_keys(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     return ((keys >> _BITS) & _MASK) - _OFFSET
 
 
+def bounds_of_keys(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the lowest and the highest cell (3,) of (N,) keys, coordinate by coordinate; at least one key."""
+    fields = (keys >> (2 * _BITS), (keys >> _BITS) & _MASK, keys & _MASK)
+    return tuple(np.array([of(field) for field in fields]) - _OFFSET for of in (np.min, np.max))  # type: ignore[return-value]
+
+
+def within_bounds(sorted_keys: NDArray[np.int64], low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return those of sorted keys whose cells are within bounds (3,), both included."""
+    low, high = (np.clip(cell, -_OFFSET, _MASK - _OFFSET) + _OFFSET for cell in (low, high))
+    first, last = np.searchsorted(sorted_keys, [low[0] << (2 * _BITS), (high[0] + 1) << (2 * _BITS)])
+    keys = sorted_keys[first:last]
+    y, z = (keys >> _BITS) & _MASK, keys & _MASK
+    return keys[(y >= low[1]) & (y <= high[1]) & (z >= low[2]) & (z <= high[2])]
+
+
 def keys_of_points(points: NDArray[Any], voxel_m: float) -> NDArray[np.int64]:
     """Return the (N,) keys of the voxels that hold (N, 3) finite points; neither sorted nor unique."""
     keys: NDArray[np.int64] = _keys_of_points(np.ascontiguousarray(points), float(voxel_m))

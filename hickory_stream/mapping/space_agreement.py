@@ -17,8 +17,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import cells_of_keys, centers_of_keys, contains, keys_of_cells, sorted_unique, union
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.geometry.voxels import (
+    bounds_of_keys,
+    cells_of_keys,
+    centers_of_keys,
+    contains,
+    keys_of_cells,
+    sorted_unique,
+    union,
+    within_bounds,
+)
 from hickory_stream.mapping.observed_space import structure_of
 from hickory_stream.mapping.submaps import own_space
 
@@ -34,8 +43,11 @@ def agreed_anew(submaps: Submaps) -> Submaps:
     if submaps.states[-1].outdated is None:
         return submaps
     states = list(submaps.states)
+    bounds = [_bounds_of(own_space(state)) for state in states]
     for earlier_id, later_id in combinations(range(len(states)), 2):
-        states[earlier_id] = _after(submaps, states[earlier_id], later_id)
+        # In a building most submaps lie in other rooms.
+        if _may_meet(bounds[earlier_id], bounds[later_id], submaps.between(later_id, earlier_id)):
+            states[earlier_id] = _after(submaps, states[earlier_id], later_id)
     return replace(submaps, states=tuple(states))
 
 
@@ -52,12 +64,46 @@ def contradicted(space: SpaceState, later: SpaceState, later_from_here: NDArray[
 
     Structure is contradicted where its voxel's centre is free and no structure is beside it: the lattices differ.
     """
-    structure, solid = structure_of(space), structure_of(later)
-    is_filled = contains(solid, _keys_there(space.free, space.voxel_m, later_from_here, later.voxel_m))
+    bounds = _bounds_of(later)
+    if bounds is None:
+        return np.empty(0, dtype=np.int64)
+    # Only what lies where the later one has seen anything.
+    low, high = (np.floor(m / space.voxel_m).astype(np.int64) for m in _turned(bounds, invert(later_from_here)))
+    free, structure = (within_bounds(keys, low - 1, high + 1) for keys in (space.free, structure_of(space)))
+    solid = structure_of(later)
+    is_filled = contains(solid, _keys_there(free, space.voxel_m, later_from_here, later.voxel_m))
     there = _keys_there(structure, space.voxel_m, later_from_here, later.voxel_m)
     is_open = contains(later.free, there)
     is_open[is_open] = ~_is_beside(solid, there[is_open])
-    return sorted_unique(np.concatenate([space.free[is_filled], structure[is_open]]))
+    return sorted_unique(np.concatenate([free[is_filled], structure[is_open]]))
+
+
+_Bounds = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
+"""The lowest and the highest corner (3,) of a space, metres in its own frame."""
+
+
+def _bounds_of(space: SpaceState) -> _Bounds | None:
+    """Return the bounds of what was seen, None where there is nothing."""
+    parts = [bounds_of_keys(keys) for keys in (space.free, space.surface, space.room) if len(keys)]
+    if not parts:
+        return None
+    low, high = np.min([low for low, _ in parts], axis=0), np.max([high for _, high in parts], axis=0)
+    return low * space.voxel_m, (high + 1) * space.voxel_m
+
+
+def _turned(bounds: _Bounds, there_from_here: NDArray[np.float64]) -> _Bounds:
+    """Return the bounds, in another frame, of a box."""
+    corners = np.array([[bounds[pick >> axis & 1][axis] for axis in range(3)] for pick in range(8)])
+    there = apply(there_from_here, corners)
+    return there.min(axis=0), there.max(axis=0)
+
+
+def _may_meet(earlier: _Bounds | None, later: _Bounds | None, later_from_earlier: NDArray[np.float64]) -> bool:
+    """Return whether boxes overlap, as far as their bounds in the later one's frame tell."""
+    if earlier is None or later is None:
+        return False
+    low, high = _turned(earlier, later_from_earlier)
+    return bool((low <= later[1]).all() and (high >= later[0]).all())
 
 
 def _after(submaps: Submaps, state: SubmapState, later_id: int) -> SubmapState:

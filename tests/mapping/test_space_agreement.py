@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hickory_stream.events import PosesCorrected
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
-from hickory_stream.geometry.voxels import centers_of_keys, contains, keys_of_points, sorted_unique
+from hickory_stream.geometry.voxels import cells_of_keys, centers_of_keys, contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.observed_space import SpaceState, added, empty_space, structure_of
 from hickory_stream.mapping.space_agreement import contradicted
@@ -56,6 +58,25 @@ def check_cupboard(points: NDArray[np.float64]) -> None:
     assert (inside | (np.abs(points[:, 0] - 1.0) < V)).all()
     # What stands beside structure may be its rim.
     assert inside.sum() > 0.6 * len(np.unique(keys_of_points(CUPBOARD, V)))
+
+
+@given(st.integers(0, 1000), st.floats(-3.0, 3.0), st.tuples(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2)))
+@settings(max_examples=25)
+def test_only_what_lies_where_the_later_one_looked_is_compared(seed: int, yaw: float, off: tuple[float, float]) -> None:
+    rng = np.random.default_rng(seed)
+    before, after = (space_of(rng.uniform(-1, 1, (800, 3)), rng.uniform(-1, 1, (300, 3))) for _ in range(2))
+    after_from_before = from_rotation_translation(yaw_rotation(yaw), np.array([*off, 0.03]))
+    found = contradicted(before, after, after_from_before)
+
+    def there(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+        return keys_of_points(apply(after_from_before, centers_of_keys(keys, V).astype(np.float64)), V)
+
+    structure, solid = structure_of(before), structure_of(after)
+    near = {tuple(cell + step) for cell in cells_of_keys(solid) for step in np.ndindex(3, 3, 3)}
+    is_beside = [tuple(cell + 1) in near for cell in cells_of_keys(there(structure))]
+    opened = structure[contains(after.free, there(structure)) & ~np.array(is_beside)]
+    filled = before.free[contains(solid, there(before.free))]
+    assert found.tolist() == sorted({*opened.tolist(), *filled.tolist()})
 
 
 def test_nothing_is_contradicted_by_itself_or_where_nobody_looked() -> None:
