@@ -29,8 +29,6 @@ logger = logging.getLogger(__name__)
 
 _ROOT = Path(__file__).resolve().parents[1]
 _PACKAGES = ("geometry", "perception", "mapping", "shapes")
-PARTS = ("mapping", "shapes")
-"""What `warm_up` compiles, a process each."""
 _LEFT_OUT = "models"  # networks have kernels that few runs need
 _TELL_EVERY_S = 1.0
 _DECORATOR = "@numba.njit("
@@ -43,6 +41,9 @@ async def compile_kernels(tell: Callable[[int, int], None]) -> None:
     """
     if await asyncio.to_thread(are_compiled):
         return
+    # What it imports is needed this once.
+    from hickory_stream.engine.warm_up import PARTS
+
     total = sum(text.count(_DECORATOR) for text in (file.read_text(encoding="utf-8") for file in _files()))
     known: set[str] = set()
 
