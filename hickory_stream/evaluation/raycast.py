@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.evaluation.open3d_import import import_open3d
 from hickory_stream.evaluation.ray_caster import RayCaster, ray_caster
 from hickory_stream.geometry.arrays import freeze
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # A face that differs by more than this angle from its smoothed normal is at a sharp edge, and keeps its own normal.
-_CREASE_COSINE = 0.82
+CREASE_COSINE = 0.82
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -56,6 +57,15 @@ class Hits:
     colors: NDArray[np.float32]
     owners: NDArray[np.int32]
 
+    def part(self, chosen: NDArray[np.int64]) -> Hits:
+        """Return the hits of some of the rays."""
+        return Hits(
+            distance_m=self.distance_m[chosen],
+            normals=self.normals[chosen],
+            colors=self.colors[chosen],
+            owners=self.owners[chosen],
+        )
+
 
 class Scene:
     """Surfaces to cast rays at."""
@@ -64,7 +74,7 @@ class Scene:
         vertices, faces, colors, owners = _joined(surfaces)
         self._vertices, self._faces, self._owners = vertices, faces, owners
         self._colors = colors.astype(np.float32) / np.float32(255)
-        self._normals = _vertex_normals(vertices, faces)
+        self._normals = vertex_normals(vertices, faces)
         self._surfaces = surfaces
         self._first_faces = np.cumsum([0, *(len(surface.faces) for surface in surfaces)])
         self._caster: RayCaster | None = None
@@ -170,20 +180,36 @@ def _joined(
     )
 
 
-def _vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
+def vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
     """Return (V, 3) unit normals, the mean of the faces around each vertex weighted by area."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    normals = np.zeros((len(vertices), 3))
-    face_normals = np.cross(b - a, c - a)
-    for axis in range(3):
-        for corner in range(3):
-            normals[:, axis] += np.bincount(faces[:, corner], weights=face_normals[:, axis], minlength=len(vertices))
-    return _unit(normals).astype(np.float32)
+    normals: NDArray[np.float32] = normals_of_vertices(vertices, faces)
+    return normals
+
+
+@numba.njit(cache=True, nogil=True)
+def normals_of_vertices(vertices, faces):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return what `vertex_normals` does."""
+    sums = np.zeros((len(vertices), 3))
+    for f in range(len(faces)):
+        a, b, c = faces[f]
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        for corner in (a, b, c):
+            sums[corner, 0] += nx
+            sums[corner, 1] += ny
+            sums[corner, 2] += nz
+    normals = np.empty((len(vertices), 3), np.float32)
+    for i in range(len(vertices)):
+        length = np.sqrt(sums[i, 0] * sums[i, 0] + sums[i, 1] * sums[i, 1] + sums[i, 2] * sums[i, 2])
+        for k in range(3):
+            normals[i, k] = sums[i, k] / max(length, 1e-12)
+    return normals
 
 
 def _smoothed(flat: NDArray[np.float32], smooth: NDArray[np.float32]) -> NDArray[np.float32]:
     smooth = _unit(smooth)
-    is_gentle = np.abs(np.einsum("nc,nc->n", flat, smooth)) > _CREASE_COSINE
+    is_gentle = np.abs(np.einsum("nc,nc->n", flat, smooth)) > CREASE_COSINE
     return np.where(is_gentle[:, None], smooth, flat)
 
 

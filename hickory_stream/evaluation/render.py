@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.evaluation.labels import draw_labels, draw_scale, draw_title, most_visible, place_labels
-from hickory_stream.evaluation.raycast import Scene
+from hickory_stream.evaluation.rasterize import first_hits
 from hickory_stream.evaluation.render_parts import (
+    dots_of,
     floor_cells,
     mesh_surface,
-    point_surface,
     superquadric_surfaces,
 )
 from hickory_stream.evaluation.render_view import Floor, Model, draw_view
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.labels import Label
+    from hickory_stream.evaluation.rasterize import Dots
     from hickory_stream.evaluation.raycast import Surface
     from hickory_stream.records import TrackedObject
 
@@ -61,17 +62,18 @@ def render_map(
         raise ValueError(f"layers are among 1, 2, 3 and 4, found {sorted(layers)}")
     objects = [tracked for tracked in saved.snapshot.objects if tracked.phase != Phase.TENTATIVE]
     solid, translucent = _surfaces(saved, objects, layers, texture_px)
-    points = [tracked for tracked in objects if 1 in layers or tracked.shape is None]
+    dots = [dots_of(tracked) for tracked in objects]
+    points = [one for one, tracked in zip(dots, objects, strict=True) if 1 in layers or tracked.shape is None]
     floor = _floor_of(saved, objects)
     panel_height = height - _TITLE_PX
     left_width = _left_width(objects, width, panel_height)
     corners = _corners(objects)
     model = Model(solid=solid, points=points, translucent=translucent, submaps=saved.snapshot.submaps, floor=floor)
     above = from_above(corners, left_width, panel_height, _MARGIN_PX)
-    corner = _best_corner(objects, corners, width - left_width - 2, panel_height)
+    corner = _best_corner(dots, corners, width - left_width - 2, panel_height)
     image = np.full((height, width, 3), 255, dtype=np.uint8)
-    image[_TITLE_PX:, :left_width] = _panel(model, above, objects)
-    image[_TITLE_PX:, left_width + 2 :] = _panel(model, corner, objects)
+    image[_TITLE_PX:, :left_width] = _panel(model, above, objects, dots)
+    image[_TITLE_PX:, left_width + 2 :] = _panel(model, corner, objects, dots)
     draw_scale(image[_TITLE_PX:, :left_width], above.focal_px)
     draw_title(image[:_TITLE_PX], _title(saved, objects, layers))
     return image
@@ -142,15 +144,13 @@ def _left_width(objects: list[TrackedObject], width: int, height: int) -> int:
     return int(np.clip(wanted, 0.34 * width, 0.46 * width))
 
 
-def _best_corner(objects: list[TrackedObject], corners: NDArray[np.float64], width: int, height: int) -> Viewpoint:
+def _best_corner(dots: list[Dots], corners: NDArray[np.float64], width: int, height: int) -> Viewpoint:
     """Return the view, of eight directions, in which objects occlude one another least, whichever layers are drawn."""
     small = (width // 8, height // 8, _MARGIN_PX // 8)
-    above = from_above(corners, *small)
-    scene = Scene([point_surface(tracked, above) for tracked in objects])
 
     def visibility(azimuth: float) -> float:
         viewpoint = from_corner(corners, azimuth, _ELEVATION_RAD, *small)
-        owners = scene.cast(*viewpoint.rays(viewpoint.centers_px())).owners
+        owners = first_hits([], dots, viewpoint)[0].owners
         _, counts = np.unique(owners[owners >= 0], return_counts=True)
         return float(np.log1p(counts).sum())
 
@@ -176,23 +176,20 @@ def _title(saved: SavedMap, objects: list[TrackedObject], layers: AbstractSet[in
 # ---- one panel ------------------------------------------------------------------------------------------------------
 
 
-def _panel(model: Model, viewpoint: Viewpoint, objects: list[TrackedObject]) -> NDArray[np.uint8]:
+def _panel(model: Model, viewpoint: Viewpoint, objects: list[TrackedObject], dots: list[Dots]) -> NDArray[np.uint8]:
     """Return the (H, W, 3) picture from one viewpoint, with labels."""
     drawn = draw_view(model, viewpoint)
-    draw_labels(drawn, labels_of(viewpoint, objects))
+    draw_labels(drawn, labels_of(viewpoint, objects, dots))
     return drawn
 
 
-def labels_of(viewpoint: Viewpoint, objects: list[TrackedObject]) -> list[Label]:
+def labels_of(viewpoint: Viewpoint, objects: list[TrackedObject], dots: list[Dots]) -> list[Label]:
     """Return the labels of objects as seen from a viewpoint, whichever layers are drawn.
 
     Where labels of all would hide the map, as in a building of hundreds of things, only the most visible ones have one.
     """
     columns, rows = viewpoint.width // _LABEL_STEP_PX, viewpoint.height // _LABEL_STEP_PX
-    column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
-    places = _LABEL_STEP_PX * np.stack([column.reshape(-1), row.reshape(-1)], axis=1)
-    scene = Scene([point_surface(tracked, viewpoint, _LABEL_STEP_PX / 2) for tracked in objects])
-    owners = scene.cast(*viewpoint.rays(places)).owners.reshape(rows, columns)
+    owners = first_hits([], dots, viewpoint, step_px=_LABEL_STEP_PX)[0].owners.reshape(rows, columns)
     chosen = set(most_visible([tracked.id for tracked in objects], owners, _LABEL_STEP_PX))
     labelled = [tracked for tracked in objects if tracked.id in chosen]
     hidden = np.array([viewpoint.project(tracked.box.center[None])[0] for tracked in labelled]).reshape(-1, 2)

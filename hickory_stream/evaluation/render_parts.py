@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hickory_stream.evaluation.rasterize import Dots
 from hickory_stream.evaluation.raycast import Surface
 from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.geometry.rigid import apply
@@ -31,27 +32,32 @@ _FLOOR_REACH_M, _CUT_M = 0.15, 2.0
 _MIN_WALL_M = 0.6
 _STEPS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 _AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))
-# What is nearer to one another in the image than this is one.
-_STEP_PX = 0.5
+# What is nearer to one another in the image than this is one for the light, which is computed for every second pixel.
+_COARSE_PX = 3.0
+# Half the side of a point's square, in spacings of the points: they overlap a little.
+_COVER = 0.6
 # Points of a map are no nearer to one another than about this.
 _FINEST_M = 0.004
+# So many points tell the spacing of all.
+_ENOUGH = 1500
 _QUAD = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 _QUAD_FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
-def point_surface(tracked: TrackedObject, viewpoint: Viewpoint, step_px: float = _STEP_PX) -> Surface:
-    """Return layer 1 as squares that face the viewer, about as large as the spacing of the points.
+def dots_of(tracked: TrackedObject) -> Dots:
+    """Return layer 1: dots about as large as the spacing of the points."""
+    points = tracked.points_world
+    return Dots(points=points, colors=tracked.colors, half_m=_COVER * _spacing_m(points), owner=tracked.id)
 
-    Of points that are nearer to one another than `step_px` in the image one is enough: a large map has millions.
-    """
-    points, colors = tracked.points_world, tracked.colors
-    apart_m = step_px * viewpoint.pixel_m(points)
+
+def coarse_squares(dots: Dots, viewpoint: Viewpoint) -> Surface:
+    """Return dots as squares that face the viewer, with one of those that are near one another in the image."""
+    points, colors, half_m = dots.points, dots.colors, dots.half_m
+    apart_m = _COARSE_PX * viewpoint.pixel_m(points)
     if apart_m > _FINEST_M:
         _, chosen = np.unique(keys_of_points(points, apart_m), return_index=True)
-        points, colors = points[chosen], colors[chosen]
-    normals = viewpoint.towards_eye(points)
-    half_m = np.full(len(points), 0.6 * _spacing_m(points))
-    return _squares(points, normals, half_m, colors, tracked.id)
+        points, colors, half_m = points[chosen], colors[chosen], max(half_m, _COVER * apart_m)
+    return _squares(points, viewpoint.towards_eye(points), half_m, colors, dots.owner)
 
 
 def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Surface:
@@ -72,13 +78,13 @@ def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Su
     return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=tracked.id, uv=uv, image=image)
 
 
-def as_fine_as_seen(surface: Surface, viewpoint: Viewpoint) -> Surface:
-    """Return a surface without triangles that are smaller than half a pixel: a large map has millions.
+def coarse(surface: Surface, viewpoint: Viewpoint) -> Surface:
+    """Return a surface without the triangles that are too small to matter to the light: a large map has millions.
 
-    Vertices in one cell of that size become one of them (Rossignac and Borrel 1993). One with an image stays as it is.
+    Vertices in one cell of that size become one of them (Rossignac and Borrel 1993).
     """
-    apart_m = _STEP_PX * viewpoint.pixel_m(surface.vertices)
-    if apart_m <= _FINEST_M or surface.image is not None:
+    apart_m = _COARSE_PX * viewpoint.pixel_m(surface.vertices)
+    if apart_m <= _FINEST_M:
         return surface
     _, chosen, cell_of = np.unique(keys_of_points(surface.vertices, apart_m), return_index=True, return_inverse=True)
     faces = cell_of.astype(np.int32)[surface.faces]
@@ -157,18 +163,18 @@ def _floor_plan(cells: NDArray[np.int64], submap: Submap) -> Surface:
 def _wall_squares(centers: NDArray[Any], normals: NDArray[Any], voxel_m: float) -> Surface:
     colors = np.tile(np.array(WALL_COLOR, dtype=np.uint8), (len(centers), 1))
     # Larger than a voxel, to close pinholes in the wall.
-    return _squares(centers, normals, np.full(len(centers), 0.8 * voxel_m), colors, 0)
+    return _squares(centers, normals, 0.8 * voxel_m, colors, 0)
 
 
 def _squares(
-    centers: NDArray[Any], normals: NDArray[Any], half_m: NDArray[np.float64], colors: NDArray[np.uint8], owner: int
+    centers: NDArray[Any], normals: NDArray[Any], half_m: float, colors: NDArray[np.uint8], owner: int
 ) -> Surface:
     """Return a square around each of (N, 3) centres; upright where its normal is horizontal."""
     is_steep = np.abs(normals[:, 2:3]) > 0.999
     across = np.cross(np.where(is_steep, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]), normals)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
     along = np.cross(normals, across)
-    sides = np.stack([across, along], axis=1) * half_m[:, None, None]
+    sides = np.stack([across, along], axis=1) * half_m
     vertices = centers[:, None, :] + np.einsum("qs,nsc->nqc", _QUAD, sides)
     faces = 4 * np.arange(len(centers))[:, None, None] + _QUAD_FACES
     return Surface(
@@ -177,9 +183,13 @@ def _squares(
 
 
 def _spacing_m(points: NDArray[np.float32]) -> float:
-    """Return the median distance between neighbouring points; a centimetre if there are too few points."""
-    some = points[:: max(1, len(points) // 2000)]
+    """Return the median distance between neighbouring points; a centimetre if there are too few points.
+
+    Points of a map are in the order of the voxels that they lie in: those in the middle of it are together in a part.
+    """
     if len(points) < 2:
         return 0.01
-    distances, _ = cKDTree(points).query(some, k=2)
+    start = max(0, (len(points) - _ENOUGH) // 2)
+    some = points[start : start + _ENOUGH]
+    distances, _ = cKDTree(some).query(some, k=2)
     return float(np.clip(np.median(distances[:, 1]), 0.002, 0.05))

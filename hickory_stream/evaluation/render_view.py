@@ -1,6 +1,6 @@
 """One view of a map, ray cast and shaded.
 
-Rays are cast on the CPU. Surfaces are lit by a headlight, a sun and an ambient sky, which nearby surfaces occlude
+Surfaces are drawn on the CPU. They are lit by a headlight, a sun and an ambient sky, which nearby surfaces occlude
 (ambient occlusion). Walls fade out towards their tops, the floor where it was not seen.
 """
 
@@ -12,24 +12,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from hickory_stream.evaluation.rasterize import first_hits
 from hickory_stream.evaluation.raycast import Scene
-from hickory_stream.evaluation.render_parts import as_fine_as_seen, point_surface, wall_surface
+from hickory_stream.evaluation.render_parts import coarse, coarse_squares, wall_surface
 from hickory_stream.geometry.arrays import freeze
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.evaluation.rasterize import Dots
     from hickory_stream.evaluation.raycast import Hits, Surface
     from hickory_stream.evaluation.viewpoint import Viewpoint
-    from hickory_stream.records import Submap, TrackedObject
+    from hickory_stream.records import Submap
 
 _BACKGROUND = np.array([[0.93, 0.94, 0.96], [0.985, 0.985, 0.99]], dtype=np.float32)
 _FLOOR, _GRID = np.array([[0.87, 0.865, 0.85], [0.74, 0.735, 0.72]], dtype=np.float32)
 _SHADE_REACH_M = 0.45
 _SHADE_RAYS = 16
 _EDGE_CONTRAST = 0.04
-# Sample positions in a pixel (rotated grid): nearly horizontal or vertical edges pass its four points one by one.
-_WITHIN_PIXEL = np.array([[-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]], dtype=np.float32)
+# Sample positions in a pixel: its middle, and a rotated grid whose four points nearly horizontal or vertical edges pass
+# one by one.
+_SAMPLES = np.array([[0, 0], [-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]], dtype=np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -48,49 +51,60 @@ class Floor:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Model:
-    """The parts of a picture that do not depend on the viewpoint; `points` are the objects whose layer 1 is drawn."""
+    """The parts of a picture that do not depend on the viewpoint; `points` is layer 1."""
 
     solid: list[Surface]
     translucent: list[Surface]
-    points: list[TrackedObject]
+    points: list[Dots]
     submaps: tuple[Submap, ...]
     floor: Floor
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Scenes:
-    solid: Scene
-    translucent: Scene
-    walls: Scene
+class _Seen:
+    """What is seen first at the same places, of each kind of surface."""
+
+    solid: Hits
+    walls: Hits
+    glass: Hits
+
+    def part(self, chosen: NDArray[np.int64]) -> _Seen:
+        return _Seen(solid=self.solid.part(chosen), walls=self.walls.part(chosen), glass=self.glass.part(chosen))
 
 
 def draw_view(model: Model, viewpoint: Viewpoint) -> NDArray[np.uint8]:
-    """Return the (H, W, 3) picture from one viewpoint: one ray per pixel, and four more at edges of colour."""
-    solid, translucent = ([as_fine_as_seen(one, viewpoint) for one in of] for of in (model.solid, model.translucent))
-    scenes = _Scenes(
-        solid=Scene([*solid, *(point_surface(tracked, viewpoint) for tracked in model.points)]),
-        translucent=Scene(translucent),
-        walls=Scene([wall_surface(submap, model.floor.z_m, viewpoint) for submap in model.submaps]),
-    )
+    """Return the (H, W, 3) picture from one viewpoint: one sample per pixel, and four more at edges of colour."""
+    walls = [wall_surface(submap, model.floor.z_m, viewpoint) for submap in model.submaps]
+    drawn = [(model.solid, model.points), (walls, []), (model.translucent, [])]
+    kinds = [first_hits(surfaces, dots, viewpoint, within_px=_SAMPLES) for surfaces, dots in drawn]
+    seen = [_Seen(solid=solid, walls=wall, glass=glass) for solid, wall, glass in zip(*kinds, strict=True)]
     centers = viewpoint.centers_px()
-    shade = _shade_of(scenes.solid, model.floor, viewpoint).reshape(-1)
-    image = _colors(scenes, model.floor, viewpoint, centers, shade)
+    shade = _shade_of(_shading(model, viewpoint), model.floor, viewpoint).reshape(-1)
+    image = _colors(seen[0], model.floor, viewpoint, centers, shade)
     edges = np.flatnonzero(_is_edge(image.reshape(viewpoint.height, viewpoint.width, 3)))
-    finer = [_colors(scenes, model.floor, viewpoint, centers[edges] + place, shade[edges]) for place in _WITHIN_PIXEL]
+    finer = [
+        _colors(one.part(edges), model.floor, viewpoint, centers[edges] + place, shade[edges])
+        for one, place in zip(seen[1:], _SAMPLES[1:], strict=True)
+    ]
     image[edges] = np.mean(finer, axis=0)
-    drawn: NDArray[np.uint8] = np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8)
-    return drawn.reshape(viewpoint.height, viewpoint.width, 3)
+    pixels: NDArray[np.uint8] = np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8)
+    return pixels.reshape(viewpoint.height, viewpoint.width, 3)
+
+
+def _shading(model: Model, viewpoint: Viewpoint) -> Scene:
+    """Return what keeps the sky from a surface; an object of which another layer is drawn has its points there too."""
+    drawn = {surface.owner for surface in model.solid}
+    squares = [coarse_squares(dots, viewpoint) for dots in model.points if dots.owner not in drawn]
+    return Scene([*(coarse(surface, viewpoint) for surface in model.solid), *squares])
 
 
 def _colors(
-    scenes: _Scenes, floor: Floor, viewpoint: Viewpoint, places_px: NDArray[np.float32], shade: NDArray[np.float32]
+    seen: _Seen, floor: Floor, viewpoint: Viewpoint, places_px: NDArray[np.float32], shade: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Return the (N, 3) float32 colours in 0..1 at (N, 2) image positions; `shade` (N,) is their ambient light."""
     origins, directions = viewpoint.rays(places_px)
     floor_m = _floor_distance(floor, origins, directions)
-    solid = scenes.solid.cast(origins, directions)
-    walls = scenes.walls.cast(origins, directions)
-    glass = scenes.translucent.cast(origins, directions)
+    solid, walls, glass = seen.solid, seen.walls, seen.glass
 
     down = (places_px[:, 1:] / viewpoint.height).astype(np.float32)
     color = _mixed(_BACKGROUND[0], _BACKGROUND[1], down)

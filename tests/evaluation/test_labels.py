@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from hickory_stream.evaluation.labels import Label, draw_labels, most_visible, place_labels
 from hickory_stream.evaluation.render import labels_of
+from hickory_stream.evaluation.render_parts import dots_of
 from hickory_stream.evaluation.viewpoint import from_above, from_corner
 from hickory_stream.geometry.palette import color_of_id
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
@@ -80,7 +81,7 @@ def test_things_that_stand_on_one_another_are_labelled_apart_from_above_and_from
         objects.append(replace(made, id=i))
     corners = np.concatenate([tracked.box.corners_world() for tracked in objects])
     for viewpoint in (from_above(corners, 300, 240, 30), from_corner(corners, 0.4, 0.66, 300, 240, 30)):
-        labels = labels_of(viewpoint, objects)
+        labels = labels_of(viewpoint, objects, [dots_of(tracked) for tracked in objects])
         assert [label.object_id for label in labels] == [1, 2, 3, 4]
         assert overlaps(labels) == 0
 
