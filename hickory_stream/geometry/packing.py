@@ -13,8 +13,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_RED_AND_BLUE = np.array([1, 0, 1], np.uint8)
-
 
 def planes_of(array: NDArray[Any]) -> bytes:
     """Return the bytes of an array of at least one dimension: columns after one another, first bytes first."""
@@ -44,12 +42,12 @@ def signed(numbers: NDArray[np.uint32]) -> NDArray[np.int32]:
 
 def color_planes(colors: NDArray[np.uint8]) -> bytes:
     """Return the bytes of (N, 3) colours, each as what it changes: red and blue against green, all against the last."""
-    from_green = colors - colors[:, 1:2] * _RED_AND_BLUE
-    return planes_of(np.diff(from_green, axis=0, prepend=np.zeros((1, 3), np.uint8)))
+    red, green, blue = colors.T
+    planes = np.stack([red - green, green, blue - green])
+    return np.diff(planes, axis=1, prepend=np.zeros((3, 1), np.uint8)).tobytes()
 
 
 def colors_of(planes: bytes, count: int) -> NDArray[np.uint8]:
     """Return the (N, 3) colours of `color_planes`; raises ValueError where there are not as many."""
-    from_green = np.cumsum(array_of(planes, np.dtype(np.uint8), (count, 3)), axis=0, dtype=np.uint8)
-    colors: NDArray[np.uint8] = from_green + from_green[:, 1:2] * _RED_AND_BLUE
-    return colors
+    red, green, blue = np.cumsum(np.frombuffer(planes, np.uint8).reshape(3, count), axis=1, dtype=np.uint8)
+    return np.stack([red + green, green, blue + green], axis=1)
