@@ -69,7 +69,8 @@ class JournalConfig(Ranged):
 
     Attributes:
         flush_s: a lost power supply costs at most the events of so many seconds; a killed process costs none.
-        checkpoint_keyframes: the state of the core is kept every so many keyframes: fewer make looking back quicker.
+        checkpoint_keyframes: the state of the core is kept every so many keyframes, later while loops are searched:
+            fewer make looking back quicker.
         keep_images: the images of keyframes are kept, for `replay --rrd`; `jpeg_quality` where the log has none.
     """
 

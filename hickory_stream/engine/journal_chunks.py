@@ -12,7 +12,7 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from io import BytesIO
 from threading import Lock
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _Kept = TypeVar("_Kept")
 _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_OPCODE, _INDEX_OPCODE = 0x06, 0x07
-_CACHED_CHUNKS = 64
+_CACHED_CHUNKS, _CACHED_BYTES = 64, 32 << 20
 # A chunk that claims to unpack to more is none of ours: the state of a large map takes some tens of megabytes.
 _MOST_CHUNK_BYTES = 1 << 29
 _HEADER = struct.Struct("<BQ")
@@ -87,8 +87,8 @@ class JournalChunks:
         except OutsideError as error:
             raise MapFolderError(f"{error}; a map's journal lies in its folder") from error
         self.places = _scan(self._data, self.path)
-        self._messages: OrderedDict[int, list[Message]] = OrderedDict()
-        self._contents: OrderedDict[int, list[memoryview]] = OrderedDict()
+        self._messages: _Cache[list[Message]] = _Cache()
+        self._contents: _Cache[list[memoryview]] = _Cache()
         self._lock = Lock()
 
     def messages(self, chunk: int) -> list[Message]:
@@ -98,18 +98,19 @@ class JournalChunks:
             MapFolderError: it is damaged.
         """
         with self._lock:
-            if chunk not in self._messages:
-                place = self.places[chunk]
-                try:
-                    records = breakup_chunk(self._record(place), validate_crc=True)
-                    messages = [record for record in records if isinstance(record, Message)]
-                    if not messages:
-                        raise ValueError("a chunk without messages")
-                except _DAMAGE as error:
-                    raise self._damage(place, error) from error
-                _keep(self._messages, chunk, messages)
-            self._messages.move_to_end(chunk)
-            return self._messages[chunk]
+            known = self._messages.get(chunk)
+            if known is not None:
+                return known
+            place = self.places[chunk]
+            try:
+                records = breakup_chunk(self._record(place), validate_crc=True)
+                messages = [record for record in records if isinstance(record, Message)]
+                if not messages:
+                    raise ValueError("a chunk without messages")
+            except _DAMAGE as error:
+                raise self._damage(place, error) from error
+            self._messages.keep(chunk, messages, sum(len(message.data) for message in messages))
+            return messages
 
     def contents(self, chunk: int, *, keeps: bool = True) -> list[memoryview]:
         """Return what the messages of a chunk hold, which takes a fraction of the time of the messages themselves.
@@ -120,9 +121,9 @@ class JournalChunks:
             MapFolderError: it is damaged.
         """
         with self._lock:
-            if chunk in self._contents:
-                self._contents.move_to_end(chunk)
-                return self._contents[chunk]
+            known = self._contents.get(chunk)
+            if known is not None:
+                return known
             place = self.places[chunk]
             try:
                 stream, length = get_chunk_data_stream(self._record(place), validate_crc=True)
@@ -132,7 +133,7 @@ class JournalChunks:
             except _DAMAGE as error:
                 raise self._damage(place, error) from error
             if keeps:
-                _keep(self._contents, chunk, contents)
+                self._contents.keep(chunk, contents, length)
             return contents
 
     def _record(self, place: ChunkPlace) -> Chunk:
@@ -176,10 +177,24 @@ def check_unpacked_size(data: bytes | memoryview, claimed: int) -> None:
         raise ValueError(f"a chunk unpacks to {found} bytes, says {claimed}")
 
 
-def _keep(cache: OrderedDict[int, _Kept], chunk: int, value: _Kept) -> None:
-    cache[chunk] = value
-    if len(cache) > _CACHED_CHUNKS:
-        cache.popitem(last=False)
+class _Cache(Generic[_Kept]):
+    """The chunks that were asked for last, as far as they are few and small; always the last one."""
+
+    def __init__(self) -> None:
+        self._chunks: OrderedDict[int, tuple[_Kept, int]] = OrderedDict()
+        self._num_bytes = 0
+
+    def get(self, chunk: int) -> _Kept | None:
+        if chunk not in self._chunks:
+            return None
+        self._chunks.move_to_end(chunk)
+        return self._chunks[chunk][0]
+
+    def keep(self, chunk: int, value: _Kept, num_bytes: int) -> None:
+        self._chunks[chunk] = value, num_bytes
+        self._num_bytes += num_bytes
+        while len(self._chunks) > 1 and (len(self._chunks) > _CACHED_CHUNKS or self._num_bytes > _CACHED_BYTES):
+            self._num_bytes -= self._chunks.popitem(last=False)[1][1]
 
 
 def _contents_of(data: memoryview) -> list[memoryview]:

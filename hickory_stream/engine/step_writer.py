@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hickory_stream.engine.checkpoint_times import CheckpointTimes
 from hickory_stream.engine.recorder import Unwritten
 from hickory_stream.engine.step import Checkpoint, JournalEntry, Step, StepKind, Told
 from hickory_stream.ports import num_seeks
@@ -45,7 +46,7 @@ class StepWriter:
         self._shapes = shapes
         self._source = source
         self._snapshot = snapshot
-        self._checkpoint_keyframes = checkpoint_keyframes
+        self._checkpoints = CheckpointTimes(checkpoint_keyframes)
         self._unwritten = Unwritten()
 
     def add_frame(self, frame: FramePose) -> None:
@@ -113,7 +114,7 @@ class StepWriter:
             num_seeks=num_seeks(self._source),
         )
         checkpoint: Checkpoint | None = None
-        if core is not None and clock.num_keyframes % self._checkpoint_keyframes == 0:
+        if core is not None and self._checkpoints.is_due(searches=len(core.searches) > 0):
             checkpoint = Checkpoint(core=core.state(), open_jobs=self._shapes.open_jobs)
         await self._recorder.commit(
             JournalEntry(step=step, events=tuple(done.events), told=done.told),

@@ -36,9 +36,11 @@ class _Packed:
 
 
 def pack(cloud: Any, keep: Keep = in_memory) -> None:
-    """Compress the arrays of a cloud, and have them kept."""
+    """Compress the arrays of a cloud, and have them kept; those of one that was packed before are let go again."""
     with _lock:
-        if cloud not in _cold and len(cloud.keys):
+        if cloud in _cold:
+            _let_go(cloud)
+        elif len(cloud.keys):
             packed = {name: compressed(getattr(cloud, name), keep) for name in NAMES}
             _keep(cloud, _Packed(len(cloud.keys), lambda name: restored(packed[name])))
 
@@ -50,6 +52,7 @@ def pack_part(part: Any, whole: Any, keep: Keep = in_memory) -> None:
     """
     with _lock:
         if part in _cold or part is whole:
+            pack(part, keep)
             return pack(whole, keep)
         marks = np.isin(whole.keys, part.keys, assume_unique=True)
         chosen = {name: getattr(whole, name)[marks] for name in NAMES}
@@ -84,13 +87,11 @@ def unpacked(cloud: Any, name: str) -> NDArray[Any]:
     if name not in NAMES:
         raise AttributeError(name)
     with _lock:
-        packed = _cold.get(cloud)
-        if packed is not None:
-            arrays = {each: packed.array(each) for each in NAMES}
+        if is_packed(cloud):
+            arrays = {each: _cold[cloud].array(each) for each in NAMES}
             for each, array in arrays.items():
                 object.__setattr__(cloud, each, array)
-            del _cold[cloud]
-    there: NDArray[Any] = object.__getattribute__(cloud, name)
+        there: NDArray[Any] = object.__getattribute__(cloud, name)
     return there
 
 
@@ -101,17 +102,34 @@ def count_of(cloud: Any) -> int:
 
 
 def is_packed(cloud: Any) -> bool:
-    """Return whether the arrays of a cloud are compressed."""
-    return cloud in _cold
+    """Return whether the arrays of a cloud are compressed, and not at hand."""
+    try:
+        object.__getattribute__(cloud, NAMES[-1])
+    except AttributeError:
+        return cloud in _cold
+    return False
 
 
 def array_of(cloud: Any, name: str) -> NDArray[Any]:
     """Return an array of a cloud, which stays packed if it is."""
     packed = _cold.get(cloud)
-    return getattr(cloud, name) if packed is None else packed.array(name)
+    if packed is None:
+        return getattr(cloud, name)
+    try:
+        there: NDArray[Any] = object.__getattribute__(cloud, name)
+    except AttributeError:
+        return packed.array(name)
+    return there
 
 
 def _keep(cloud: Any, packed: _Packed) -> None:
     _cold[cloud] = packed
+    _let_go(cloud)
+
+
+def _let_go(cloud: Any) -> None:
     for name in NAMES:
-        object.__delattr__(cloud, name)
+        try:
+            object.__delattr__(cloud, name)
+        except AttributeError:
+            pass  # let go before

@@ -152,6 +152,23 @@ def test_a_checkpoint_whose_parts_lie_in_many_chunks_unpacks_each_of_them_once(
     assert len(unpacked) == len(arrays) + 1
 
 
+def test_of_large_chunks_few_are_kept_at_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hickory_stream.engine.journal_chunks._CACHED_BYTES", 3000)
+    writer = JournalWriter(tmp_path, flush_s=100.0)
+    for i in range(6):
+        writer.append(entry(i), color=bytes([i]) * 1000)
+    writer.close()
+    with Journal(tmp_path) as journal:
+        for _ in range(2):
+            assert [journal.color(i) for i in range(6)] == [bytes([i]) * 1000 for i in range(6)]
+        kept = journal._chunks._messages._chunks
+        assert 0 < len(kept) < 3
+        # The last one is, however large.
+        monkeypatch.setattr("hickory_stream.engine.journal_chunks._CACHED_BYTES", 1)
+        assert journal.color(0) == bytes(1000)
+        assert len(kept) == 1
+
+
 @given(share=st.floats(0.0, 1.0))
 def test_a_file_that_was_cut_at_any_byte_holds_the_steps_before_the_cut(
     whole: bytes, place: Path, share: float

@@ -1,5 +1,7 @@
 """A compressed cloud comes back to the byte, and holds no memory of its arrays meanwhile."""
 
+from collections.abc import Callable
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -42,6 +44,23 @@ def test_a_cloud_and_a_part_of_it_come_back_to_the_byte(steps: list[int], seed: 
     assert bytes_of(whole) == before[0]
     pack(whole)
     assert bytes_of(whole) == before[0]
+
+
+def test_what_was_packed_before_is_let_go_again_and_not_compressed_again() -> None:
+    cloud, kept = cloud_of([1, 2, 3], 0), list[bytes]()
+    before = bytes_of(cloud)
+
+    def keep(data: bytes) -> Callable[[], bytes]:
+        kept.append(data)
+        return lambda: data
+
+    pack(cloud, keep)
+    assert bytes_of(cloud) == before
+    assert not is_packed(cloud)
+    pack(cloud, keep)
+    assert is_packed(cloud)
+    assert len(kept) == len(NAMES)
+    assert bytes_of(cloud) == before
 
 
 def test_a_cloud_that_is_its_own_part_is_packed_once() -> None:
