@@ -208,18 +208,18 @@ class Journal:
 
         later = UnreadRecords(array, self.path) if reads_later else None
         try:
-            stored = self._with_parts(chunk, reads_later=reads_later)
+            stored = self._with_parts(chunk, later)
             checkpoint: Checkpoint = self._decoded(stored[chunk, 0], "Checkpoint", part, later)
             return replace(checkpoint, core=unpacked(checkpoint.core))
         except (ValueError, LookupError) as error:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
 
-    def _with_parts(self, chunk: int, *, reads_later: bool) -> dict[tuple[int, int], bytes]:
+    def _with_parts(self, chunk: int, later: UnreadRecords | None) -> dict[tuple[int, int], bytes]:
         """Return the document of a checkpoint, and all parts that it or one of them refers to, as they are encoded.
 
         The parts of a large map lie in hundreds of chunks. No part refers to a later chunk than its own: each is
-        unpacked once, the latest first, and only what is needed of it is kept. `reads_later`: without the arrays that
-        have chunks of their own.
+        unpacked once, the latest first, and only what is needed of it is kept: without the arrays that `later` leaves
+        where they are.
 
         Raises:
             ValueError: a part is said to lie where none can be.
@@ -238,14 +238,12 @@ class Journal:
             while numbers:
                 number = numbers.pop()
                 stored[here, number] = data = bytes(contents[number])
-                for other, its_number in part_references(data):
+                for other, its_number in part_references(data, later):
                     if type(other) is not int or not 0 <= other <= here:
                         raise ValueError(f"a part is said to lie in chunk {other}")
                     # The first message is the document, which no part refers to.
                     if type(its_number) is not int or its_number < 1:
                         raise ValueError(f"a part is said to be number {its_number}")
-                    if reads_later and self._places[other].channel == ARRAYS:
-                        continue
                     if (other, its_number) not in stored:
                         (numbers if other == here else wanted.setdefault(other, set())).add(its_number)
         return stored

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _Kept = TypeVar("_Kept")
 _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_OPCODE, _INDEX_OPCODE = 0x06, 0x07
-_CACHED_CHUNKS, _CACHED_BYTES = 64, 32 << 20
+_CACHED_CHUNKS, _CACHED_BYTES = 64, 64 << 20
 # A chunk that claims to unpack to more is none of ours: the state of a large map takes some tens of megabytes.
 _MOST_CHUNK_BYTES = 1 << 29
 _HEADER = struct.Struct("<BQ")

@@ -116,24 +116,40 @@ def decode(data: bytes, part: Callable[[int, int], Any] | None = None, later: La
         raise ValueError(f"no record of this version: {error!r}") from error
 
 
-def part_references(data: bytes) -> list[tuple[int, int]]:
+def part_references(data: bytes, later: LateRecords | None = None) -> list[tuple[int, int]]:
     """Return where the parts are that an encoded value refers to, in the order in which it does.
+
+    `later`: without the arrays that it leaves where they are.
 
     Raises:
         ValueError: the bytes are damaged.
     """
-    found: list[tuple[int, int]] = []
+    found: dict[int, tuple[int, int]] = {}
 
-    def note(tag: cbor2.CBORTag, _is_key: bool) -> None:
+    def note(tag: cbor2.CBORTag, _is_key: bool) -> _Reference | None:
         if tag.tag == _PART:
             place, number = tag.value[:2]
-            found.append((place, number))
+            found[len(found)] = place, number
+            return _Reference(len(found) - 1)
+        if tag.tag == _RECORD and later is not None:
+            name, fields = tag.value
+            for late in later.arrays_of(_record_of(name)):
+                if isinstance(left := fields.get(late), _Reference):
+                    left_out.add(left.number)
+        return None
 
+    left_out: set[int] = set()
     try:
         cbor2.loads(data, tag_hook=note)
     except _DAMAGE as error:
         raise ValueError(f"no record of this version: {error!r}") from error
-    return found
+    return [place for number, place in found.items() if number not in left_out]
+
+
+class _Reference(NamedTuple):
+    """The number of a reference among those of an encoded value."""
+
+    number: int
 
 
 def encode_array(array: NDArray[Any]) -> bytes:

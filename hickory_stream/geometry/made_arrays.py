@@ -7,6 +7,7 @@ tell but by the time it takes.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import RLock
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ import zstandard
 from hickory_stream.geometry.packing import array_of, planes_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -34,12 +35,13 @@ Keep = Callable[[bytes], Callable[[], bytes]]
 class _Maker:
     """What makes the arrays `names` of a record, the one that is asked for among those that it gives.
 
-    `keeps`: what was made stays, until it is given up again.
+    `keeps`: what was made stays, until it is given up again. `is_packed`: it is made of what is compressed.
     """
 
     make: Callable[[str], Mapping[str, Any]]
     names: tuple[str, ...]
     keeps: bool
+    is_packed: bool = False
 
 
 _lock = RLock()
@@ -93,12 +95,43 @@ def in_memory(data: bytes) -> Callable[[], bytes]:
 
 
 def compress(record: GivesUpArrays, *names: str, keep: Keep = in_memory) -> None:
-    """Have arrays of a record kept compressed alone; those that were read since the last time are let go again."""
+    """Have arrays of a record kept compressed alone; those that were read since the last time are let go again.
+
+    Those that are to be read later, and have not been, stay where they are.
+    """
     with _lock:
-        if record in _makers:
-            return _let_go(record, _makers[record])
-        packed = {name: compressed(getattr(record, name), keep) for name in names}
-        return _let_go(record, _Maker(lambda name: {name: restored(packed[name])}, names, keeps=True))
+        maker = _makers.get(record)
+        if maker is None or not maker.is_packed and _is_at_hand(record, maker):
+            packed = {name: compressed(getattr(record, name), keep) for name in names}
+            maker = _Maker(lambda name: {name: restored(packed[name])}, names, keeps=True, is_packed=True)
+        _let_go(record, maker)
+
+
+@contextmanager
+def read_briefly(*records: GivesUpArrays) -> Iterator[None]:
+    """Let go again, after the block, of arrays of records that were compressed before it."""
+    with _lock:
+        away = [
+            (record, maker)
+            for record in records
+            if (maker := _makers.get(record)) is not None and maker.is_packed and not _is_at_hand(record, maker)
+        ]
+    try:
+        yield
+    finally:
+        for record, maker in away:
+            _let_go(record, maker)
+
+
+def _is_at_hand(record: GivesUpArrays, maker: _Maker) -> bool:
+    """Return whether an array that may be made has been, and has stayed."""
+    for name in maker.names:
+        try:
+            object.__getattribute__(record, name)
+        except AttributeError:
+            continue
+        return True
+    return False
 
 
 def has_given_up(record: GivesUpArrays) -> bool:

@@ -102,24 +102,22 @@ def count_of(cloud: Any) -> int:
 
 
 def is_packed(cloud: Any) -> bool:
-    """Return whether the arrays of a cloud are compressed, and not at hand."""
-    try:
-        object.__getattribute__(cloud, NAMES[-1])
-    except AttributeError:
-        return cloud in _cold
-    return False
+    """Return whether arrays of a cloud are compressed, and not at hand."""
+    return cloud in _cold and not all(_is_at_hand(cloud, name) for name in NAMES)
 
 
 def array_of(cloud: Any, name: str) -> NDArray[Any]:
     """Return an array of a cloud, which stays packed if it is."""
     packed = _cold.get(cloud)
-    if packed is None:
-        return getattr(cloud, name)
+    return getattr(cloud, name) if packed is None or _is_at_hand(cloud, name) else packed.array(name)
+
+
+def _is_at_hand(cloud: Any, name: str) -> bool:
     try:
-        there: NDArray[Any] = object.__getattribute__(cloud, name)
+        object.__getattribute__(cloud, name)
     except AttributeError:
-        return packed.array(name)
-    return there
+        return False
+    return True
 
 
 def _keep(cloud: Any, packed: _Packed) -> None:

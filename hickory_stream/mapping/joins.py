@@ -88,8 +88,9 @@ def without_far(joins: Mapping[int, tuple[Join, ...]], host_id: int, far_id: int
 
 def views_in(joins: Iterable[Join]) -> Iterator[str]:
     """Yield the names of the views that tracks need once they are parted."""
-    for track in _tracks_of(joins):
-        yield from (view.name for view in track.views)
+    for track, is_parted in _tracks_of(joins):
+        if is_parted:
+            yield from (view.name for view in track.views)
 
 
 def without_lost_views(joins: Mapping[int, tuple[Join, ...]], names: Collection[str]) -> Joins:
@@ -97,12 +98,21 @@ def without_lost_views(joins: Mapping[int, tuple[Join, ...]], names: Collection[
     return {host: tuple(_without_views(join, names) for join in own) for host, own in joins.items()}
 
 
-def _tracks_of(joins: Iterable[Join]) -> Iterator[Track]:
+def tracks_in(joins: Iterable[Join]) -> Iterator[Track]:
+    """Yield the tracks that joins hold, of which some may be the same."""
+    for track, _ in _tracks_of(joins):
+        yield track
+
+
+def _tracks_of(joins: Iterable[Join]) -> Iterator[tuple[Track, bool]]:
+    """Yield the tracks of joins, and whether a track that is parted needs its views."""
     waiting = list(joins)
     while waiting:
         join = waiting.pop()
         waiting += join.past.joins
-        yield from (join.far, *join.past.absorbed, *(() if join.near is None else (join.near,)))
+        for track in (join.far, *join.past.absorbed, *(() if join.near is None else (join.near,))):
+            yield track, True
+        yield join.united, False
 
 
 def _without_views(join: Join, names: Collection[str]) -> Join:

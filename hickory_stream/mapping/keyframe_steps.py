@@ -30,7 +30,7 @@ def begin_keyframe(state: MapState, event: FrameObserved, config: MappingConfig)
     state.advance_clock(event.stamp_ns)
     warm = state.derived.warm
     state.submaps = looking_at(with_keyframe(state.submaps, event, config.submaps), event.space, warm.keep)
-    warm.follow(state.tracks, state.absorbed, state.split_candidates, sight=state.sight, revision=state.revision)
+    warm.follow(state)
     for rejected in event.rejected:
         state.decide("reject", None, f"mask {rejected.box_px}: {rejected.reason}")
 

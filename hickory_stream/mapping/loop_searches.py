@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.events import SearchLoops
 from hickory_stream.mapping.space_agreement import agreed_after
-from hickory_stream.mapping.submaps import surveyed
+from hickory_stream.mapping.submaps import put_far_away, surveyed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,6 +30,7 @@ def end_submap(
         return []
     submap_id = now_id if open_id is None else open_id
     state.submaps = agreed_after(state.submaps, submap_id)
+    put_far_away(state.submaps, state.derived.warm.keep)
     submaps = state.submaps.states[: submap_id + 1]
     if not config.searches_loops or submap_id == 0 or len(submaps[-1].surface) == 0:
         return []

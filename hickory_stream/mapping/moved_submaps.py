@@ -19,6 +19,7 @@ from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.mapping.associate import associate
+from hickory_stream.mapping.far_away import put_away
 from hickory_stream.mapping.moved_tracks import moved_track, sameness
 from hickory_stream.mapping.one_to_one import one_to_one
 from hickory_stream.mapping.parting import keep_join, part_joins, past_of
@@ -55,12 +56,15 @@ def place_submaps(state: MapState, event: PosesCorrected, config: MappingConfig,
         return []
     before = state.submaps
     places = dict(zip(event.submap_ids, event.world_from_submap, strict=True))
-    state.submaps = agreed_anew(placed_at(state.submaps, places))
+    state.submaps = agreed_anew(placed_at(before, places), before)
     text = f"submaps {', '.join(map(str, event.submap_ids)) or 'none'} were placed anew"
     state.decide("pose_correction", None, text)
     effects, parted = part_joins(state, config)
     set_apart(state)
-    return [*effects, *merge_met(state, before, config, parted)] if merges else effects
+    if merges:
+        effects += merge_met(state, before, config, parted)
+    put_away(state)
+    return effects
 
 
 def set_apart(state: MapState) -> None:
@@ -83,6 +87,7 @@ def recognise(state: MapState, event: FrameObserved, config: MappingConfig) -> l
     near = {track.id: track for track in _near(state, bounds, config)}
     if not near:
         return []
+    state.derived.warm.use(near, state.revision)
     known = TrackTable({track.id: track for one in bounds for track in state.tracks.touching(one)} | near)
     matches = associate(event.observations, known, config.lattice.points_m, config.associate)
     effects: list[Effect] = []

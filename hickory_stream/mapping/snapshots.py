@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.geometry.made_arrays import give_up, has_given_up
+from hickory_stream.geometry.made_arrays import give_up, has_given_up, read_briefly
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.mapping.moved import moved_object
 from hickory_stream.mapping.observed_space import as_record, without_room
 from hickory_stream.mapping.submaps import LEAST_BESIDE_M, record_of
 from hickory_stream.mapping.track import as_object
-from hickory_stream.records import MapPrior, MapSnapshot, Phase
+from hickory_stream.records import MapPrior, MapSnapshot, ObservedSpace, Phase, Submap
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.submaps import SubmapState
     from hickory_stream.mapping.track import Track
     from hickory_stream.mapping.track_table import Mark
-    from hickory_stream.records import ObservedSpace, Submap, TrackedObject
+    from hickory_stream.records import TrackedObject
+
+_NO_KEYS = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,13 +144,38 @@ class Snapshots:
     def _submap(self, state: SubmapState) -> Submap:
         shown = self._submaps.get(state.id)
         if shown is None or shown[0] is not state:
-            shown = self._submaps[state.id] = (state, record_of(state), False)
+            shown = self._submaps[state.id] = (state, *_record_of(state, shown))
         _, submap, gives_up = shown
         if not gives_up and has_given_up(state.space):
             # A record whose space is compressed does not hold it either.
-            give_up(submap.observed_space, lambda name: _of_space(state, name), "free", "structure")
+            _give_up_space(submap, state)
             self._submaps[state.id] = (state, submap, True)
         return submap
+
+
+def _record_of(state: SubmapState, shown: tuple[SubmapState, Submap, bool] | None) -> tuple[Submap, bool]:
+    """Return the public record of a submap, and whether it has given up its space; `shown` is the last one."""
+    if shown is not None and _has_same_space(shown[0], state):
+        return replace(shown[1], world_from_submap=state.world_from_submap), shown[2]
+    if not has_given_up(state.space):
+        return record_of(state), False
+    space = ObservedSpace(
+        voxel_m=state.space.voxel_m,
+        free=_NO_KEYS,
+        structure=_NO_KEYS,
+        floor_z_m=(state.space if state.outdated is None else state.seen).floor_z_m,
+    )
+    submap = Submap(id=state.id, world_from_submap=state.world_from_submap, observed_space=space)
+    _give_up_space(submap, state)
+    return submap, True
+
+
+def _has_same_space(a: SubmapState, b: SubmapState) -> bool:
+    return a.space is b.space and a.seen is b.seen and a.outdated is b.outdated
+
+
+def _give_up_space(submap: Submap, state: SubmapState) -> None:
+    give_up(submap.observed_space, lambda name: _of_space(state, name), "free", "structure")
 
 
 def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> TrackedObject:
@@ -165,5 +192,6 @@ def _moved_array(item: TrackedObject, world_from_submap: NDArray[np.float64], na
 
 
 def _of_space(state: SubmapState, name: str) -> NDArray[Any]:
-    array: NDArray[Any] = getattr(record_of(state).observed_space, name)
+    with read_briefly(state.space, state.seen):
+        array: NDArray[Any] = getattr(record_of(state).observed_space, name)
     return array

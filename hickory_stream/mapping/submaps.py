@@ -273,7 +273,7 @@ def looking_at(submaps: Submaps, seen: SpaceObservation, keep: Keep = in_memory)
     if submaps.window is not None and submaps.window.holds(least):
         return submaps
     moved = _within(submaps, least.wider(round(_MOST_BESIDE_M / voxel_m)))
-    _compress_far(moved, keep)
+    put_far_away(moved, keep)
     return moved
 
 
@@ -443,8 +443,8 @@ def _survey(surface: SubmapSurface, space: SpaceState, name: str) -> NDArray[Any
     return array
 
 
-def _compress_far(submaps: Submaps, keep: Keep) -> None:
-    """Compress the spaces and surfaces of the submaps that the window does not reach."""
+def put_far_away(submaps: Submaps, keep: Keep) -> None:
+    """Compress the spaces and surfaces of the submaps that are not judged, or that the window does not reach."""
     window = submaps.window
     for state in submaps.states[:-1]:
         reach = extent(state.space)

@@ -9,7 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hickory_stream.geometry.made_arrays import compress, compressed, give_up, has_given_up, read_later, restored
+from hickory_stream.geometry.made_arrays import (
+    compress,
+    compressed,
+    give_up,
+    has_given_up,
+    read_briefly,
+    read_later,
+    restored,
+)
 from hickory_stream.records import ObservedSpace
 
 FREE, STRUCTURE = np.arange(5, 500, 3), np.arange(7)
@@ -46,6 +54,42 @@ def test_an_array_that_was_given_up_is_made_each_time_it_is_read() -> None:
     with pytest.raises(ValueError, match="read-only"):
         record.free[0] = 1
     assert not hasattr(record, "no_such_array")
+
+
+def test_what_was_compressed_is_let_go_again_after_it_was_read_briefly_and_what_was_at_hand_stays() -> None:
+    away, at_hand, whole = space(), space(), space()
+    for record in (away, at_hand):
+        compress(record, "free", "structure")
+    kept = at_hand.free
+    with read_briefly(away, at_hand, whole):
+        first = away.free
+        assert away.free is first
+        assert at_hand.free is kept
+    assert away.free is not first
+    assert np.array_equal(away.free, FREE)
+    assert at_hand.free is kept
+    assert whole.free.tolist() == FREE.tolist()
+
+
+def test_what_is_to_be_read_later_stays_where_it_is_until_it_was_read_and_is_compressed_then() -> None:
+    record, reads = space(), list[int]()
+
+    def read() -> dict[str, np.ndarray]:
+        reads.append(1)
+        return {"free": FREE.copy(), "structure": STRUCTURE.copy()}
+
+    read_later(record, read, "free", "structure")
+    compress(record, "free", "structure")
+    assert not reads
+    with read_briefly(record):
+        first = record.free
+    # Read from far away once: that it stays at hand is left to who compresses it.
+    assert record.free is first
+    compress(record, "free", "structure")
+    assert record.free is not first
+    assert np.array_equal(record.free, FREE)
+    assert np.array_equal(record.structure, STRUCTURE)
+    assert reads == [1]
 
 
 def test_a_compressed_array_stays_once_it_is_read_until_it_is_compressed_again() -> None:

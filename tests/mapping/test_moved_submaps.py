@@ -9,7 +9,9 @@ from hickory_stream.engine.map_codec import encode_snapshot
 from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.events import PosesCorrected, Publish, SourceEnded
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
+from hickory_stream.mapping.cold_clouds import is_packed
 from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.joins import tracks_in
 from hickory_stream.mapping.moved_tracks import moved_track
 from hickory_stream.mapping.submaps import SubmapConfig
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, drive
@@ -54,6 +56,25 @@ def test_two_objects_that_a_correction_brings_together_become_one_with_both_hist
     assert home.last_seen_ns == before[3].last_seen_ns
     assert np.allclose(home.box.center, before[1].box.center, atol=0.02)
     assert np.array_equal(lonely.points_world, before[2].points_world)
+
+
+def test_what_a_correction_looked_at_and_lies_elsewhere_is_compressed_again_with_what_was_joined() -> None:
+    core = out_and_back(sees_home=True)
+    core.handle(placed(core))
+    elsewhere, joins = core.state()["elsewhere"], core.state()["joins"]
+    assert elsewhere
+    assert joins
+    assert all(is_packed(track.cloud) and is_packed(track.solid) for track in elsewhere.values())
+    assert all(is_packed(track.cloud) for own in joins.values() for track in tracks_in(own))
+    # What a keyframe has recognised stays at hand for a while.
+    core = out_and_back(sees_home=False)
+    core.handle(placed(core))
+    (home, lonely) = core.state()["elsewhere"].values()
+    drive(core, [at(12, 0.0, drifted(HOME))])
+    assert not is_packed(home.cloud)
+    assert is_packed(lonely.cloud)
+    drive(core, [at(13 + i, 9.0 + 0.1 * i) for i in range(30)])
+    assert is_packed(home.cloud)
 
 
 def test_an_object_that_lies_elsewhere_is_recognised_where_it_lies_now_and_no_other_is_made() -> None:

@@ -3,13 +3,16 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hickory_stream.events import PosesCorrected
+from hickory_stream.geometry.made_arrays import has_given_up
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.geometry.voxels import cells_of_keys, centers_of_keys, contains, keys_of_points, sorted_unique
+from hickory_stream.mapping import space_agreement
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.observed_space import SpaceState, added, empty_space, structure_of
 from hickory_stream.mapping.space_agreement import contradicted
@@ -144,3 +147,44 @@ def test_a_submap_that_ends_later_has_its_word_as_well() -> None:
     assert not contains(
         first.observed_space.structure, keys_of_points(block((1.0, 0.3, 0.1), (1.04, 0.6, 0.3)), V)
     ).all()
+
+
+def test_the_spaces_of_submaps_that_lie_elsewhere_are_compressed_and_read_briefly(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    core, plain = walked(is_corrected=True), walked(is_corrected=True)
+    monkeypatch.setattr(space_agreement, "_MOST_SPACES", 1)
+    first = core.submaps[0]
+    assert has_given_up(first.space)
+    assert has_given_up(first.seen)
+    for place in (np.eye(4), invert(TURN)):
+        for each in (core, plain):
+            each.handle(_placed(place))
+    shown, expected = core.snapshot().submaps[0].observed_space, plain.snapshot().submaps[0].observed_space
+    for name in ("free", "structure"):
+        assert np.array_equal(getattr(shown, name), getattr(expected, name))
+    assert not _is_at_hand(first.seen)
+    assert not _is_at_hand(core.submaps[0].space)
+
+
+def _is_at_hand(space: SpaceState) -> bool:
+    try:
+        object.__getattribute__(space, "free")
+    except AttributeError:
+        return False
+    return True
+
+
+def test_what_is_outdated_as_before_is_the_same_array_and_its_space_the_same_record() -> None:
+    core = walked(is_corrected=True)
+    before, shown = core.submaps[0].outdated, core.snapshot().submaps[0].observed_space
+    assert before is not None
+    assert len(before)
+    core.handle(_placed(invert(TURN)))
+    assert core.submaps[0].outdated is before
+    assert core.snapshot().submaps[0].observed_space is shown
+    other = from_rotation_translation(np.eye(3), np.array([9.0, 0.0, 0.0]))
+    core.handle(_placed(other))
+    assert core.submaps[0].outdated is not None
+    assert len(core.submaps[0].outdated) == 0
+    assert core.snapshot().submaps[0].observed_space is not shown
