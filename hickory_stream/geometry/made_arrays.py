@@ -101,7 +101,7 @@ def compress(record: GivesUpArrays, *names: str, keep: Keep = in_memory) -> None
     """
     with _lock:
         maker = _makers.get(record)
-        if maker is None or not maker.is_packed and _is_at_hand(record, maker):
+        if maker is None or (not maker.is_packed and _is_at_hand(record, maker)):
             packed = {name: compressed(getattr(record, name), keep) for name in names}
             maker = _Maker(lambda name: {name: restored(packed[name])}, names, keeps=True, is_packed=True)
         _let_go(record, maker)
