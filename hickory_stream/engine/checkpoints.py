@@ -18,7 +18,7 @@ from hickory_stream.mapping.track_merging import VoteBook
 from hickory_stream.records import Submap, SurveyedSubmap, TrackedObject
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from numpy.typing import NDArray
 
@@ -58,12 +58,13 @@ KEPT_RECORDS = (
 class Packer:
     """Packs states one after another; of a track that did not change the same packed track is given again.
 
-    So that who writes records by their identity writes it once.
+    So that who writes records by their identity writes it once. `stored`: tracks that are written already, and are
+    given as they are.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, stored: Iterable[Track] = ()) -> None:
         self._marks: dict[int, _Marks] = {}
-        self._packed: dict[int, tuple[Track, Track | PackedTrack]] = {}
+        self._packed: dict[int, tuple[Track, Track | PackedTrack]] = {id(track): (track, track) for track in stored}
         self._pages: dict[tuple[str, int], tuple[list[int], list[Any], TablePage]] = {}
 
     def packed(self, state: Mapping[str, Any]) -> dict[str, Any]:
@@ -74,10 +75,12 @@ class Packer:
         def pack(track: Track) -> Track | PackedTrack:
             known = before.get(id(track))
             own = marks.get(id(track.solid))
-            if own is None or own.cloud is not track.cloud:
-                own = _Marks(cloud=track.cloud, solid=track.solid, is_solid=_solid_marks(track.cloud, track.solid))
-            self._marks[id(track.solid)] = own
+            if own is not None and own.cloud is track.cloud:
+                self._marks[id(track.solid)] = own
             if known is None:
+                if own is None or own.cloud is not track.cloud:
+                    own = _Marks(cloud=track.cloud, solid=track.solid, is_solid=_solid_marks(track.cloud, track.solid))
+                    self._marks[id(track.solid)] = own
                 known = (track, track)
                 if own.is_solid is not None:
                     whole = replace(track, solid=track.cloud)

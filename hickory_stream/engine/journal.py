@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
@@ -28,6 +28,17 @@ if TYPE_CHECKING:
     from hickory_stream.events import Event
 
 
+_Place = tuple[int, int]
+
+
+class StoredPart(NamedTuple):
+    """A record or an array of a checkpoint, its place (chunk, number in it), and those of the parts it refers to."""
+
+    place: _Place
+    part: Any
+    references: list[_Place]
+
+
 class Journal:
     """A journal that is read; open it with `with`. Complete or not, it holds what was whole when it was opened.
 
@@ -41,6 +52,8 @@ class Journal:
         self._places = self._chunks.places
         self._steps = [i for i, place in enumerate(self._places) if place.is_step]
         self._known_parts: dict[tuple[int, int], Any] = {}
+        self.parts: list[StoredPart] = []
+        """Those of the checkpoint that was read last, of which arrays are read later."""
 
     def __enter__(self) -> Self:
         return self
@@ -183,6 +196,10 @@ class Journal:
         for chunk in range(len(self._places)):
             yield self._chunks.messages(chunk)
 
+    def read_copy(self) -> None:
+        """Read what is still to be read from the file that is in the folder now, a copy of this one."""
+        self._chunks.read_copy()
+
     def _cut(self, chunk: int) -> None:
         self._places = self._places[:chunk]
         self._steps = [i for i in self._steps if i < chunk]
@@ -208,14 +225,22 @@ class Journal:
 
         later = UnreadRecords(array, self.path) if reads_later else None
         try:
-            stored = self._with_parts(chunk, later)
+            stored, references = self._with_parts(chunk, later)
             checkpoint: Checkpoint = self._decoded(stored[chunk, 0], "Checkpoint", part, later)
+            if later is not None:
+                self.parts = [StoredPart(place, known, references.get(place, [])) for place, known in parts.items()]
+                for place in [place for place in stored if self._places[place[0]].channel == ARRAYS]:
+                    del stored[place]
             return replace(checkpoint, core=unpacked(checkpoint.core))
         except (ValueError, LookupError) as error:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
 
-    def _with_parts(self, chunk: int, later: UnreadRecords | None) -> dict[tuple[int, int], bytes]:
+    def _with_parts(
+        self, chunk: int, later: UnreadRecords | None
+    ) -> tuple[dict[_Place, bytes], dict[_Place, list[_Place]]]:
         """Return the document of a checkpoint, and all parts that it or one of them refers to, as they are encoded.
+
+        With them the parts to which each refers.
 
         The parts of a large map lie in hundreds of chunks. No part refers to a later chunk than its own: each is
         unpacked once, the latest first, and only what is needed of it is kept: without the arrays that `later` leaves
@@ -226,7 +251,8 @@ class Journal:
             IndexError: a chunk has fewer parts.
             MapFolderError: a chunk is damaged.
         """
-        stored: dict[tuple[int, int], bytes] = {}
+        stored: dict[_Place, bytes] = {}
+        references: dict[_Place, list[_Place]] = {}
         wanted = {chunk: {0}}
         while wanted:
             here = max(wanted)
@@ -238,7 +264,8 @@ class Journal:
             while numbers:
                 number = numbers.pop()
                 stored[here, number] = data = bytes(contents[number])
-                for other, its_number in part_references(data, later):
+                references[here, number] = part_references(data, later)
+                for other, its_number in references[here, number]:
                     if type(other) is not int or not 0 <= other <= here:
                         raise ValueError(f"a part is said to lie in chunk {other}")
                     # The first message is the document, which no part refers to.
@@ -246,7 +273,7 @@ class Journal:
                         raise ValueError(f"a part is said to be number {its_number}")
                     if (other, its_number) not in stored:
                         (numbers if other == here else wanted.setdefault(other, set())).add(its_number)
-        return stored
+        return stored, references
 
     def _decoded(
         self,

@@ -136,6 +136,12 @@ class JournalChunks:
                 self._contents.keep(chunk, contents, length)
             return contents
 
+    def read_copy(self) -> None:
+        """Read from the file that is in the folder now, which begins with as many of these chunks as it has."""
+        copy = JournalChunks(self.path.parent)
+        with self._lock:
+            self._data, self.places = copy._data, copy.places
+
     def _record(self, place: ChunkPlace) -> Chunk:
         """Return the chunk at a place; raises ValueError where it declares another size than it has or may have."""
         chunk = Chunk.read(ReadDataStream(BytesIO(self._data[place.start : place.end])))

@@ -31,14 +31,15 @@ from hickory_stream.engine.journal_format import (
 )
 from hickory_stream.engine.known_records import KnownRecords
 from hickory_stream.engine.record_codec import encode
+from hickory_stream.mapping.track import Track
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from mcap.records import Message
 
-    from hickory_stream.engine.journal import Journal
+    from hickory_stream.engine.journal import Journal, StoredPart
     from hickory_stream.engine.step import Checkpoint, JournalEntry
     from hickory_stream.records import MapSnapshot
 
@@ -49,7 +50,8 @@ class JournalWriter:
     """Appends to the journal of a map folder. Not to be called from two threads at a time.
 
     `continued` holds the steps to begin with: they are copied, so that the file is one whole MCAP file at the end, and
-    the old file is replaced only when that is done.
+    the old file is replaced only when that is done, and what it has still to read is read from the copy. What the
+    checkpoint has that was read last of it is not written again.
 
     Raises:
         MapFolderError: the disk refused; also from each method.
@@ -58,8 +60,9 @@ class JournalWriter:
     def __init__(self, folder: Path, *, flush_s: float, continued: Journal | None = None) -> None:
         self._path = folder / JOURNAL
         self._flush_s = flush_s
-        self._parts = _Parts()
-        self._packer = Packer()
+        parts = [] if continued is None else continued.parts
+        self._parts = _Parts(parts)
+        self._packer = Packer(part.part for part in parts if isinstance(part.part, Track))
         self._known = KnownRecords()
         self._num_chunks = 0
         self._synced_s = time.monotonic()
@@ -75,6 +78,8 @@ class JournalWriter:
                 self._file.flush()
                 os.fsync(self._file.fileno())
                 partial.replace(self._path)
+                if continued is not None:
+                    continued.read_copy()
             except BaseException:
                 self._file.close()
                 partial.unlink(missing_ok=True)
@@ -187,8 +192,12 @@ class _Parts:
     Parts are arrays, which records never change, and immutable records: one and the same needs no comparison.
     """
 
-    def __init__(self) -> None:
-        self._places: dict[int, _Stored] = {}
+    def __init__(self, parts: Sequence[StoredPart] = ()) -> None:
+        stored = {part.place: _Stored(part.part) for part in parts}
+        for part in parts:
+            stored[part.place].place = part.place
+            stored[part.place].uses = [stored[place] for place in part.references if place in stored]
+        self._places: dict[int, _Stored] = {each.key: each for each in stored.values()}
         self._used: dict[int, _Stored] = {}
         self._users: list[_Stored] = []
         self._arrays: list[bytes] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hickory_stream.mapping.far_away import rest_tracks
 from hickory_stream.mapping.observed_space import floor_change
 from hickory_stream.mapping.submaps import false_floor, looking_at, with_keyframe, with_registration, with_seen
 
@@ -30,7 +31,7 @@ def begin_keyframe(state: MapState, event: FrameObserved, config: MappingConfig)
     state.advance_clock(event.stamp_ns)
     warm = state.derived.warm
     state.submaps = looking_at(with_keyframe(state.submaps, event, config.submaps), event.space, warm.keep)
-    warm.follow(state)
+    rest_tracks(state, warm.follow(state.tracks, sight=state.sight, revision=state.revision))
     for rejected in event.rejected:
         state.decide("reject", None, f"mask {rejected.box_px}: {rejected.reason}")
 

@@ -19,7 +19,7 @@ from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.mapping.associate import associate
-from hickory_stream.mapping.far_away import put_away
+from hickory_stream.mapping.far_away import rest_elsewhere
 from hickory_stream.mapping.moved_tracks import moved_track, sameness
 from hickory_stream.mapping.one_to_one import one_to_one
 from hickory_stream.mapping.parting import keep_join, part_joins, past_of
@@ -63,7 +63,7 @@ def place_submaps(state: MapState, event: PosesCorrected, config: MappingConfig,
     set_apart(state)
     if merges:
         effects += merge_met(state, before, config, parted)
-    put_away(state)
+    rest_elsewhere(state)
     return effects
 
 

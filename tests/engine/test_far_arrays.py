@@ -87,6 +87,36 @@ def test_journal_and_map_are_the_same_to_the_byte_with_and_without_and_for_a_run
     assert ended(again) == digest
 
 
+def test_a_run_that_goes_on_reads_no_array_that_nobody_looks_at_and_writes_none_again(tmp_path: Path) -> None:
+    before, _ = mapped(tmp_path / "map", None)
+    with Journal(tmp_path / "map") as read:
+        last = len(read) - 1
+        found = read.checkpoint_before(last, reads_later=True)
+        assert found is not None
+        core = MapperCore.from_state(CONFIG, found[1].core)
+        writer = JournalWriter(tmp_path / "map", flush_s=60.0, continued=read)
+    size = (tmp_path / "map" / "journal.mcap").stat().st_size
+    writer.append(entry(last + 1))
+    writer.checkpoint(Checkpoint(core=core.state(), open_jobs=()), 1_000)
+    tracks: dict = core.state()["tracks"]  # type: ignore[assignment, type-arg]
+    far = [track for track in tracks.values() if len(track.cloud) > 100]
+    assert far
+    assert all(is_packed(track.cloud) for track in far)
+    # It goes on: arrays that are read now are those of the copy.
+    drive(core, [keyframes(LOOKS)[-1]])
+    writer.checkpoint(Checkpoint(core=core.state(), open_jobs=()), 1_001)
+    writer.close()
+    with Journal(tmp_path / "map") as read:
+        chunks = read._chunks.places[-4:]
+        # The arrays of the first checkpoint, none, are a small part of the document, and this of the whole.
+        assert chunks[0].end - chunks[0].start < 200
+        assert chunks[1].end - chunks[1].start < size / 50
+        again = read.checkpoint_before(len(read))
+    assert again is not None
+    drive(before, [keyframes(LOOKS)[-1]])
+    assert ended(MapperCore.from_state(CONFIG, again[1].core)) == ended(core) == ended(before)
+
+
 def test_what_was_kept_is_read_back_its_room_is_used_again_and_the_folder_shows_no_file(tmp_path: Path) -> None:
     far = FarArrays(tmp_path)
     kept = {seed: far.keep(some_bytes(seed)) for seed in range(60)}

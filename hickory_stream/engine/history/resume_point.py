@@ -44,7 +44,7 @@ def resume_point_of(journal: Journal, config: MapperConfig) -> ResumePoint | Non
     if len(journal) == 0:
         return None
     last = len(journal) - 1
-    replay = Replay(journal, config.mapping)
+    replay = Replay(journal, config.mapping, reads_later=True)
     replay.seek(last)
     step = journal.step(last)
     frames = step.frames
