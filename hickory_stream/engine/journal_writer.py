@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import time
 import weakref
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mcap.records import Message
+    from numpy.typing import NDArray
 
     from hickory_stream.engine.journal import Journal, StoredPart
     from hickory_stream.engine.step import Checkpoint, JournalEntry
@@ -168,13 +170,15 @@ class JournalWriter:
 class _Stored:
     """An array or a record, where it is stored, and the parts that it refers to itself.
 
-    An array is not held: those of a track may be compressed while it stays the same.
+    An array is not held: those of a track may be compressed while it stays the same. Read again it is another one, of
+    the same `content`; None: unknown, or that of a record.
     """
 
     def __init__(self, part: object) -> None:
         self.key = id(part)
         self._part: Callable[[], object] = weakref.ref(part) if isinstance(part, np.ndarray) else lambda: part
         self.place = (0, 0)
+        self.content: bytes | None = None
         self.uses: list[_Stored] = []
         self.used_in = -1
 
@@ -189,7 +193,8 @@ class _Stored:
 class _Parts:
     """Where the parts of earlier checkpoints are stored: (chunk, number in the chunk), by identity.
 
-    Parts are arrays, which records never change, and immutable records: one and the same needs no comparison.
+    Parts are arrays, which records never change, and immutable records: one and the same needs no comparison. Of arrays
+    of the same content one is stored.
     """
 
     def __init__(self, parts: Sequence[StoredPart] = ()) -> None:
@@ -199,6 +204,8 @@ class _Parts:
             stored[part.place].uses = [stored[place] for place in part.references if place in stored]
         self._places: dict[int, _Stored] = {each.key: each for each in stored.values()}
         self._used: dict[int, _Stored] = {}
+        self._contents: dict[bytes, tuple[int, int]] = {}
+        self._used_contents: dict[bytes, tuple[int, int]] = {}
         self._users: list[_Stored] = []
         self._arrays: list[bytes] = []
         self._records: list[bytes] = []
@@ -206,7 +213,7 @@ class _Parts:
 
     def begin(self, chunk: int) -> None:
         """Begin a checkpoint whose arrays are in a chunk, and whose records are in the next one."""
-        self._chunk, self._arrays, self._records, self._used = chunk, [], [], {}
+        self._chunk, self._arrays, self._records, self._used, self._used_contents = chunk, [], [], {}, {}
 
     def is_part(self, record: object) -> bool:
         return isinstance(record, KEPT_RECORDS)
@@ -216,19 +223,26 @@ class _Parts:
         stored = self._used.get(id(part)) or self._places.get(id(part))
         if stored is None or not stored.is_of(part):
             stored = _Stored(part)
-            self._users.append(stored)
-            data = encoded()
-            self._users.pop()
             if isinstance(part, np.ndarray):
-                self._arrays.append(packed_array(data))
-                stored.place = (self._chunk, len(self._arrays))
+                stored.content = _content_of(part)
+                stored.place = self._place_of(stored.content, encoded)
             else:
-                self._records.append(data)
+                self._users.append(stored)
+                self._records.append(encoded())
+                self._users.pop()
                 stored.place = (self._chunk + 1, len(self._records))
         self._use(stored)
         if self._users:
             self._users[-1].uses.append(stored)
         return stored.place
+
+    def _place_of(self, content: bytes, encoded: Callable[[], bytes]) -> tuple[int, int]:
+        """Return where an array of this content is, stored now if it is new."""
+        known = self._used_contents.get(content) or self._contents.get(content)
+        if known is not None:
+            return known
+        self._arrays.append(packed_array(encoded()))
+        return self._chunk, len(self._arrays)
 
     def _use(self, stored: _Stored) -> None:
         if stored.used_in != self._chunk:
@@ -236,13 +250,21 @@ class _Parts:
             # The identity of an array that is gone may be another one's by now.
             if stored.is_there:
                 self._used[stored.key] = stored
+            if stored.content is not None:
+                self._used_contents[stored.content] = stored.place
             for other in stored.uses:
                 self._use(other)
 
     def end(self) -> tuple[list[bytes], list[bytes]]:
         """Return the new arrays and the new records."""
         # What this checkpoint did not use is forgotten, so that the arrays of the past can go.
-        self._places = self._used
+        self._places, self._contents = self._used, self._used_contents
         new = (self._arrays, self._records)
         self._arrays, self._records = [], []
         return new
+
+
+def _content_of(array: NDArray[Any]) -> bytes:
+    """Return what tells an array from every other one."""
+    kind = f"{array.dtype.str} {array.shape} ".encode()
+    return hashlib.blake2b(kind + array.tobytes(), digest_size=16).digest()

@@ -10,7 +10,7 @@ from mcap.stream_reader import get_chunk_data_stream
 
 from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_format import JOURNAL, OLD_CHECKPOINT
+from hickory_stream.engine.journal_format import ARRAYS, CHECKPOINT, JOURNAL, OLD_CHECKPOINT
 from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind
 from hickory_stream.errors import MapFolderError
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk
+    from numpy.typing import NDArray
 
 NUM_STEPS = 6
 BIG = np.random.default_rng(0).normal(size=(400, 3)).astype(np.float32)
@@ -105,6 +106,31 @@ def test_a_checkpoint_comes_back_and_writes_no_array_twice(tmp_path: Path) -> No
         assert last[1].core["_c"] == {"a", "b"}
         assert last[1].open_jobs == checkpoint(5).open_jobs
     assert (tmp_path / JOURNAL).stat().st_size < 2 * BIG.nbytes + 8000
+
+
+def test_arrays_of_the_same_content_are_stored_once_while_one_of_them_is_in_use(tmp_path: Path) -> None:
+    def same(step: float = 0) -> NDArray[np.float32]:
+        array = (BIG + np.float32(step)).astype(np.float32)
+        array.flags.writeable = False
+        return array
+
+    writer = JournalWriter(tmp_path, flush_s=100.0)
+    writer.append(entry(0))
+    wanted = [(same(), same()), (same(), same(1)), (same(1),), (same(), same().reshape(2, -1))]
+    for own in wanted:
+        writer.checkpoint(Checkpoint(core={"_a": own}, open_jobs=()), 1000)
+    writer.close()
+    with Journal(tmp_path) as journal:
+        counts = []
+        for chunk, place in enumerate(journal._chunks.places):
+            if place.channel == ARRAYS:
+                counts.append(len(journal._chunks.contents(chunk)) - 1)
+            if place.channel == CHECKPOINT:
+                found = journal._checkpoint(chunk, reads_later=False).core["_a"]
+                for a, b in zip(found, wanted[len(counts) - 1], strict=True):  # type: ignore[arg-type]
+                    np.testing.assert_array_equal(a, b)
+    # That of another shape is another one, and what no checkpoint had in between is forgotten.
+    assert counts == [1, 1, 0, 2]
 
 
 def test_the_checkpoints_of_an_older_journal_are_left_out_and_its_steps_read(
