@@ -1,7 +1,8 @@
 """Layer 2 by a generator that knows neither place nor size: placed, judged, and joined with what was seen.
 
 The embedded shape is always made. The generated one takes its place only where the views say that it is the object, and
-that what was made of it contradicts them no more than the embedded one does; the verdict says so with its numbers.
+that what was made of it contradicts them no more than the embedded one does, and that it foretold as much of what other
+views saw; the verdict says so with its numbers.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.ports import GeneratedMesh, NoShape, NotPlaced, Reconstruction
 from hickory_stream.shapes.blend import blended
+from hickory_stream.shapes.foretold import by_other_views
 from hickory_stream.shapes.judgement import judged, replaces, shape_evidence
 from hickory_stream.shapes.usable import usable
 
@@ -80,6 +82,11 @@ class GeneratedReconstructor:
             if not better.is_accepted:
                 return self._kept(embedded, f"{self._generator.name}: {better.reason}")
             told += f"; blended {better.reason}"
+        foretold = by_other_views(placed, inputs, made.num_views, self._embedded, self._judgement)
+        if foretold is not None:
+            if not foretold.is_accepted and isinstance(embedded, Reconstruction):
+                return self._kept(embedded, f"{self._generator.name}: {foretold.reason}")
+            told += f"; {foretold.reason}"
         return replace(joined, made_by=self._generator.name, verdict=told)
 
     def _kept(

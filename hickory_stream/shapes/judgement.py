@@ -36,7 +36,8 @@ class JudgementConfig(Ranged):
     overlap by `min_silhouette` over all views, by `min_other_silhouette` in each view that it was not made from, and
     it ends within `max_support_gap` of its size over or under what it stands on. These say whether it is the right
     thing at all: a good shape whose proportions are wrong by a fifth passes. What is then made of it must be worth what
-    the embedded one is, less at most `most_less`: that one knows nothing of what no view has seen.
+    the embedded one is, less at most `most_less`: that one knows nothing of what no view has seen. Of the surface that
+    other views than its own saw, it must have foretold what the embedded one would have, less `most_less_foretold`.
     """
 
     tolerance_share: float = number(0.03, 0.001, 1, "share")
@@ -45,7 +46,8 @@ class JudgementConfig(Ranged):
     min_silhouette: float = number(0.6, 0, 1, "share")
     min_other_silhouette: float = number(0.5, 0, 1, "share")
     max_support_gap: float = number(0.1, 0, 10, "share")
-    most_less: float = number(0.05, 0, 2, "share")
+    most_less: float = number(0.1, 0, 2, "share")
+    most_less_foretold: float = number(0.1, 0, 1, "share")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -53,7 +53,7 @@ class Evidence:
 
 def evidence_of(inputs: ShapeInputs) -> Evidence | None:
     """Return the evidence of a job's inputs; None where no surface was measured."""
-    measured = [_surface_of(crop) for crop in inputs.crops]
+    measured = [surface_of(crop) for crop in inputs.crops]
     surface = np.concatenate([inputs.points_world.astype(np.float64), *measured])
     if len(surface) == 0:
         return None
@@ -79,7 +79,7 @@ def evidence_of(inputs: ShapeInputs) -> Evidence | None:
         camera_from_world=np.array([invert(crop.world_from_camera) for crop in inputs.crops]).reshape(count, 4, 4),
         is_cut=np.array([_cut_sides(crop.mask) for crop in inputs.crops], dtype=bool).reshape(count, 4),
         support_z_m=np.nan if inputs.support_z_m is None else inputs.support_z_m,
-        noise_m=max((_noise_m(crop) for crop in inputs.crops), default=inputs_noise_m(size_m)),
+        noise_m=max((noise_of(crop) for crop in inputs.crops), default=inputs_noise_m(size_m)),
         size_m=size_m,
     )
 
@@ -89,9 +89,18 @@ def inputs_noise_m(size_m: float) -> float:
     return 0.01 * size_m
 
 
-def _surface_of(crop: Crop) -> NDArray[np.float64]:
-    inner = ndimage.binary_dilation(~crop.mask, iterations=2)
-    points = backproject(crop.depth_m, crop.camera)[crop.mask & ~inner & np.isfinite(crop.depth_m)]
+def surface_of(crop: Crop) -> NDArray[np.float64]:
+    """Return the (N, 3) points in the world that a view measured of its object, without those at its edge."""
+    return _measured(crop, crop.mask & ~ndimage.binary_dilation(~crop.mask, iterations=2))
+
+
+def shown_surface_of(crop: Crop) -> NDArray[np.float64]:
+    """Return the (N, 3) points in the world that a view measured of its object, to its edge."""
+    return _measured(crop, crop.mask)
+
+
+def _measured(crop: Crop, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    points = backproject(crop.depth_m, crop.camera)[mask & np.isfinite(crop.depth_m)]
     return np.asarray(apply(crop.world_from_camera, points.astype(np.float64)))
 
 
@@ -125,7 +134,8 @@ def _cut_sides(mask: NDArray[np.bool_]) -> tuple[bool, bool, bool, bool]:
     return bool(mask[0].any()), bool(mask[-1].any()), bool(mask[:, 0].any()), bool(mask[:, -1].any())
 
 
-def _noise_m(crop: Crop) -> float:
+def noise_of(crop: Crop) -> float:
+    """Return sigma of the depth of a view's object, in metres."""
     depth = crop.depth_m[crop.mask & np.isfinite(crop.depth_m)]
     return float(sigma_at(float(np.median(depth)), crop.sensor.law)) if len(depth) else 0.0
 

@@ -46,6 +46,7 @@ _HELPERS = {
     "keyframe_memory",
     "labelled_clouds",
     "layer2_objects",
+    "layer2_outcomes",
     "live_log",
     "live_receiver",
     "live_safety",

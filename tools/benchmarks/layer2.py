@@ -15,13 +15,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hickory_stream.evaluation.exposed import exposed_samples
 from hickory_stream.evaluation.surface_score import diameter_m
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import MeshPlacement, Reconstruction
-from hickory_stream.shapes.blend import BlendConfig, blended
-from hickory_stream.shapes.distance_field import even_samples
-from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor, VolumeConfig
 from hickory_stream.shapes.judgement import JudgementConfig, ShapeEvidence, judged, shape_evidence
 from hickory_stream.shapes.placement import EmbeddedPlacement, PlacementConfig
 from tools.benchmarks.adapter_fakes import ADAPTERS, REFINERS, adapter_fault, refiner_fault
@@ -29,13 +25,11 @@ from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.foreign_logs import worlds_folder
 from tools.benchmarks.intervals import bootstrap, wilson
 from tools.benchmarks.layer2_objects import TUNED_WORLDS, foreign_subjects, own_subjects
-from tools.benchmarks.oracle import Generated, Sighted, generated, plain_mesh, sighted
+from tools.benchmarks.layer2_outcomes import exposed, f1_at, outcome_of, placed_mesh
+from tools.benchmarks.oracle import Generated, Sighted, generated, sighted
 from tools.benchmarks.view_trials import view_figures
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
     from tools.benchmarks.layer2_objects import Subject
 
 _SAMPLES = 3000
@@ -47,7 +41,8 @@ _MAX_VIEWS = 6
 TUNED_SEEDS = (0, 1, 7)
 _SEED = 100
 _PROCESSES = 2
-_MORE_SWAPPED = 5
+# Swapped objects are made until so many differ from the truth: one in fifteen does. So many rounds at most.
+_WRONG, _MOST_ROUNDS = 55, 12
 Fate = Literal["plain", "spoiled", "swapped"]
 
 
@@ -82,11 +77,12 @@ def _of_oracles(options: Options) -> list[Figure]:
         plain = _trials(pool, subjects, seed, "plain")
         spoiled = _trials(pool, subjects, seed + 1, "spoiled")
         swapped = _trials(pool, subjects, seed + 2, "swapped")
-        # One in twelve differs from the truth: of the own worlds more are made, until some fifty do.
-        for more in range(0 if options.quick else _MORE_SWAPPED):
+        for more in range(0 if options.quick else _MOST_ROUNDS):
+            if sum(row.f1 < _SAME_F1 for row in swapped) >= _WRONG:
+                break
             swapped += _trials(pool, own_subjects(count, seed + 1000 + more), seed + 2000 + more, "swapped")
         strange = _trials(pool, _exchanged(subjects), seed + 3, "swapped")
-        figures = _of_placement(plain, spoiled, where) + _of_judgement(spoiled, swapped, strange)
+        figures = _of_placement(plain, spoiled, where) + _of_judgement(pool, spoiled, swapped, strange)
         figures += _of_blending(pool, spoiled[: 8 if options.quick else None])
     sound = [name for name in ADAPTERS if adapter_fault(name) == ""]
     sound += [name for name in REFINERS if refiner_fault(name) == ""]
@@ -136,7 +132,7 @@ def _row(kind: str, seen: Sighted, given: Generated, refiner: EmbeddedPlacement)
             kind=kind, given=given, placement=None, adds=np.inf, scale_error=np.inf, seconds=seconds, f1=0.0,
             evidence=None, seen=seen,
         )  # fmt: skip
-    true = _exposed(seen.mesh_world)
+    true = exposed(seen.mesh_world)
     diameter = diameter_m(seen.mesh_world.vertices)
     # What the truth becomes by all that is affine: the oracle's transform, then the placement.
     carried = placement.world_from_mesh @ given.mesh_from_true
@@ -152,30 +148,10 @@ def _row(kind: str, seen: Sighted, given: Generated, refiner: EmbeddedPlacement)
         adds=float(cKDTree(moved).query(true)[0].mean() / diameter),
         scale_error=float(abs(np.cbrt(abs(np.linalg.det(carried[:3, :3]))) - 1)),
         seconds=seconds,
-        f1=f1_at(true, _exposed(world), 0.05 * diameter),
+        f1=f1_at(true, exposed(world), 0.05 * diameter),
         evidence=evidence,
         seen=seen,
     )
-
-
-def _exposed(mesh: Mesh) -> NDArray[np.float64]:
-    """Return (N, 3) samples of what can be seen of a mesh from outside: models have parts within others.
-
-    A mesh that is made of a solid has none of that surface: with it in the truth, the F1 of a bed is 0.87 at best.
-    """
-    return exposed_samples(mesh, 2 * _SAMPLES, np.random.default_rng(0))[0][:_SAMPLES].astype(np.float64)
-
-
-def placed_mesh(mesh: Mesh, placement: MeshPlacement) -> Mesh:
-    """Return the mesh in the world."""
-    return plain_mesh(apply(placement.world_from_mesh, mesh.vertices.astype(np.float64)), mesh.faces)
-
-
-def f1_at(true: NDArray[np.float64], found: NDArray[np.float64], reach_m: float) -> float:
-    """Return F1 of two sets of (N, 3) surface samples at a distance."""
-    recall = float((cKDTree(found).query(true)[0] <= reach_m).mean())
-    precision = float((cKDTree(true).query(found)[0] <= reach_m).mean())
-    return 2 * recall * precision / (recall + precision) if recall + precision > 0 else 0.0
 
 
 # ---- figures --------------------------------------------------------------------------------------------------------
@@ -198,7 +174,9 @@ def _of_placement(plain: list[Row], spoiled: list[Row], where: str) -> list[Figu
     ]  # fmt: skip
 
 
-def _of_judgement(spoiled: list[Row], swapped: list[Row], strange: list[Row]) -> list[Figure]:
+def _of_judgement(
+    pool: ProcessPoolExecutor, spoiled: list[Row], swapped: list[Row], strange: list[Row]
+) -> list[Figure]:
     config = JudgementConfig()
     refused = []
     for row in spoiled:
@@ -210,56 +188,51 @@ def _of_judgement(spoiled: list[Row], swapped: list[Row], strange: list[Row]) ->
     # The mirror image of a stranger's victim says nothing that that of a swapped one does not.
     strangers = [row for row in strange if row.given.fate == "other"]
     for name, rows, what in (
-        ("wrong_accepted_fraction", swapped, "objects swapped for another of the class, or mirrored,"),
-        ("stranger_accepted_fraction", strangers, "objects swapped for one of another class"),
+        ("wrong", swapped, "objects swapped for another of the class, or mirrored,"),
+        ("stranger", strangers, "objects swapped for one of another class"),
     ):
         wrong = [row for row in rows if row.f1 < _SAME_F1]
         accepted = [row.evidence is not None and judged(row.evidence, config).is_accepted for row in wrong]
-        for row in (row for row, is_in in zip(wrong, accepted, strict=True) if is_in):
-            print(f"{name}: {row.kind} ({row.given.fate}), F1 {row.f1:.2f}: {row.evidence}")
+        taken = [row for row, is_in in zip(wrong, accepted, strict=True) if is_in]
+        kept = []
+        for row, found in zip(taken, pool.map(outcome_of, taken), strict=True):
+            kept.append(found is not None and found.is_kept)
+            views, fate = len(row.seen.made_from.crops), "takes its place" if kept[-1] else "the fused one stays"
+            print(f"{name} accepted, {row.kind} ({row.given.fate}), {views} views, F1 {row.f1:.2f}: {fate}", flush=True)
         if wrong:
             told = f"{what} whose F1 at 5 % of the diameter, placed, is under {_SAME_F1}"
-            figures.append(_share(name, accepted, told, better="lower"))
+            figures.append(_share(f"{name}_accepted_fraction", accepted, told, better="lower"))
+            # What is refused by `judged` is not kept either.
+            kept += [False] * (len(wrong) - len(kept))
+            figures.append(_share(f"{name}_kept_fraction", kept, f"{told}, instead of the fused shape", better="lower"))
     return [*figures, _share("good_refused_fraction", refused, "spoiled objects", better="lower")]
 
 
 def _of_blending(pool: ProcessPoolExecutor, rows: list[Row]) -> list[Figure]:
     """Return F1 of the blended and of the fused shape at 5 % of the diameter, over the objects that have both."""
-    scores = []
-    for row, score in zip(rows, pool.map(_blended_and_fused, rows), strict=True):
-        if score is not None:
-            scores.append(score)
+    scores, kept = [], 0
+    for row, found in zip(rows, pool.map(outcome_of, rows), strict=True):
+        if found is not None:
+            scores.append((found.blended, found.fused, found.blended if found.is_kept else found.fused))
+            kept += found.is_kept
             views = len(row.seen.made_from.crops)
-            print(f"blended {row.kind}, {views} views: F1 {score[0]:.3f}, fused {score[1]:.3f}", flush=True)
+            fate = "" if found.is_kept else "; the fused one stays"
+            print(
+                f"blended {row.kind}, {views} views: F1 {found.blended:.3f}, fused {found.fused:.3f}{fate}", flush=True
+            )
     if not scores:
         return []
     values = np.array(scores)
     of = f"mean of {len(values)} spoiled objects that were accepted, each seen from 1 to {_MAX_VIEWS} places"
+    names = ("blended_f1_5pct", "fused_f1_5pct", "kept_f1_5pct")
+    whose = ("", "", f"; blended for {kept} of them, else fused")
     return [
         Figure(
-            name=name, value=float(column.mean()), unit="", better="higher", of=of,
+            name=name, value=float(column.mean()), unit="", better="higher", of=of + told,
             interval=bootstrap([column[:, None]], lambda groups: float(groups[0].mean())), interval_by="bootstrap",
         )
-        for name, column in zip(("blended_f1_5pct", "fused_f1_5pct"), values.T, strict=True)
+        for name, column, told in zip(names, values.T, whose, strict=True)
     ]  # fmt: skip
-
-
-def _blended_and_fused(row: Row) -> tuple[float, float] | None:
-    """Return F1 of the blended and of the fused shape; None where the generated one is refused, or either fails."""
-    if row.placement is None or row.evidence is None or not judged(row.evidence, JudgementConfig()).is_accepted:
-        return None
-    world = Reconstruction(mesh=placed_mesh(row.given.mesh, row.placement), world_from_object=np.eye(4))
-    made = blended(world, row.seen.made_from, VolumeConfig(), BlendConfig())
-    fused = FusedReconstructor(FusedConfig()).reconstruct(row.seen.made_from)
-    if not (isinstance(made, Reconstruction) and isinstance(fused, Reconstruction)):
-        return None
-    return _f1_of(made, row.seen), _f1_of(fused, row.seen)
-
-
-def _f1_of(shape: Reconstruction, seen: Sighted) -> float:
-    found, _ = even_samples(shape.mesh.vertices, shape.mesh.faces, _SAMPLES)
-    found = apply(shape.world_from_object, found)
-    return f1_at(_exposed(seen.mesh_world), found, 0.05 * diameter_m(seen.mesh_world.vertices))
 
 
 def _share(name: str, values: list[bool], of: str, *, better: Literal["higher", "lower"] = "higher") -> Figure:

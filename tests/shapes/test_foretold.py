@@ -1,0 +1,83 @@
+"""Generated shapes that are checked by views that they were not made from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.shapes.foretold import by_other_views, newly_seen
+from hickory_stream.shapes.judgement import JudgementConfig
+from tools.benchmarks.oracle import Sighted, plain_mesh, sighted
+
+CONFIG = JudgementConfig()
+
+
+class Knows:
+    """Stands for an embedded reconstructor, and remembers what it was shown."""
+
+    name = "knows"
+
+    def __init__(self, answer: Reconstruction | NoShape) -> None:
+        self.answer = answer
+        self.shown: ShapeInputs | None = None
+
+    def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
+        self.shown = inputs
+        return self.answer
+
+
+@pytest.fixture(scope="module")
+def seen() -> Sighted:
+    """A box that is seen from three sides of an arc."""
+    whole = trimesh.creation.box((0.5, 0.3, 0.4)).apply_translation((0, 0, 0.2)).subdivide().subdivide().subdivide()
+    mesh = plain_mesh(np.asarray(whole.vertices), np.asarray(whole.faces))
+    found = sighted(mesh, np.random.default_rng(3), 3)
+    assert found is not None
+    return found
+
+
+def placed(seen: Sighted, *, flattened: float) -> Reconstruction:
+    """Return the truth, with what lies behind the middle of what the first view sees drawn towards that by a share."""
+    mesh, crop = seen.mesh_world, seen.made_from.crops[0]
+    vertices = mesh.vertices.astype(np.float64)
+    along = vertices @ crop.world_from_camera[:3, 2]
+    behind = np.maximum(along - np.median(along), 0.0) * flattened
+    moved = vertices - behind[:, None] * crop.world_from_camera[:3, 2]
+    return Reconstruction(mesh=plain_mesh(moved, mesh.faces), world_from_object=np.eye(4))
+
+
+def test_a_shape_is_asked_for_what_its_own_views_did_not_show(seen: Sighted) -> None:
+    found = newly_seen(seen.made_from, 1)
+    assert found is not None
+    first, new, size_m = found
+    assert len(new) > 100
+    nearest = np.linalg.norm(new[:, None] - first[None, ::5], axis=2).min(axis=1)
+    assert nearest.min() > 0.02 * size_m
+    assert newly_seen(seen.made_from, len(seen.made_from.crops)) is None
+    assert newly_seen(replace(seen.made_from, crops=seen.made_from.crops[:1] * 3), 1) is None
+
+
+def test_a_made_up_back_loses_against_an_embedded_shape_that_foretold_more(seen: Sighted) -> None:
+    true, flat = placed(seen, flattened=0.0), placed(seen, flattened=0.9)
+    knows = Knows(true)
+    refused = by_other_views(flat, seen.made_from, 1, knows, CONFIG)
+    assert refused is not None
+    assert not refused.is_accepted
+    assert "the embedded one 1.00" in refused.reason
+    # The embedded shape is asked with the generator's views alone, and with no points that only others saw.
+    assert knows.shown is not None
+    assert knows.shown.crops == seen.made_from.crops[:1]
+    assert len(newly_seen(seen.made_from, 1)[0]) == len(knows.shown.points_world)  # type: ignore[index]
+
+
+@pytest.mark.parametrize("other", ["flat", "none"])
+def test_a_shape_that_foretold_what_was_seen_is_kept(seen: Sighted, other: str) -> None:
+    embedded = NoShape(reason="no") if other == "none" else placed(seen, flattened=0.9)
+    verdict = by_other_views(placed(seen, flattened=0.0), seen.made_from, 1, Knows(embedded), CONFIG)
+    assert verdict is not None
+    assert verdict.is_accepted
+    assert verdict.reason.startswith("foretold 1.00")
