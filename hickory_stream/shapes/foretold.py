@@ -75,9 +75,14 @@ def newly_seen(
         return None
     size_m = float(np.sqrt(np.square(np.ptp(np.concatenate([shown, asked]), axis=0)).sum()))
     cell_m = _CELL * size_m
-    shown, asked = (centers_of_keys(np.unique(keys_of_points(points, cell_m)), cell_m) for points in (shown, asked))
+    shown, asked = _cells(shown, cell_m), _cells(asked, cell_m)
     new = asked[cKDTree(shown).query(asked)[0] > _NEW * size_m]
     return (shown, new, size_m) if len(new) >= _LEAST_CELLS else None
+
+
+def _cells(points: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
+    """Return the (N, 3) centres of the cells that hold points."""
+    return centers_of_keys(np.unique(keys_of_points(points, cell_m)), cell_m).astype(np.float64)
 
 
 def _share_at(shape: Reconstruction, points: NDArray[np.float64], reach_m: float) -> float:
