@@ -12,7 +12,7 @@ from hickory_stream.geometry.rigid import invert
 from hickory_stream.mapping.cloud import Cloud, cloud_of
 from hickory_stream.mapping.moved import moved_object
 from hickory_stream.mapping.observed_space import known_space
-from hickory_stream.mapping.support_graph import Relation, Support, SupportGraph
+from hickory_stream.mapping.support_graph import REACH_M, Relation, Support, SupportGraph
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,15 +41,18 @@ def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple
     """
     objects = [item for item in snapshot.objects if len(item.points_world)]
     found: dict[int, tuple[Support, ...]] = {item.id: () for item in snapshot.objects}
-    in_map = {item.id: _body(item, config) for item in objects}
+    spheres = np.array([_sphere(item) for item in objects]).reshape(-1, 4)
     for submap in snapshot.submaps:
-        own = {item.id for item in objects if item.submap_id == submap.id}
-        if not own:
+        is_own = np.array([item.submap_id == submap.id for item in objects], dtype=bool)
+        if not is_own.any():
             continue
-        is_in_place = np.array_equal(submap.world_from_submap, np.eye(4))
-        place = invert(submap.world_from_submap)
+        own = {item.id for item, is_one in zip(objects, is_own, strict=True) if is_one}
+        near = [item for item, is_one in zip(objects, _may_touch(spheres, is_own), strict=True) if is_one]
+        if not np.array_equal(submap.world_from_submap, np.eye(4)):
+            place = invert(submap.world_from_submap)
+            near = [moved_object(item, place) for item in near]
         graph = SupportGraph(
-            bodies=in_map if is_in_place else {item.id: _body(moved_object(item, place), config) for item in objects},
+            bodies={item.id: _body(item, config) for item in near},
             space=known_space(submap.observed_space),
             config=config.support,
             unsupported=config.unsupported,
@@ -69,6 +72,23 @@ def told(supports: tuple[Support, ...]) -> str:
         if relation in held:
             return f"{relation} #{held[relation]}"
     return "a wall" if Relation.LEANS_ON in held else "-"
+
+
+def _sphere(item: TrackedObject) -> tuple[float, float, float, float]:
+    """Return the centre and the radius of a sphere around an object's points and its box, in metres."""
+    center = item.box.center
+    reach = np.concatenate((item.points_world, item.box.corners_world())) - center
+    return (*center, float(np.sqrt((reach**2).sum(axis=1).max())))
+
+
+def _may_touch(spheres: NDArray[np.float64], is_own: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which of n objects (n, 4) may have a relation to one of their own, whichever way the axes lie.
+
+    Bounds along any axes that are within reach of each other have centres at most so far apart along each of the three.
+    """
+    own = spheres[is_own]
+    apart_m = np.linalg.norm(spheres[:, None, :3] - own[None, :, :3], axis=2)
+    return (apart_m <= np.sqrt(3.0) * (spheres[:, None, 3] + own[None, :, 3] + REACH_M)).any(axis=1)
 
 
 def _body(item: TrackedObject, config: MappingConfig) -> ObjectBody:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.unsupported import UnsupportedConfig
 
 # Bodies whose bounds are farther apart have no relation: this is the longest reach of any relation (a leg's).
-_REACH_M = 0.3
+REACH_M = 0.3
 
 
 class Relation(StrEnum):
@@ -161,7 +161,7 @@ class SupportGraph:
         return [
             other
             for other in ordered
-            if (low <= other.bounds[1] + _REACH_M).all() and (other.bounds[0] <= high + _REACH_M).all()
+            if (low <= other.bounds[1] + REACH_M).all() and (other.bounds[0] <= high + REACH_M).all()
         ]
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.evaluation.supports import supports_of, told
+from hickory_stream.evaluation import supports
+from hickory_stream.evaluation.supports import ObjectBody, _body, supports_of, told
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.mapping.core import MapperCore
@@ -18,7 +19,7 @@ from hickory_stream.mapping.support_graph import Relation, Support
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space
 
 if TYPE_CHECKING:
-    from hickory_stream.records import MapSnapshot
+    from hickory_stream.records import MapSnapshot, TrackedObject
 
 CONFIG = MappingConfig(lattice=Lattice(points_m=VOXEL_M))
 PLACE = from_rotation_translation(yaw_rotation(0.7), np.array([4.0, 1.0, 0.2]))
@@ -69,3 +70,21 @@ def test_an_object_without_points_has_no_relations(snapshot: MapSnapshot) -> Non
 )
 def test_what_holds_an_object_is_told_in_a_few_words(relation: Relation, by: int | None, text: str) -> None:
     assert told((Support(body=1, relation=relation, by=by),)) == text
+
+
+def test_only_what_may_touch_the_objects_of_a_submap_is_looked_at_and_relations_stay(
+    snapshot: MapSnapshot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked_at: list[int] = []
+
+    def counted(item: TrackedObject, config: MappingConfig) -> ObjectBody:
+        looked_at.append(item.id)
+        return _body(item, config)
+
+    (submap,), far = snapshot.submaps, from_rotation_translation(np.eye(3), np.array([40.0, 0.0, 0.0]))
+    there = tuple(replace(moved_object(item, far), id=item.id + 10, submap_id=1) for item in snapshot.objects)
+    both = replace(snapshot, submaps=(submap, replace(submap, id=1)), objects=(*snapshot.objects, *there))
+    monkeypatch.setattr(supports, "_body", counted)
+    found = supports_of(both, CONFIG)
+    assert looked_at == [1, 2, 11, 12]
+    assert {i: told(s) for i, s in found.items()} == {1: "the floor", 2: "#1", 11: "the floor", 12: "#11"}
