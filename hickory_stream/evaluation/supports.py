@@ -76,9 +76,8 @@ def told(supports: tuple[Support, ...]) -> str:
 
 def _sphere(item: TrackedObject) -> tuple[float, float, float, float]:
     """Return the centre and the radius of a sphere around an object's points and its box, in metres."""
-    center = item.box.center
-    reach = np.concatenate((item.points_world, item.box.corners_world())) - center
-    return (*center, float(np.sqrt((reach**2).sum(axis=1).max())))
+    reach = np.concatenate((item.points_world, item.box.corners_world())).astype(np.float64) - item.box.center
+    return (*item.box.center, float(np.sqrt((reach**2).sum(axis=1).max())))
 
 
 def _may_touch(spheres: NDArray[np.float64], is_own: NDArray[np.bool_]) -> NDArray[np.bool_]:
