@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from hickory_stream.records import Submap
 
 _MAX_POINTS = 100
+_NEAR_VOXELS = 3.5
+"""Points in the same or in adjacent voxels are less than the root of twelve voxels apart, however the axes lie."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,10 +74,15 @@ def _missing(
     points_other = apply(other_from_here, np.concatenate([points for _, points in known]).astype(np.float64))
     is_free = np.zeros(len(owners), dtype=bool)
     is_solid = np.zeros(len(owners), dtype=bool)
+    bodies = np.concatenate([np.empty((0, 3)), *(points for points in other.points if points is not None)])
     for submap in other.submaps:
-        cells = _cells(points_other, submap)
-        is_free |= contains(submap.observed_space.free, keys_of_cells(cells))
-        is_solid |= _is_near(_solid(submap, other), cells)
+        space, cells = submap.observed_space, _cells(points_other, submap)
+        is_free |= contains(space.free, keys_of_cells(cells))
+        # What one submap has as solid no other has to be asked for, nor points of objects that are near nothing else.
+        left = np.flatnonzero(~is_solid)
+        bodies = bodies[_within(_NEAR_VOXELS * space.voxel_m, bodies, points_other[left])]
+        near_room = _is_near(space.structure, cells[left])
+        is_solid[left] = near_room | _is_near(np.unique(keys_of_cells(_cells(bodies, submap))), cells[left])
     for points, box in zip(other.points, other.boxes, strict=True):
         if points is None:
             is_solid |= box.contains(points_other)
@@ -95,12 +102,12 @@ def thinned(points: NDArray[np.float32], most: int = _MAX_POINTS) -> NDArray[np.
     return points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
 
 
-def _solid(submap: Submap, objects: ObjectMap) -> NDArray[np.int64]:
-    """Return the sorted voxel keys of structure and objects in a submap."""
-    points = [points for points in objects.points if points is not None]
-    if not points:
-        return submap.observed_space.structure
-    return np.union1d(submap.observed_space.structure, keys_of_cells(_cells(np.concatenate(points), submap)))
+def _within(reach_m: float, points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which of (N, 3) points may be within reach of one of (M, 3) others; a point that is not has none there."""
+    around = np.array(list(np.ndindex(3, 3, 3))) - 1
+    cells = np.unique(np.floor(others / reach_m).astype(np.int64), axis=0)
+    keys = np.unique(keys_of_cells((cells[:, None] + around).reshape(-1, 3)))
+    return contains(keys, keys_of_cells(np.floor(points / reach_m).astype(np.int64)))
 
 
 def _is_near(sorted_keys: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
