@@ -182,6 +182,9 @@ def _change_png(file: Path, rng: np.random.Generator) -> str:
 class _Edited:
     """The chunks of a journal with one message changed, its checksum right: for `JournalWriter`."""
 
+    parts = ()
+    """No checkpoint of it was read."""
+
     def __init__(self, chunks: list[list[Message]], rng: np.random.Generator) -> None:
         self._chunks = chunks
         numbers = [(i, k) for i, chunk in enumerate(chunks) for k in range(len(chunk)) if chunk[k].channel_id != 3]
@@ -194,6 +197,9 @@ class _Edited:
 
     def chunks(self) -> Iterator[list[Message]]:
         return iter(self._chunks)
+
+    def read_copy(self) -> None:
+        """Nothing of it is read later."""
 
 
 def _change_journal(path: Path, rng: np.random.Generator) -> str:
