@@ -80,9 +80,10 @@ def _missing(
         is_free |= contains(space.free, keys_of_cells(cells))
         # What one submap has as solid no other has to be asked for, nor points of objects that are near nothing else.
         left = np.flatnonzero(~is_solid)
+        is_solid[left] = _is_near(space.structure, cells[left])
+        left = left[~is_solid[left]]
         bodies = bodies[_within(_NEAR_VOXELS * space.voxel_m, bodies, points_other[left])]
-        near_room = _is_near(space.structure, cells[left])
-        is_solid[left] = near_room | _is_near(np.unique(keys_of_cells(_cells(bodies, submap))), cells[left])
+        is_solid[left] = _is_near(np.unique(keys_of_cells(_cells(bodies, submap))), cells[left])
     for points, box in zip(other.points, other.boxes, strict=True):
         if points is None:
             is_solid |= box.contains(points_other)

@@ -41,6 +41,7 @@ def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple
     """
     objects = [item for item in snapshot.objects if len(item.points_world)]
     found: dict[int, tuple[Support, ...]] = {item.id: () for item in snapshot.objects}
+    in_map: dict[int, ObjectBody] = {}
     spheres = np.array([_sphere(item) for item in objects]).reshape(-1, 4)
     for submap in snapshot.submaps:
         is_own = np.array([item.submap_id == submap.id for item in objects], dtype=bool)
@@ -48,11 +49,14 @@ def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple
             continue
         own = {item.id for item, is_one in zip(objects, is_own, strict=True) if is_one}
         near = [item for item, is_one in zip(objects, _may_touch(spheres, is_own), strict=True) if is_one]
-        if not np.array_equal(submap.world_from_submap, np.eye(4)):
+        if np.array_equal(submap.world_from_submap, np.eye(4)):
+            in_map.update({item.id: _body(item, config) for item in near if item.id not in in_map})
+            bodies = {item.id: in_map[item.id] for item in near}
+        else:
             place = invert(submap.world_from_submap)
-            near = [moved_object(item, place) for item in near]
+            bodies = {item.id: _body(moved_object(item, place), config) for item in near}
         graph = SupportGraph(
-            bodies={item.id: _body(item, config) for item in near},
+            bodies=bodies,
             space=known_space(submap.observed_space),
             config=config.support,
             unsupported=config.unsupported,
