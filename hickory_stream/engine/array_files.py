@@ -24,6 +24,8 @@ _NPY_HEADER = re.compile(
 )
 # Of a large building; a few bytes that somebody made could claim all of the memory.
 _MOST_BYTES = 1 << 27
+# Files of objects in view are replaced with every save: the next levels save 1 % of bytes for 1.4 times the time.
+_LEVEL = 1
 _PLY_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 _PLY_HEADER = (
     "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
@@ -94,7 +96,7 @@ def keys_array(data: bytes) -> NDArray[np.int64]:
 
 
 def _packed(value: Any) -> bytes:
-    return bytes(zstandard.compress(encode(value), 3))
+    return bytes(zstandard.compress(encode(value), _LEVEL))
 
 
 def _unpacked(data: bytes) -> Any:
