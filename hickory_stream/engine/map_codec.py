@@ -75,7 +75,7 @@ def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
     document = {
         "revision": int(snapshot.revision),
         "stamp_ns": int(snapshot.stamp_ns),
-        "submaps": [encode_submap(submap, files) for submap in snapshot.submaps],
+        "submaps": [encode_submap(submap, encode_space(submap, files)) for submap in snapshot.submaps],
         "objects": [encode_object(tracked, files) for tracked in snapshot.objects],
     }
     if snapshot.graph is not None:
@@ -119,16 +119,25 @@ def _check_ids(what: str, ids: list[int]) -> None:
 # ---- the records ----------------------------------------------------------------------------------------------------
 
 
-def encode_submap(submap: Submap, files: dict[str, bytes]) -> Json:
-    """Return a submap as the document has it, and add the content of the files that it names."""
+def encode_space(submap: Submap, files: dict[str, bytes]) -> tuple[str, ...]:
+    """Return the names of the files of a submap's free voxels and of its structure, and add their content."""
+    return tuple(
+        _add_file(files, f"{SPACE}/{submap.id:04d}-{name}", ".keys", keys_bytes(keys))
+        for name, keys in (("free", submap.observed_space.free), ("structure", submap.observed_space.structure))
+    )
+
+
+def encode_submap(submap: Submap, space_names: tuple[str, ...]) -> Json:
+    """Return a submap as the document has it; `space_names` are as those of `encode_space`."""
     space = submap.observed_space
+    free, structure = space_names
     return {
         "id": int(submap.id),
         "world_from_submap": json_numbers(submap.world_from_submap),
         "voxel_m": float(space.voxel_m),
         "floor_z_m": json_number(space.floor_z_m),
-        "free": _add_file(files, f"{SPACE}/{submap.id:04d}-free", ".keys", keys_bytes(space.free)),
-        "structure": _add_file(files, f"{SPACE}/{submap.id:04d}-structure", ".keys", keys_bytes(space.structure)),
+        "free": free,
+        "structure": structure,
     }
 
 

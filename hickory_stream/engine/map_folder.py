@@ -9,6 +9,7 @@ from __future__ import annotations
 import shutil
 from collections import deque
 from dataclasses import replace
+from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -159,12 +160,14 @@ class MapFolder:
         with self._lock, disk_errors(self.path):
             # What the disk refuses is not there for the next save to build on.
             encoder, self._encoder, was_swept, self._is_swept = self._encoder, SnapshotEncoder(), self._is_swept, False
-            encoded = encoder.encoded(snapshot)
             if self.manifest.digest is not None:
                 # That of the run that is continued: killed from here on, the folder has another map.
                 self.manifest = replace(self.manifest, digest=None, seal="", finished_cleanly=False)
                 write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
-            self._write_missing(encoded.new)
+            written: set[str] = set()
+            encoded = encoder.encoded(snapshot, partial(self._write_missing, written))
+            for folder in sorted(written):
+                sync(self.path / folder)
             self._sync_referenced(snapshot)
             write_atomically(self.path / OBJECTS, encoded.document)
             sync(self.path)
@@ -231,13 +234,11 @@ class MapFolder:
         if self._folder_lock is not None:
             self._folder_lock.release()
 
-    def _write_missing(self, files: Mapping[str, bytes]) -> None:
-        for name, data in files.items():
-            if not (self.path / name).exists():
-                write_atomically(self.path / name, data)
-        for folder in (POINTS, SPACE):
-            if any(name.startswith(f"{folder}/") for name in files):
-                sync(self.path / folder)
+    def _write_missing(self, folders: set[str], name: str, data: bytes) -> None:
+        """Write a file unless it is there, and note the folder that it belongs to."""
+        if not (self.path / name).exists():
+            write_atomically(self.path / name, data)
+        folders.add(name.partition("/")[0])
 
     def _sync_referenced(self, snapshot: MapSnapshot) -> None:
         """Bring to the disk what others wrote without waiting for it, before the map refers to it."""

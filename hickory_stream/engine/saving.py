@@ -8,26 +8,28 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from hickory_stream.engine.folder_layout import named_by
-from hickory_stream.engine.map_codec import encode_graph, encode_object, encode_submap
+from hickory_stream.engine.map_codec import encode_graph, encode_object, encode_space, encode_submap
 from hickory_stream.json_text import dumps_exactly
-from hickory_stream.records import Submap
+from hickory_stream.records import Submap, TrackedObject
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from hickory_stream.engine.map_codec import Json
-    from hickory_stream.records import MapSnapshot, TrackedObject
+    from hickory_stream.records import MapSnapshot
+
+    Write = Callable[[str, bytes], None]
+
+R = TypeVar("R", Submap, TrackedObject)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EncodedSnapshot:
-    """A snapshot as it is written: its `document`, the `new` files by name, and the names that it has no more."""
+    """A snapshot as it is written: its `document`, and the names of files that it has no more."""
 
     document: bytes
-    new: Mapping[str, bytes]
     gone: frozenset[str]
 
 
@@ -35,16 +37,19 @@ class SnapshotEncoder:
     """Encodes snapshots as `encode_snapshot` does, one after another."""
 
     def __init__(self) -> None:
-        self._objects: dict[int, _Entry] = {}
-        self._submaps: dict[int, _Entry] = {}
+        self._objects: dict[int, _Entry[TrackedObject]] = {}
+        self._submaps: dict[int, _Entry[Submap]] = {}
 
-    def encoded(self, snapshot: MapSnapshot) -> EncodedSnapshot:
-        """Return what is to be written of a snapshot; the last one that was encoded is on the disk."""
-        new: dict[str, bytes] = {}
-        before = [*self._submaps.values(), *self._objects.values()]
-        self._submaps = _entries(self._submaps, snapshot.submaps, new)
-        self._objects = _entries(self._objects, snapshot.objects, new)
-        after = [*self._submaps.values(), *self._objects.values()]
+    def encoded(self, snapshot: MapSnapshot, write: Write) -> EncodedSnapshot:
+        """Return what is to be written of a snapshot; the last one that was encoded is on the disk.
+
+        `write` is given the name and the content of each new file, one after another: where a whole map has moved,
+        they are not all in memory at once.
+        """
+        before: list[_Entry[Any]] = [*self._submaps.values(), *self._objects.values()]
+        self._submaps = _entries(self._submaps, snapshot.submaps, _submap_entry, write)
+        self._objects = _entries(self._objects, snapshot.objects, _object_entry, write)
+        after: list[_Entry[Any]] = [*self._submaps.values(), *self._objects.values()]
         gone = {name for entry in _others(before, after) for name in entry.files}
         # Of an object that was encoded anew the same points may have stayed.
         gone -= {name for entry in _others(after, before) for name in entry.files}
@@ -56,12 +61,13 @@ class SnapshotEncoder:
         ]
         if snapshot.graph is not None:
             parts.append(f'"graph": {dumps_exactly(encode_graph(snapshot.graph))}')
-        return EncodedSnapshot(document=f"{{{', '.join(parts)}}}".encode(), new=new, gone=frozenset(gone))
+        return EncodedSnapshot(document=f"{{{', '.join(parts)}}}".encode(), gone=frozenset(gone))
 
     @property
     def files(self) -> set[str]:
         """The names of all files of the last snapshot."""
-        return {name for entry in (*self._submaps.values(), *self._objects.values()) for name in entry.files}
+        entries: list[_Entry[Any]] = [*self._submaps.values(), *self._objects.values()]
+        return {name for entry in entries for name in entry.files}
 
 
 class ReferencedNames:
@@ -106,32 +112,46 @@ class ReferencedNames:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Entry:
+class _Entry(Generic[R]):
     """A record, its part of the document, and the files that this names."""
 
-    record: Submap | TrackedObject
+    record: R
     text: str
     files: tuple[str, ...]
 
 
 def _entries(
-    known: Mapping[int, _Entry], records: Sequence[Submap] | Sequence[TrackedObject], new: dict[str, bytes]
-) -> dict[int, _Entry]:
+    known: Mapping[int, _Entry[R]],
+    records: Sequence[R],
+    encode: Callable[[R, _Entry[R] | None, dict[str, bytes]], _Entry[R]],
+    write: Write,
+) -> dict[int, _Entry[R]]:
     entries = {}
     for record in records:
         entry = known.get(record.id)
         if entry is None or entry.record is not record:
             files: dict[str, bytes] = {}
-            entry = _Entry(record, dumps_exactly(_json(record, files)), tuple(files))
-            new |= files
+            entry = encode(record, entry, files)
+            for name, data in files.items():
+                write(name, data)
         entries[record.id] = entry
     return entries
 
 
-def _json(record: Submap | TrackedObject, files: dict[str, bytes]) -> Json:
-    return encode_submap(record, files) if isinstance(record, Submap) else encode_object(record, files)
+def _submap_entry(submap: Submap, known: _Entry[Submap] | None, files: dict[str, bytes]) -> _Entry[Submap]:
+    # A submap that was moved has its voxels where they were.
+    has_same_space = known is not None and known.record.observed_space is submap.observed_space
+    names = known.files if known is not None and has_same_space else encode_space(submap, files)
+    return _Entry(submap, dumps_exactly(encode_submap(submap, names)), names)
 
 
-def _others(entries: Iterable[_Entry], than: Iterable[_Entry]) -> list[_Entry]:
+def _object_entry(
+    tracked: TrackedObject, _: _Entry[TrackedObject] | None, files: dict[str, bytes]
+) -> _Entry[TrackedObject]:
+    text = dumps_exactly(encode_object(tracked, files))
+    return _Entry(tracked, text, tuple(files))
+
+
+def _others(entries: Iterable[_Entry[Any]], than: Iterable[_Entry[Any]]) -> list[_Entry[Any]]:
     same = {id(entry) for entry in than}
     return [entry for entry in entries if id(entry) not in same]

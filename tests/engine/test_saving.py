@@ -1,11 +1,15 @@
 """Saving one snapshot after another gives the document of the whole, and only the files that are new."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from hickory_stream.engine.map_codec import encode_snapshot
 from hickory_stream.engine.saving import ReferencedNames, SnapshotEncoder
+from hickory_stream.geometry.made_arrays import give_up
+from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.records import MapSnapshot
 from tests.engine.snapshot_fixtures import make_snapshot
@@ -32,16 +36,17 @@ def series() -> list[MapSnapshot]:
 def test_it_is_the_document_of_the_whole_and_what_is_new_and_gone_adds_up_to_its_files() -> None:
     encoder, on_disk = SnapshotEncoder(), {}
     for i, snapshot in enumerate(series()):
-        encoded = encoder.encoded(snapshot)
+        new: dict[str, bytes] = {}
+        encoded = encoder.encoded(snapshot, new.__setitem__)
         document, files = encode_snapshot(snapshot)
         assert encoded.document == dumps_exactly(document).encode()
-        on_disk |= encoded.new
+        on_disk |= new
         assert encoded.gone.isdisjoint(files)
         for name in encoded.gone:
             del on_disk[name]
         assert on_disk == files
         assert encoder.files == set(files)
-        assert (encoded.new == {}) == (i in (1, 3, 5))
+        assert (new == {}) == (i in (1, 3, 5))
 
 
 def test_the_views_and_meshes_that_a_snapshot_refers_to_are_followed() -> None:
@@ -53,3 +58,20 @@ def test_the_views_and_meshes_that_a_snapshot_refers_to_are_followed() -> None:
         assert set(referenced.follow(snapshot)) == wanted - before
         assert {name for name in before | wanted if name in referenced} == set(referenced) == wanted
         before = wanted
+
+
+def test_a_submap_that_only_moved_has_its_files_without_its_voxels_being_asked_for() -> None:
+    snapshot, encoder = make_snapshot(), SnapshotEncoder()
+    first, *others = snapshot.submaps
+    encoder.encoded(snapshot, lambda name, data: None)
+    placed = replace(first, world_from_submap=from_rotation_translation(np.eye(3), np.array([1.0, 2.0, 3.0])))
+    give_up(placed.observed_space, never_asked, "free", "structure")
+    moved = replace(snapshot, submaps=(placed, *others))
+    encoded = encoder.encoded(moved, lambda name, data: pytest.fail(f"{name} was written again"))
+    assert json.loads(encoded.document)["submaps"][0]["world_from_submap"][0][3] == 1.0
+    assert encoded.gone == set()
+
+
+def never_asked(name: str) -> np.ndarray:
+    """Voxels that nobody may ask for."""
+    raise AssertionError(f"{name} was read")
