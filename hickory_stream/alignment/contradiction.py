@@ -13,7 +13,7 @@ import numpy as np
 
 from hickory_stream.alignment.answer import Contradictions
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.voxels import contains, keys_of_cells
+from hickory_stream.geometry.voxels import contains, contains_near, keys_of_cells
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -80,10 +80,10 @@ def _missing(
         is_free |= contains(space.free, keys_of_cells(cells))
         # What one submap has as solid no other has to be asked for, nor points of objects that are near nothing else.
         left = np.flatnonzero(~is_solid)
-        is_solid[left] = _is_near(space.structure, cells[left])
+        is_solid[left] = contains_near(space.structure, cells[left])
         left = left[~is_solid[left]]
         bodies = bodies[_within(_NEAR_VOXELS * space.voxel_m, bodies, points_other[left])]
-        is_solid[left] = _is_near(np.unique(keys_of_cells(_cells(bodies, submap))), cells[left])
+        is_solid[left] = contains_near(np.unique(keys_of_cells(_cells(bodies, submap))), cells[left])
     for points, box in zip(other.points, other.boxes, strict=True):
         if points is None:
             is_solid |= box.contains(points_other)
@@ -109,15 +109,6 @@ def _within(reach_m: float, points: NDArray[np.float64], others: NDArray[np.floa
     cells = np.unique(np.floor(others / reach_m).astype(np.int64), axis=0)
     keys = np.unique(keys_of_cells((cells[:, None] + around).reshape(-1, 3)))
     return contains(keys, keys_of_cells(np.floor(points / reach_m).astype(np.int64)))
-
-
-def _is_near(sorted_keys: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which of (N, 3) cells are among the keys, or next to one of them."""
-    found = np.zeros(len(cells), dtype=bool)
-    for step in np.ndindex(3, 3, 3):
-        left = np.flatnonzero(~found)
-        found[left] = contains(sorted_keys, keys_of_cells(cells[left] + np.array(step) - 1))
-    return found
 
 
 def _cells(points_world: NDArray[Any], submap: Submap) -> NDArray[np.int64]:

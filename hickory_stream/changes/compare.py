@@ -8,11 +8,13 @@ verdict has its probability.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from hickory_stream.changes.evidence import clear_points, compared_objects, evidence_at, seen_places, thinned
 from hickory_stream.changes.likeness import likeness, probability_same
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from hickory_stream.records import MapSnapshot, TrackedObject
 
 _POINTS_OF_OVERLAP = 300
+_TREES = 64
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -104,25 +107,44 @@ def probability_changed(evidence: Evidence, config: ChangesConfig) -> float:
 def _in_one_place(both: _Compared, config: ChangesConfig) -> list[tuple[int, int, float]]:
     """Return one-to-one pairs of objects in one place, with how much they overlap, the largest sum of all."""
     overlaps = np.zeros((len(both.a_objects), len(both.b_objects)))
-    for i, one in enumerate(both.a_objects):
-        for j, other in enumerate(both.b_objects):
-            reach = (one.box.diagonal_m + other.box.diagonal_m) / 2
-            if np.linalg.norm(one.box.center - other.box.center) < reach:
-                overlaps[i, j] = _overlap(one, other, both.near_m)
+    # Pairs of one object of map a come one after another, and those of map b in its room.
+    a_tree, b_tree = (
+        lru_cache(size)(partial(_tree, objects)) for size, objects in ((1, both.a_objects), (_TREES, both.b_objects))
+    )
+    for i, j in np.argwhere(_may_touch(both.a_objects, both.b_objects)):
+        one, other = both.a_objects[i], both.b_objects[j]
+        iou = box_iou(one.box, other.box)
+        if iou > 0:
+            near = [_share_near(a_tree(i), other, both.near_m), _share_near(b_tree(j), one, both.near_m)]
+            overlaps[i, j] = max(iou, min(near))
     overlaps[overlaps < config.min_overlap] = 0.0
     rows, columns = linear_sum_assignment(overlaps, maximize=True)
     return [(int(i), int(j), float(overlaps[i, j])) for i, j in zip(rows, columns, strict=True) if overlaps[i, j] > 0]
 
 
-def _overlap(one: TrackedObject, other: TrackedObject, near_m: float) -> float:
-    iou = box_iou(one.box, other.box)
-    if iou <= 0:
-        return 0.0
-    some, others = (thinned(item.points_world, _POINTS_OF_OVERLAP) for item in (one, other))
-    # Distances are to all points of the other, of which there is one in every voxel of a centimetre or two.
-    here = cKDTree(other.points_world).query(some, distance_upper_bound=near_m)[0] <= near_m
-    there = cKDTree(one.points_world).query(others, distance_upper_bound=near_m)[0] <= near_m
-    return max(iou, min(float(here.mean()), float(there.mean())))
+def _may_touch(some: Sequence[TrackedObject], others: Sequence[TrackedObject]) -> NDArray[np.bool_]:
+    """Return (N, M) whether the spheres around the boxes of two objects meet."""
+    (centers, radii), (other_centers, other_radii) = (
+        (
+            np.array([item.box.center for item in items]).reshape(-1, 3),
+            np.array([item.box.diagonal_m / 2 for item in items]),
+        )
+        for items in (some, others)
+    )
+    return np.asarray(cdist(centers, other_centers) < radii[:, None] + other_radii)
+
+
+def _tree(objects: Sequence[TrackedObject], i: int) -> cKDTree:
+    return cKDTree(objects[i].points_world)
+
+
+def _share_near(tree: cKDTree, other: TrackedObject, near_m: float) -> float:
+    """Return the share of an object's points that are near an object, of which `tree` has all points.
+
+    It has one in every voxel of a centimetre or two.
+    """
+    some = thinned(other.points_world, _POINTS_OF_OVERLAP)
+    return float((tree.query(some, distance_upper_bound=near_m)[0] <= near_m).mean())
 
 
 def _of_pair(both: _Compared, i: int, j: int, overlap: float, config: ChangesConfig) -> ObjectChange:

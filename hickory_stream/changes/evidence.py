@@ -14,11 +14,11 @@ from scipy.spatial import cKDTree
 
 from hickory_stream.changes.records import Evidence
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.voxels import contains, keys_of_cells
+from hickory_stream.geometry.voxels import bounds_of_keys, contains, contains_near, keys_of_cells
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -27,17 +27,21 @@ if TYPE_CHECKING:
 _POINTS_OF_SURFACE = 2500
 _POINTS_OF_EVIDENCE = 200
 _MIN_CLEAR = 12
+# More than what turning corners into the world rounds off.
+_ROUNDING_M = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SeenPlaces:
     """A map as evidence: N objects with a tree of the points of all of them, and the space observed in each submap.
 
-    `owners` (P,) are the places in `objects` of the tree's points.
+    `owners` (P,) are the places in `objects` of the tree's points; `bounds` (S, 2, 3) are the least and the most
+    coordinates in the world of where each submap says anything, a voxel around it included.
     """
 
     objects: tuple[TrackedObject, ...]
     submaps: tuple[Submap, ...]
+    bounds: NDArray[np.float64]
     tree: cKDTree | None
     owners: NDArray[np.int64]
 
@@ -53,7 +57,20 @@ def seen_places(objects: Sequence[TrackedObject], submaps: Sequence[Submap]) -> 
     points = np.concatenate([np.empty((0, 3), np.float32), *clouds]).astype(np.float64)
     owners = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
     tree = cKDTree(points) if len(points) else None
-    return SeenPlaces(objects=tuple(objects), submaps=tuple(submaps), tree=tree, owners=owners)
+    bounds = np.array([_bounds(submap) for submap in submaps]).reshape(-1, 2, 3)
+    return SeenPlaces(objects=tuple(objects), submaps=tuple(submaps), bounds=bounds, tree=tree, owners=owners)
+
+
+def _bounds(submap: Submap) -> NDArray[np.float64]:
+    """Return (2, 3) bounds in the world of a submap's voxels, each with one around it; where there is none, nothing."""
+    ends = [bounds_of_keys(keys) for keys in (submap.observed_space.free, submap.observed_space.structure) if len(keys)]
+    if not ends:
+        return np.array([np.full(3, np.inf), np.full(3, -np.inf)])
+    low = np.min([low for low, _ in ends], axis=0) - 1
+    high = np.max([high for _, high in ends], axis=0) + 2
+    corners = np.where(list(np.ndindex(2, 2, 2)), high, low) * submap.observed_space.voxel_m
+    world = apply(submap.world_from_submap, corners)
+    return np.array([world.min(axis=0) - _ROUNDING_M, world.max(axis=0) + _ROUNDING_M])
 
 
 def clear_points(own: SeenPlaces, i: int, near_m: float) -> NDArray[np.float64]:
@@ -99,20 +116,28 @@ def _on_objects(
 def _on_structure(places: SeenPlaces, points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which points are in a voxel of structure, or beside one."""
     found = np.zeros(len(points), dtype=bool)
-    for submap in places.submaps:
-        cells = _cells(points, submap)
-        for step in np.ndindex(3, 3, 3):
-            left = np.flatnonzero(~found)
-            keys = keys_of_cells(cells[left] + np.array(step) - 1)
-            found[left] = contains(submap.observed_space.structure, keys)
+    for submap, inside in _around(places, points):
+        left = inside[~found[inside]]
+        found[left] = contains_near(submap.observed_space.structure, _cells(points[left], submap))
     return found
 
 
 def _in_free_space(places: SeenPlaces, points: NDArray[np.float64]) -> NDArray[np.bool_]:
     found = np.zeros(len(points), dtype=bool)
-    for submap in places.submaps:
-        found |= contains(submap.observed_space.free, keys_of_cells(_cells(points, submap)))
+    for submap, inside in _around(places, points):
+        found[inside] |= contains(submap.observed_space.free, keys_of_cells(_cells(points[inside], submap)))
     return found
+
+
+def _around(places: SeenPlaces, points: NDArray[np.float64]) -> Iterator[tuple[Submap, NDArray[np.int64]]]:
+    """Yield the submaps that may say something of (N, 3) points, each with which of them these are."""
+    if not len(points):
+        return
+    low, high = points.min(axis=0), points.max(axis=0)
+    meets = (places.bounds[:, 0] <= high).all(axis=1) & (places.bounds[:, 1] >= low).all(axis=1)
+    for s in np.flatnonzero(meets):
+        is_inside = ((points >= places.bounds[s, 0]) & (points <= places.bounds[s, 1])).all(axis=1)
+        yield places.submaps[s], np.flatnonzero(is_inside)
 
 
 def _cells(points: NDArray[np.float64], submap: Submap) -> NDArray[np.int64]:

@@ -74,6 +74,15 @@ def contains(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDAr
     return found
 
 
+def contains_near(sorted_keys: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return for each of (N, 3) cells whether it is among the sorted keys, or next to one of them."""
+    found = np.zeros(len(cells), dtype=bool)
+    for step in np.ndindex(3, 3, 3):
+        left = np.flatnonzero(~found)
+        found[left] = contains(sorted_keys, keys_of_cells(cells[left] + np.array(step) - 1))
+    return found
+
+
 def places(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return what np.searchsorted does: before which of the sorted keys each query belongs."""
     found: NDArray[np.int64] = _places(sorted_keys, queries)

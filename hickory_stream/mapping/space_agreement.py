@@ -26,6 +26,7 @@ from hickory_stream.geometry.voxels import (
     cells_of_keys,
     centers_of_keys,
     contains,
+    contains_near,
     keys_of_cells,
     sorted_unique,
     union,
@@ -87,7 +88,7 @@ def contradicted(space: SpaceState, later: SpaceState, later_from_here: NDArray[
     is_filled = contains(solid, _keys_there(free, space.voxel_m, later_from_here, later.voxel_m))
     there = _keys_there(structure, space.voxel_m, later_from_here, later.voxel_m)
     is_open = contains(later.free, there)
-    is_open[is_open] = ~_is_beside(solid, there[is_open])
+    is_open[is_open] = ~contains_near(solid, cells_of_keys(there[is_open]))
     return sorted_unique(np.concatenate([free[is_filled], structure[is_open]]))
 
 
@@ -167,12 +168,3 @@ def _keys_there(
     """Return (N,) the voxels of another lattice in which the centres of voxels lie."""
     centers = apply(there_from_here, centers_of_keys(keys, voxel_m).astype(np.float64))
     return keys_of_cells(np.floor(centers / there_voxel_m))
-
-
-def _is_beside(sorted_keys: NDArray[np.int64], keys: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which voxels (N,) are among sorted ones, or next to one of them."""
-    cells, found = cells_of_keys(keys), np.zeros(len(keys), dtype=bool)
-    for step in np.ndindex(3, 3, 3):
-        left = np.flatnonzero(~found)
-        found[left] = contains(sorted_keys, keys_of_cells(cells[left] + np.array(step) - 1))
-    return found

@@ -487,7 +487,7 @@ def _judged_by_rigid_ones(submaps: Submaps) -> Submaps:
     first = submaps.open_id
     while first > submaps.since_jump and submaps.is_rigid_with_open(first - 1):
         first -= 1
-    return submaps if first == submaps.first else _within(replace(submaps, first=first), None)
+    return submaps if first == submaps.first else _within(replace(submaps, first=first), submaps.window)
 
 
 def _within(submaps: Submaps, window: Window | None) -> Submaps:

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hickory_stream.changes import evidence
 from hickory_stream.changes.compare import compare_maps, probability_changed
+from hickory_stream.changes.evidence import evidence_at, seen_places
 from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, Verdict
 from hickory_stream.changes.within_run import changes_within_run
-from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.mapping.moved import moved_object
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
 from tests.navigation.rooms import seen_room, snapshot
@@ -161,3 +163,23 @@ def test_within_a_run_what_was_not_seen_since_is_gone_only_if_its_place_was_seen
     assert changes_within_run(seen_through, snapshot(again, LEAVES)) == ()
     (moved,) = changes_within_run(snapshot(STAYS, LEAVES, space=dark), snapshot(again, LEAVES, crate(9, 3.0, 3.2)))
     assert (moved.object_id, moved.kind, moved.was) == (9, "moved", 2)
+
+
+def test_a_submap_far_away_is_not_asked_for_what_it_cannot_have_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    room = snapshot(STAYS, LEAVES)
+    far = replace(
+        room.submaps[0],
+        id=room.submaps[-1].id + 1,
+        world_from_submap=from_rotation_translation(yaw_rotation(0.3), np.array([100.0, 0.0, 0.0])),
+    )
+    both = seen_places(room.objects, (*room.submaps, far))
+    asked: list[int] = []
+    cells_in = evidence._cells
+    monkeypatch.setattr(evidence, "_cells", lambda points, submap: asked.append(submap.id) or cells_in(points, submap))
+    points = STAYS.points_world[:50].astype(np.float64)
+    found = evidence_at(both, points, 0.02)
+    assert far.id not in asked and set(asked) == {submap.id for submap in room.submaps}
+    assert found == evidence_at(seen_places(room.objects, room.submaps), points, 0.02)
+    # Whichever way it is turned, what it has seen there is found.
+    moved = apply(far.world_from_submap, points)
+    assert evidence_at(both, moved, 0.02).unseen == evidence_at(seen_places((), room.submaps), points, 0.02).unseen < 1

@@ -11,6 +11,7 @@ from hickory_stream.geometry.voxels import (
     cells_of_keys,
     centers_of_keys,
     contains,
+    contains_near,
     difference,
     dilate,
     exchanged,
@@ -67,6 +68,12 @@ def test_a_key_is_contained_when_its_cell_is_in_the_set(cells: np.ndarray, queri
     known = {tuple(c) for c in cells}
     expected = [tuple(q) in known for q in queries]
     assert contains(sorted_keys(cells), keys_of_cells(queries)).tolist() == expected
+
+
+@given(few_cells, few_cells)
+def test_a_cell_is_near_a_set_when_it_or_a_neighbour_is_in_it(cells: np.ndarray, queries: np.ndarray) -> None:
+    expected = [tuple(cell) in neighbours(cells) for cell in queries.tolist()]
+    assert contains_near(sorted_keys(cells), queries).tolist() == expected
 
 
 @given(few_cells)
