@@ -31,11 +31,14 @@ from tools.benchmarks.view_trials import view_figures
 
 if TYPE_CHECKING:
     from tools.benchmarks.layer2_objects import Subject
+    from tools.benchmarks.layer2_outcomes import Outcome
 
 _SAMPLES = 3000
 _ADDS = 0.05
 # A swapped object whose surface, placed, is the truth's to this F1 at 5 % of the diameter cannot be told from it.
 _SAME_F1 = 0.8
+# A kept shape that is worse than the fused one by more than this does harm that is not chance of the samples.
+_WORSE_F1 = 0.02
 _MAX_VIEWS = 6
 # Seeds on which the thresholds of placement and judgement were chosen; what is reported has others.
 TUNED_SEEDS = (0, 1, 7)
@@ -194,18 +197,37 @@ def _of_judgement(
         wrong = [row for row in rows if row.f1 < _SAME_F1]
         accepted = [row.evidence is not None and judged(row.evidence, config).is_accepted for row in wrong]
         taken = [row for row, is_in in zip(wrong, accepted, strict=True) if is_in]
-        kept = []
+        outcomes = []
         for row, found in zip(taken, pool.map(outcome_of, taken), strict=True):
-            kept.append(found is not None and found.is_kept)
-            views, fate = len(row.seen.made_from.crops), "takes its place" if kept[-1] else "the fused one stays"
+            outcomes.append(found)
+            views, fate = len(row.seen.made_from.crops), "the fused one stays"
+            if found is not None and found.is_kept:
+                fate = f"takes its place, blended {found.blended:.2f}, fused {found.fused:.2f}"
             print(f"{name} accepted, {row.kind} ({row.given.fate}), {views} views, F1 {row.f1:.2f}: {fate}", flush=True)
         if wrong:
             told = f"{what} whose F1 at 5 % of the diameter, placed, is under {_SAME_F1}"
             figures.append(_share(f"{name}_accepted_fraction", accepted, told, better="lower"))
-            # What is refused by `judged` is not kept either.
-            kept += [False] * (len(wrong) - len(kept))
-            figures.append(_share(f"{name}_kept_fraction", kept, f"{told}, instead of the fused shape", better="lower"))
+            figures += kept_figures(name, outcomes, len(wrong), told)
     return [*figures, _share("good_refused_fraction", refused, "spoiled objects", better="lower")]
+
+
+def kept_figures(name: str, outcomes: list[Outcome | None], num_wrong: int, told: str) -> list[Figure]:
+    """Return how many wrong shapes a map would keep, and what that costs it: F1 of the fused less that of the kept.
+
+    `outcomes` are those of the accepted ones; of the other wrong ones the fused shape stays and nothing is lost.
+    """
+    kept = [found is not None and found.is_kept for found in outcomes] + [False] * (num_wrong - len(outcomes))
+    less = [found.fused - found.blended for found in outcomes if found is not None and found.is_kept]
+    worse = sum(one > _WORSE_F1 for one in less)
+    losses = np.array([*less, *[0.0] * (num_wrong - len(less))])[:, None]
+    return [
+        _share(f"{name}_kept_fraction", kept, f"{told}, instead of the fused shape", better="lower"),
+        Figure(
+            name=f"{name}_kept_f1_less", value=float(losses.mean()), unit="", better="lower",
+            of=f"mean over {num_wrong} {told}; {worse} lose more than {_WORSE_F1}",
+            interval=bootstrap([losses], lambda groups: float(groups[0].mean())), interval_by="bootstrap",
+        ),
+    ]  # fmt: skip
 
 
 def _of_blending(pool: ProcessPoolExecutor, rows: list[Row]) -> list[Figure]:
