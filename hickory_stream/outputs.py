@@ -331,7 +331,7 @@ class Planned(TypedDict):
 
     It rests on layer 4 of the objects, but on boxes of `objects_by_box`, and in a live run that goes on on what was
     seen of `objects_observed_only`; `unproven` is why layer 4 is not, or null. A path keeps off `objects_movable` where
-    it can; `passes_movable` are those that it passes nearer.
+    it can; `passes_movable` are those that it passes nearer. `floor_m` is the height of the floor that it lies on.
     """
 
     robot: str
@@ -341,6 +341,7 @@ class Planned(TypedDict):
     unproven: str | None
     objects_movable: list[int]
     cell_m: float
+    floor_m: float
     found: bool
     length_m: NotRequired[float]
     passes_movable: NotRequired[list[int]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -30,7 +31,7 @@ pytestmark = pytest.mark.timeout(180)
 CRATE = boxes(((4.5, 1.0, 0.3), (0.4, 0.3, 0.3)))
 
 
-def saved(folder: Path, *objects: TrackedObject) -> Path:
+def saved(folder: Path, *objects: TrackedObject, floors_m: tuple[float, ...] = (0.0,)) -> Path:
     made = create_map_folder(folder, config={}, source={}, overwrite=False)
     for item in objects:
         if item.shape is not None:
@@ -38,7 +39,11 @@ def saved(folder: Path, *objects: TrackedObject) -> Path:
             low = (half.world_from_local[:, :3, 3] - half.semi_axes_m).min(axis=0)
             high = (half.world_from_local[:, :3, 3] + half.semi_axes_m).max(axis=0)
             write_glb(box_mesh(tuple(high - low), (120, 90, 60)), made.shapes / item.shape.mesh_name)
-    made.save(snapshot(*objects))
+    room = snapshot(*objects)
+    submaps = [
+        replace(room.submaps[0], id=i, world_from_submap=placed(0.0, 0.0, z_m)) for i, z_m in enumerate(floors_m)
+    ]
+    made.save(replace(room, submaps=tuple(submaps)))
     made.finish(finished_cleanly=True)
     return folder
 
@@ -141,6 +146,47 @@ def test_objects_without_layer_4_are_named(tmp_path: Path, capsys: pytest.Captur
     bare = saved(tmp_path / "bare.map", tracked(7, table(), with_shape=False))
     assert main(["plan", str(bare), "--start", "0.7,0.6", "--goal", "5.3,3.4", "--robot", "point"]) == 0
     assert "1 objects have no layer 4 of their own, their box is avoided: 7" in capsys.readouterr().out
+
+
+def two_storeys(folder: Path) -> Path:
+    """The room twice, one above the other: the table is in the lower one, a crate in the upper one."""
+    upper = boxes(((4.5, 1.0, 3.3), (0.4, 0.3, 0.3)))
+    return saved(folder, tracked(1, table()), tracked(2, upper), floors_m=(0.0, 3.0))
+
+
+def test_a_map_of_two_storeys_is_planned_on_the_one_that_is_named_or_has_the_goal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    house = str(two_storeys(tmp_path / "house.map"))
+    across = ["plan", house, "--start", "0.7,0.6", "--goal", "4.5,1.0", "--robot", "point", "--json"]
+    assert main(across) == 2
+    assert "the map has 2 floors, at z = 0.00 and 3.00 m; choose one with --floor" in capsys.readouterr().err
+    assert main([*across, "--floor", "0.2"]) == 0
+    assert told(capsys)["floor_m"] == 0.0
+    assert main([*across, "--floor", "3"]) == 3
+    above = told(capsys)
+    assert (above["floor_m"], [one["object"] for one in above["blockers"]]) == (3.0, [2])
+    to_crate = ["plan", house, "--start", "0.7,0.6", "--goal", "object:2", "--robot", "point", "--json"]
+    assert main(to_crate) == 0
+    assert told(capsys)["floor_m"] == 3.0
+    assert main([*to_crate, "--floor", "0"]) == 2
+    assert "object 2 is on the floor at z = 3.00 m; a path lies on one floor" in capsys.readouterr().err
+    assert main([*across, "--floor", "1.5"]) == 2
+    assert "no floor within 1 m of it: its floors are at z = 0.00 and 3.00 m" in capsys.readouterr().err
+
+
+def test_a_storey_is_exported_and_drawn_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    house = two_storeys(tmp_path / "house.map")
+    assert main(["export", str(house), "--format", "mjcf", "-o", str(tmp_path / "x")]) == 2
+    assert "choose one with --floor" in capsys.readouterr().err
+    assert main(["export", str(house), "--format", "mjcf", "-o", str(tmp_path / "x"), "--floor", "3"]) == 0
+    scene = (tmp_path / "x" / "scene.xml").read_text()
+    assert "object-2" in scene
+    assert "object-1" not in scene
+    drawn = tmp_path / "upper.png"
+    assert main(["render", str(house), "-o", str(drawn), "--size", "480x240", "--floor", "3"]) == 0
+    assert main(["render", str(house), "-o", str(tmp_path / "all.png"), "--size", "480x240"]) == 0
+    assert drawn.read_bytes() != (tmp_path / "all.png").read_bytes()
 
 
 @pytest.mark.parametrize(("form", "made"), [("nav2", "room.pgm"), ("mjcf", "x/scene.xml"), ("urdf", "x/scene.urdf")])

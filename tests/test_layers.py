@@ -23,7 +23,7 @@ LAYERS = (
     ),
     ("hickory_stream.geometry",),
     ("hickory_stream.records+hickory_stream.events",),
-    ("hickory_stream.ports",),
+    ("hickory_stream.ports", "hickory_stream.storeys"),
     ("hickory_stream.textures",),
     (
         "hickory_stream.perception",

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream.cli.floor import add_floor_argument, floor_of_option
 from hickory_stream.cli.values import (
     add_texture_argument,
     add_unproven_argument,
@@ -65,6 +66,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     export.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
     )
+    add_floor_argument(export, "nav2, mjcf, urdf: which storey, of a map with several")
     add_texture_argument(export, "glb, mjcf, urdf: the side of an object's texture", DEFAULT_TEXTURE_PX)
     add_unproven_argument(export)
 
@@ -167,7 +169,8 @@ def _nav2(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path,
     from hickory_stream.navigation.free_space import obstacle_grid
     from hickory_stream.navigation.nav2 import pgm_of, yaml_of
 
-    grid = obstacle_grid(saved.snapshot, robot_of_option(options.robot, "--robot"), cell_m=options.cell)
+    robot, floor_m = robot_of_option(options.robot, "--robot"), floor_of_option(saved.snapshot, options.floor)
+    grid = obstacle_grid(saved.snapshot, robot, cell_m=options.cell, floor_m=floor_m)
     picture = out.with_suffix(".pgm")
     if picture == out:
         raise InputError(f"found --out {out}, expected the name of the YAML file; the picture lies beside it")
@@ -177,12 +180,14 @@ def _nav2(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path,
 def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path, bytes]:
     import numpy as np
 
-    from hickory_stream.navigation.free_space import floor_of, layer_four_of, obstacles_of
+    from hickory_stream.navigation.free_space import layer_four_of, obstacles_of
     from hickory_stream.navigation.observed import Band
     from hickory_stream.navigation.simulators import SimulatedObject, mjcf_files, urdf_files
     from hickory_stream.navigation.walls import wall_boxes
+    from hickory_stream.storeys import on_storey
 
-    snapshot = saved.snapshot
+    floor = floor_of_option(saved.snapshot, options.floor)
+    snapshot = on_storey(saved.snapshot, floor)
     meshes = {tracked.id: saved.mesh(tracked.shape) for tracked in snapshot.objects if tracked.shape is not None}
     objects = [
         SimulatedObject(
@@ -194,7 +199,6 @@ def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[
         )
         for tracked in obstacles_of(snapshot)
     ]
-    floor = floor_of(snapshot)
     band = Band(low_m=floor, high_m=floor + _WALL_HEIGHT_M)
     bodies = [item.inflated for item in objects]
     walls = [np.empty((0, 8, 3)), *(wall_boxes(submap, band, floor, bodies) for submap in snapshot.submaps)]

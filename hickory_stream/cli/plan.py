@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.cli.floor import add_floor_argument, floor_of_option
 from hickory_stream.cli.stationarity import add_stationarity, movable_objects
 from hickory_stream.cli.status import NO_PATH
 from hickory_stream.cli.values import add_unproven_argument, open_proven_map_at, parse_place, robot_of_option
@@ -42,6 +43,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     plan.add_argument(
         "--goal", required=True, metavar="X,Y|object:ID", help="a place, or the nearest one beside an object of the map"
     )
+    add_floor_argument(plan, "which storey, of a map with several")
     add_robot_arguments(plan)
     plan.add_argument("--planner", choices=PLANNERS, default="rrt-connect")
     plan.add_argument("--seed", type=int, default=0, help="the same seed gives the same path")
@@ -79,6 +81,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.navigation.berth import keep_off, passed_by
     from hickory_stream.navigation.free_space import free_space_of, uncertified, without_layer_four
     from hickory_stream.navigation.search import NoPath, SearchConfig, plan
+    from hickory_stream.storeys import on_storey
 
     if options.out is not None and options.out.suffix not in (".png", ".rrd"):
         raise InputError(f"found -o {options.out}, expected a name that ends in .png or .rrd")
@@ -88,7 +91,13 @@ def run(options: argparse.Namespace) -> int:
     robot = robot_of_option(options.robot, "--robot")
     saved, doubt = open_proven_map_at(options)
     snapshot, seen = _as_driven(saved, options.at)
-    space = free_space_of(snapshot, robot, cell_m=options.cell, unknown=options.unknown, seen=seen)
+    floor_m = _floor_of(snapshot, options.floor, wanted)
+    snapshot = on_storey(snapshot, floor_m)
+
+    def free_space() -> FreeSpace:
+        return free_space_of(snapshot, robot, cell_m=options.cell, unknown=options.unknown, seen=seen, floor_m=floor_m)
+
+    space = free_space()
     if options.seed < 0:
         raise InputError(f"found --seed {options.seed}, expected 0 or more")
     if not 0 <= options.berth <= MOST_BERTH_M:
@@ -104,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
 
     answer, keeps_off = planned(space), not movable
     if movable and not isinstance(answer, NoPath):
-        wide = free_space_of(snapshot, robot, cell_m=options.cell, unknown=options.unknown, seen=seen)
+        wide = free_space()
         keep_off(wide, snapshot, movable, options.berth)
         found = planned(wide)
         if not isinstance(found, NoPath):
@@ -166,6 +175,23 @@ def _object_id(goal: str) -> int | None:
     return int(number)
 
 
+def _floor_of(snapshot: MapSnapshot, floor_m: float | None, object_id: int | None) -> float:
+    """Return the floor to plan on: the one that was named, or that of the goal; raises `InputError`."""
+    from hickory_stream.storeys import floor_beneath, floors_of
+
+    floors_m = floors_of(snapshot)
+    goal = next((tracked for tracked in snapshot.objects if tracked.id == object_id), None)
+    if goal is None or len(floors_m) < 2:
+        return floor_of_option(snapshot, floor_m)
+    beneath_m = floor_beneath(floors_m, goal)
+    if floor_m is not None and floor_of_option(snapshot, floor_m) != beneath_m:
+        raise InputError(
+            f"found --floor {floor_m:g}, but object {object_id} is on the floor at z = {beneath_m:.2f} m; "
+            "a path lies on one floor"
+        )
+    return beneath_m
+
+
 def _beside(
     space: FreeSpace, snapshot: MapSnapshot, start: NDArray[np.float64], object_id: int | None
 ) -> NDArray[np.float64] | NoPath:
@@ -197,6 +223,7 @@ def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, 
         "unproven": proof.doubt or None,
         "objects_movable": proof.movable,
         "cell_m": space.frame.cell_m,
+        "floor_m": space.floor_z_m,
     }
     if isinstance(answer, NoPath):
         blockers = [{"object": b.object_id, "distance_m": round(b.distance_m, 4)} for b in answer.blockers]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream.cli.floor import add_floor_argument, floor_of_option
 from hickory_stream.cli.values import add_texture_argument, open_map_at, parse_layers, parse_size
 from hickory_stream.cli.written import add_output, write_drawing, write_picture
 from hickory_stream.errors import InputError
@@ -27,6 +28,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     render.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
     )
+    add_floor_argument(render, "draw one storey")
     add_texture_argument(render, "layer 2 with the pixels of the kept views: the side of an object's texture", 0)
     render.add_argument("--size", default="1600x800", metavar="WxH")
     render.add_argument(
@@ -46,7 +48,8 @@ def run(options: argparse.Namespace) -> int:
     else:
         from hickory_stream.evaluation.render import render_map
 
-        write_picture(options.out, render_map(saved, layers, (width, height), options.texture))
+        floor_m = None if options.floor is None else floor_of_option(saved.snapshot, options.floor)
+        write_picture(options.out, render_map(saved, layers, (width, height), options.texture, floor_m))
     if options.json:
         shown = [] if options.graph else sorted(layers)
         told = {"picture": str(options.out), "width": width, "height": height, "layers": shown, "graph": options.graph}

@@ -12,9 +12,10 @@ from hickory_stream.evaluation.match import meshes_of
 from hickory_stream.evaluation.navigation_methods import Obstacles, triangles
 from hickory_stream.evaluation.navigation_table import MethodScore, TrueScene, table_of, true_scene
 from hickory_stream.evaluation.truth import structure_meshes
-from hickory_stream.navigation.free_space import floor_of, layer_four_of, obstacles_of
+from hickory_stream.navigation.free_space import layer_four_of, obstacles_of
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import frame_around
+from hickory_stream.storeys import floor_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

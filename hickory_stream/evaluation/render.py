@@ -20,6 +20,7 @@ from hickory_stream.evaluation.render_parts import (
 from hickory_stream.evaluation.render_view import Floor, Model, draw_view
 from hickory_stream.evaluation.viewpoint import Viewpoint, from_above, from_corner
 from hickory_stream.records import Phase
+from hickory_stream.storeys import floors_of, on_storey
 
 if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
@@ -40,7 +41,11 @@ _LABEL_STEP_PX = 3
 
 
 def render_map(
-    saved: SavedMap, layers: AbstractSet[int], size: tuple[int, int], texture_px: int = 0
+    saved: SavedMap,
+    layers: AbstractSet[int],
+    size: tuple[int, int],
+    texture_px: int = 0,
+    floor_m: float | None = None,
 ) -> NDArray[np.uint8]:
     """Return an (H, W, 3) uint8 picture of a map: from above on the left, from a corner on the right.
 
@@ -50,6 +55,7 @@ def render_map(
         and so is layer 3 if layer 2 is drawn too.
         size: (W, H) in pixels, at least (480, 240).
         texture_px: the largest side of a texture of layer 2, 0 for the colours of its vertices.
+        floor_m: draw the storey of this floor alone; without it all objects, and the walls of the first floor.
 
     Raises:
         MapFolderError: a mesh, or a view that a texture is made of, cannot be read.
@@ -60,11 +66,12 @@ def render_map(
         raise ValueError(f"a picture of a map has at least 480 x 240 pixels, found {width} x {height}")
     if not layers or not set(layers) <= {1, 2, 3, 4}:
         raise ValueError(f"layers are among 1, 2, 3 and 4, found {sorted(layers)}")
-    objects = [tracked for tracked in saved.snapshot.objects if tracked.phase != Phase.TENTATIVE]
+    shown = saved.snapshot if floor_m is None else on_storey(saved.snapshot, floor_m)
+    objects = [tracked for tracked in shown.objects if tracked.phase != Phase.TENTATIVE]
     solid, translucent = _surfaces(saved, objects, layers, texture_px)
     dots = [dots_of(tracked) for tracked in objects]
     points = [one for one, tracked in zip(dots, objects, strict=True) if 1 in layers or tracked.shape is None]
-    floor = _floor_of(saved, objects)
+    floor = _floor_of(saved, objects, floor_m)
     panel_height = height - _TITLE_PX
     left_width = _left_width(objects, width, panel_height)
     corners = _corners(objects)
@@ -109,17 +116,13 @@ def _corners(objects: list[TrackedObject]) -> NDArray[np.float64]:
     return np.concatenate([tracked.box.corners_world() for tracked in objects])
 
 
-def _floor_of(saved: SavedMap, objects: list[TrackedObject]) -> Floor:
+def _floor_of(saved: SavedMap, objects: list[TrackedObject], floor_m: float | None) -> Floor:
     """Return the floor, weighted by how much of it was seen; if none was seen, a floor around the objects."""
     import cv2
 
     corners = _corners(objects)
-    heights = [
-        submap.world_from_submap[2, 2] * submap.observed_space.floor_z_m + submap.world_from_submap[2, 3]
-        for submap in saved.snapshot.submaps
-        if submap.observed_space.floor_z_m is not None
-    ]
-    z_m = float(next(iter(heights), corners[:, 2].min()))
+    heights = [floor_m] if floor_m is not None else floors_of(saved.snapshot)
+    z_m = next(iter(heights), float(corners[:, 2].min()))
     seen = [floor_cells(submap, z_m) for submap in saved.snapshot.submaps]
     places = np.concatenate([np.empty((0, 2)), *seen])
     margin_m = 0.5

@@ -13,13 +13,12 @@ import numpy as np
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.voxels import cells_of_keys
 from hickory_stream.mapping.wall_columns import WALL_M, column_sizes, column_starts, is_wall_column
+from hickory_stream.storeys import floor_height_m, floors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
-    from hickory_stream.records import MapSnapshot, ObservedSpace, Submap
+    from hickory_stream.records import MapSnapshot, ObservedSpace
 
 # How far above and below the floor's height columns are searched: a tilt of 2 degrees is 0.35 m over 10 m.
 _REACH_M = 0.45
@@ -27,7 +26,6 @@ _REACH_M = 0.45
 _PLANE_VOXELS, _LEAST_M2, _LEAST_DEG = 0.8, 2.0, 1.0
 # A smaller horizontal surface may be a table, if no larger floor was ever seen.
 _TABLE_M2 = 2.0
-_ANOTHER_STOREY_M = 2.0
 
 
 def floor_notes(snapshot: MapSnapshot) -> tuple[str, ...]:
@@ -45,30 +43,16 @@ def floor_notes(snapshot: MapSnapshot) -> tuple[str, ...]:
     areas_m2 = [_area_m2(submap.observed_space) for submap in floors]
     if sum(areas_m2) < _TABLE_M2:
         notes.append(
-            f"the floor is uncertain: the surface taken for it, at z = {_height_m(floors[-1]):.2f} m, has an area of "
-            f"{sum(areas_m2):.1f} m2 only and may be a table. A lower floor replaces it as soon as it is seen"
+            f"the floor is uncertain: the surface taken for it, at z = {floor_height_m(floors[-1]):.2f} m, has an area "
+            f"of {sum(areas_m2):.1f} m2 only and may be a table. A lower floor replaces it as soon as it is seen"
         )
-    levels = _levels([_height_m(submap) for submap in floors])
+    levels = floors_of(snapshot)
     if len(levels) > 1:
         told = ", ".join(f"{z_m:.2f} m" for z_m in levels)
         notes.append(f"the floor has {len(levels)} levels, at z = {told}: each submap uses its own")
     largest = max(floors, key=lambda submap: _area_m2(submap.observed_space))
     tilted = tilt_note(largest.observed_space)
     return (*notes, tilted) if tilted is not None else tuple(notes)
-
-
-def _height_m(submap: Submap) -> float:
-    place = submap.world_from_submap
-    return float(place[2, 2] * (submap.observed_space.floor_z_m or 0.0) + place[2, 3])
-
-
-def _levels(heights_m: Sequence[float]) -> list[float]:
-    """Return the distinct heights of the storeys."""
-    levels: list[float] = []
-    for height_m in sorted(heights_m):
-        if not levels or height_m - levels[-1] > _ANOTHER_STOREY_M:
-            levels.append(height_m)
-    return levels
 
 
 def tilt_note(space: ObservedSpace) -> str | None:

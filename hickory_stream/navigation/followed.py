@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 import numpy as np
 
 from hickory_stream.errors import InputError
-from hickory_stream.navigation.free_space import bodies_of, extent_of, floor_of
+from hickory_stream.navigation.free_space import bodies_of, extent_of
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import frame_around
 from hickory_stream.navigation.stand_ins import SEEN_SURFACE
+from hickory_stream.storeys import newest_floor_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -105,7 +106,7 @@ class Followed(Generic[Grid]):
             low, high = extent_of(snapshot, obstacles)
         except InputError:
             return None
-        floor = floor_of(snapshot)
+        floor = newest_floor_of(snapshot)
         grid = self._grid
         if grid is None or not _holds(grid.frame, low, high) or abs(floor - self._floor_m) > _FLOOR_MOVED_M:
             grid = self._begin(low, high, floor)

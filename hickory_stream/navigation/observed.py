@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from hickory_stream.records import Submap
 
 _SEEN_SHARE = 0.5
+# A correction tilts a submap by a milliradian or so; a column of 2 m then leans by 2 mm, less than a voxel is sure to.
+_LEAN_VOXELS = 0.25
 NO_HULLS = np.empty((0, 8, 3))
 
 
@@ -70,9 +72,8 @@ def wall_hulls(submap: Submap, band: Band, floor_z_m: float) -> NDArray[np.float
     if len(cells) == 0:
         return NO_HULLS
     first = cells.min(axis=0)
-    # Layer by layer in a tilted submap; if its z axis is vertical, one box per column of voxels suffices.
-    is_upright = abs(submap.world_from_submap[2, 2]) > 1 - 1e-12
-    if is_upright:
+    # Voxel by voxel in a tilted submap; if its z axis is vertical, one box per column of voxels suffices.
+    if is_upright(submap, band):
         flat = np.zeros(np.ptp(cells[:, :2], axis=0) + 1, bool)
         flat[tuple((cells[:, :2] - first[:2]).T)] = True
         low, high = cells[:, 2].min(), cells[:, 2].max() + 1
@@ -85,6 +86,12 @@ def wall_hulls(submap: Submap, band: Band, floor_z_m: float) -> NDArray[np.float
         corners = np.concatenate([cells, cells + 1], axis=1).astype(np.float64)
     hulls = box_corners(corners * space.voxel_m)
     return np.asarray(apply(submap.world_from_submap, hulls.reshape(-1, 3)).reshape(-1, 8, 3))
+
+
+def is_upright(submap: Submap, band: Band) -> bool:
+    """Return whether the submap's columns of voxels are vertical, up to a part of a voxel over the band."""
+    slope = float(np.linalg.norm(submap.world_from_submap[2, :2]))
+    return slope * (band.high_m - band.low_m) <= _LEAN_VOXELS * submap.observed_space.voxel_m
 
 
 def above_floor(

@@ -17,7 +17,7 @@ from hickory_stream.compiled import numba
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import implicit_value, world_bounds
 from hickory_stream.geometry.voxels import cells_of_keys
-from hickory_stream.navigation.observed import box_corners
+from hickory_stream.navigation.observed import box_corners, is_upright
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,7 +51,7 @@ def wall_boxes(
     first = cells.min(axis=0)
     mask = _mask_of(cells, first, np.ptp(cells, axis=0) + 1)
     free = _mask_of(cells_of_keys(space.free), first, np.array(mask.shape))
-    if abs(submap.world_from_submap[2, 2]) > 1 - 1e-12:
+    if is_upright(submap, band):
         layers = (band.high_m - max(band.low_m, floor_z_m + space.voxel_m)) / space.voxel_m
         is_wall = mask.sum(axis=2) >= _WALL_SHARE * layers
         is_wall &= mask[:, :, int(_WALL_TOP * layers) :].any(axis=2)

@@ -10,11 +10,11 @@ import numpy as np
 from hickory_stream.evaluation.supports import supports_of
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.mapping.support_graph import Relation
-from hickory_stream.navigation.free_space import floor_of
 from hickory_stream.query.colors import COLOR_NAMES, name_shares
 from hickory_stream.query.shape_scores import SHAPE_WORDS, shape_scores
 from hickory_stream.query.top_map import NUM_LEVELS, hollow_score, level_areas_m2, top_map
 from hickory_stream.records import Phase
+from hickory_stream.storeys import floor_beneath, floor_of, floors_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,7 +90,7 @@ def index_of(snapshot: MapSnapshot, config: MappingConfig) -> MapIndex:
     """Return the index of a map's objects; tentative ones and those without points are left out."""
     objects = [item for item in snapshot.objects if item.phase is not Phase.TENTATIVE and len(item.points_world)]
     objects.sort(key=lambda item: item.id)
-    floor_m = floor_of(snapshot)
+    floors_m = floors_of(snapshot) or (floor_of(snapshot),)
     ids = [item.id for item in objects]
     supports = supports_of(snapshot, config)
     corners = np.array([item.box.corners_world() for item in objects]).reshape(-1, 8, 3)
@@ -98,7 +98,7 @@ def index_of(snapshot: MapSnapshot, config: MappingConfig) -> MapIndex:
     tops = [top_map(item.points_world, item.box) for item in objects]
     halves = np.array([item.box.half_extents_m for item in objects]).reshape(-1, 3)
     sides_m = np.column_stack([2 * np.sort(halves[:, :2])[:, ::-1], 2 * halves[:, 2]])
-    bottom_m = lows[:, 2] - floor_m
+    bottom_m = lows[:, 2] - np.array([floor_beneath(floors_m, item) for item in objects])
     shapes = [
         shape_scores(item.superquadrics, sides, hollow_score(top, float(sides[2])))
         for item, top, sides in zip(objects, tops, sides_m, strict=True)

@@ -14,7 +14,7 @@ from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, taken
 from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells
 from hickory_stream.navigation import observed
-from hickory_stream.navigation.observed import Band, rectangles, seen_columns, unknown_hulls
+from hickory_stream.navigation.observed import Band, rectangles, seen_columns, unknown_hulls, wall_hulls
 from hickory_stream.navigation.occupancy import Cell, Occupancy, distance_field_m, frame_around
 from hickory_stream.navigation.robot import Part
 from hickory_stream.navigation.voxel_occupancy import VoxelOccupancy
@@ -183,3 +183,25 @@ def test_the_traversable_height_under_a_table_is_that_below_its_top() -> None:
     assert np.isinf(voxels.traversable_height_m()).all()
     voxels.put_hulls(2, np.array([[[0, 0, 0.35], [3, 0, 0.35], [3, 4, 0.35], [0, 4, 0.35]]], dtype=float))
     assert voxels.traversable_height_m() == pytest.approx(np.full(frame.shape, 0.3))
+
+
+def test_the_walls_of_a_submap_that_a_correction_tilts_a_little_are_as_few_as_before_it() -> None:
+    level, band = snapshot().submaps[0], Band(low_m=0.05, high_m=0.6)
+
+    def tilted(rad: float) -> Submap:
+        turn = trimesh.transformations.rotation_matrix(rad, (1, 0, 0))
+        return replace(level, world_from_submap=turn)
+
+    few = len(wall_hulls(level, band, 0.0))
+    assert len(wall_hulls(tilted(0.002), band, 0.0)) == few
+    assert len(wall_hulls(tilted(0.1), band, 0.0)) > 20 * few
+    space = level.observed_space
+    cells = cells_of_keys(space.structure)
+    inside = cells[(cells[:, 2] >= 3) & (cells[:, 2] < 10)]
+    corners = tilted(0.002).world_from_submap[:3, :3] @ ((inside + 0.5) * space.voxel_m).T
+    hulls = wall_hulls(tilted(0.002), band, 0.0)
+    low, high = hulls.min(axis=1), hulls.max(axis=1)
+    is_held = np.zeros(len(inside), bool)
+    for first, last in zip(low, high, strict=True):
+        is_held |= ((corners.T >= first) & (corners.T <= last)).all(axis=1)
+    assert is_held.all()
