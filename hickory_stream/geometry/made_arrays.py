@@ -109,12 +109,12 @@ def compress(record: GivesUpArrays, *names: str, keep: Keep = in_memory) -> None
 
 @contextmanager
 def read_briefly(*records: GivesUpArrays) -> Iterator[None]:
-    """Let go again, after the block, of arrays of records that were compressed before it."""
+    """Let go again, after the block, of arrays of records that were compressed, or left unread, before it."""
     with _lock:
         away = [
             (record, maker)
             for record in records
-            if (maker := _makers.get(record)) is not None and maker.is_packed and not _is_at_hand(record, maker)
+            if (maker := _makers.get(record)) is not None and maker.keeps and not _is_at_hand(record, maker)
         ]
     try:
         yield

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.compiled import numba
-from hickory_stream.geometry.made_arrays import GivesUpArrays
+from hickory_stream.geometry.made_arrays import GivesUpArrays, read_briefly
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import (
     cells_of_keys,
@@ -215,7 +215,8 @@ def joined(spaces: Sequence[SpaceState]) -> SpaceState:
 def extent(state: SpaceState) -> Window | None:
     """Return the least window that holds a space, None if it is empty; remembered, since old spaces stay the same."""
     if state not in _EXTENTS:
-        _EXTENTS[state] = window_of(state.free, state.surface, state.room)
+        with read_briefly(state):
+            _EXTENTS[state] = window_of(state.free, state.surface, state.room)
     return _EXTENTS[state]
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.directions import turned_directions
-from hickory_stream.geometry.made_arrays import compress, give_up, in_memory
+from hickory_stream.geometry.made_arrays import compress, give_up, in_memory, read_briefly
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from hickory_stream.geometry.voxels import contains, difference, exchanged, places, union
 from hickory_stream.mapping import observed_space
@@ -492,16 +492,14 @@ def _judged_by_rigid_ones(submaps: Submaps) -> Submaps:
 
 def _within(submaps: Submaps, window: Window | None) -> Submaps:
     """Return the submaps with the space, and the owners of its voxels, of another window; None: of everything."""
-    closed = [
-        (state.id, state.space if window is None else cut(state.space, window))
-        for state in _reaching(submaps, window)
-        if state.id != submaps.open_id
-    ]
-    keys = [_voxels(space) for _, space in closed]
-    owned = np.concatenate([np.empty(0, np.int64), *keys])
-    owners = np.concatenate(
-        [np.empty(0, np.int32), *(np.full(len(k), i, np.int32) for k, (i, _) in zip(keys, closed, strict=True))]
-    )
+    keys = [np.empty(0, np.int64)]
+    ids = [np.empty(0, np.int32)]
+    for state in _reaching(submaps, window):
+        if state.id != submaps.open_id:
+            with read_briefly(state.space):
+                keys.append(_voxels(state.space if window is None else cut(state.space, window)))
+            ids.append(np.full(len(keys[-1]), state.id, np.int32))
+    owned, owners = np.concatenate(keys), np.concatenate(ids)
     # Of submaps that were moved apart for a while both may have a voxel: it is the earlier one's again.
     owned, at = np.unique(owned, return_index=True)
     space = _space_within(submaps, window)
@@ -511,10 +509,10 @@ def _within(submaps: Submaps, window: Window | None) -> Submaps:
 def _space_within(submaps: Submaps, window: Window | None) -> SpaceState:
     """Return the space of a window; None: of everything."""
     last = submaps.states[-1].space
-    some = [
-        _shown_space(state) if window is None else cut(_shown_space(state), window)
-        for state in _reaching(submaps, window)
-    ]
+    some = []
+    for state in _reaching(submaps, window):
+        with read_briefly(state.space, state.seen):
+            some.append(_shown_space(state) if window is None else cut(_shown_space(state), window))
     space = observed_space.joined(some or [empty_space(last.voxel_m)])
     return replace(space, floor_z_m=last.floor_z_m if window is None else submaps.space.floor_z_m)
 
@@ -522,8 +520,10 @@ def _space_within(submaps: Submaps, window: Window | None) -> SpaceState:
 def _reaching(submaps: Submaps, window: Window | None) -> Iterator[SubmapState]:
     """Yield the submaps that are judged together and reach into a window."""
     for state in submaps.states[submaps.first :]:
-        reach = extent(_shown_space(state))
-        if reach is not None and (window is None or window.meets(reach)):
+        # Each space remembers its extent; that of what is shown lies within these.
+        spaces = [state.space] if state.outdated is None else [state.space, state.seen]
+        reaches = [extent(space) for space in spaces]
+        if any(reach is not None and (window is None or window.meets(reach)) for reach in reaches):
             yield state
 
 
