@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from hickory_stream.records import MapSnapshot, Submap, TrackedObject
+    from hickory_stream.records import MapSnapshot, Submap
 
 # Floors that are nearer to one another belong to one storey: steps, platforms, the landing of a stair.
 _ANOTHER_STOREY_M = 2.0
@@ -45,10 +45,9 @@ def newest_floor_of(snapshot: MapSnapshot) -> float:
     return min(floors_of(snapshot), key=lambda floor_m: abs(floor_m - floor_height_m(newest)))
 
 
-def floor_beneath(floors_m: Sequence[float], tracked: TrackedObject) -> float:
-    """Return the floor (of one or more, lowest first) beneath an object; the lowest one if it is below all of them."""
-    bottom_m = float(tracked.box.corners_world()[:, 2].min()) + _BELOW_M
-    return max((floor_m for floor_m in floors_m if floor_m <= bottom_m), default=floors_m[0])
+def floor_beneath(floors_m: Sequence[float], bottom_z_m: float) -> float:
+    """Return the floor (of one or more, lowest first) beneath what begins at a height; the lowest if below all."""
+    return max((floor_m for floor_m in floors_m if floor_m <= bottom_z_m + _BELOW_M), default=floors_m[0])
 
 
 def on_storey(snapshot: MapSnapshot, floor_m: float) -> MapSnapshot:

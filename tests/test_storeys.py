@@ -41,8 +41,8 @@ def test_the_floor_of_a_map_is_the_one_seen_most_and_the_newest_is_where_the_log
 
 
 def test_an_object_stands_on_the_floor_beneath_it() -> None:
-    lamp, chair, desk = map_of().objects
-    assert [floor_beneath((0.0, 2.8), item) for item in (lamp, chair, desk)] == [0.0, 0.0, 2.8]
+    lamp, chair, desk = (float(item.box.corners_world()[:, 2].min()) for item in map_of().objects)
+    assert [floor_beneath((0.0, 2.8), bottom_m) for bottom_m in (lamp, chair, desk)] == [0.0, 0.0, 2.8]
     assert floor_beneath((1.0, 2.8), chair) == 1.0
 
 

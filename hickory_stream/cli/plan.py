@@ -183,7 +183,7 @@ def _floor_of(snapshot: MapSnapshot, floor_m: float | None, object_id: int | Non
     goal = next((tracked for tracked in snapshot.objects if tracked.id == object_id), None)
     if goal is None or len(floors_m) < 2:
         return floor_of_option(snapshot, floor_m)
-    beneath_m = floor_beneath(floors_m, goal)
+    beneath_m = floor_beneath(floors_m, float(goal.box.corners_world()[:, 2].min()))
     if floor_m is not None and floor_of_option(snapshot, floor_m) != beneath_m:
         raise InputError(
             f"found --floor {floor_m:g}, but object {object_id} is on the floor at z = {beneath_m:.2f} m; "

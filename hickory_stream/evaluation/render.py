@@ -55,7 +55,7 @@ def render_map(
         and so is layer 3 if layer 2 is drawn too.
         size: (W, H) in pixels, at least (480, 240).
         texture_px: the largest side of a texture of layer 2, 0 for the colours of its vertices.
-        floor_m: draw the storey of this floor alone; without it all objects, and the walls of the first floor.
+        floor_m: draw the storey of this floor alone; without it all objects, and the walls of the lowest floor.
 
     Raises:
         MapFolderError: a mesh, or a view that a texture is made of, cannot be read.

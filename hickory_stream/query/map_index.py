@@ -98,7 +98,7 @@ def index_of(snapshot: MapSnapshot, config: MappingConfig) -> MapIndex:
     tops = [top_map(item.points_world, item.box) for item in objects]
     halves = np.array([item.box.half_extents_m for item in objects]).reshape(-1, 3)
     sides_m = np.column_stack([2 * np.sort(halves[:, :2])[:, ::-1], 2 * halves[:, 2]])
-    bottom_m = lows[:, 2] - np.array([floor_beneath(floors_m, item) for item in objects])
+    bottom_m = lows[:, 2] - np.array([floor_beneath(floors_m, low) for low in lows[:, 2].tolist()])
     shapes = [
         shape_scores(item.superquadrics, sides, hollow_score(top, float(sides[2])))
         for item, top, sides in zip(objects, tops, sides_m, strict=True)
