@@ -123,3 +123,13 @@ def test_what_is_said_of_a_figure_is_in_the_table_and_in_the_json(
     first, plain = json.loads((tmp_path / "f.json").read_text())
     assert (first["interval"], first["role"]) == ([0.1, 0.9], "reported")
     assert plain == {"name": "b", "value": 1.0, "unit": "", "better": "higher"}
+
+
+def test_a_quick_run_of_quality_is_compared_with_quick_figures_alone() -> None:
+    figures = read_baseline(baseline_file("quality"))["figures"]
+    assert figures["apartments_recall_25"]["tolerance"] < 0.05, "a whole run is compared"
+    quick = [figure(name, entry["value"]) for name, entry in figures.items() if name.startswith("quick_")]
+    assert quick
+    assert check(baseline_file("quality"), quick, is_partial=True) == 0
+    worse = figure("quick_apartments_f1_5pct", figures["quick_apartments_f1_5pct"]["value"] - 0.1)
+    assert check(baseline_file("quality"), [worse], is_partial=True) == 1

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tools.benchmarks.documents import MEASURED, TYPED, filled_in, keep, unmarked_tables, without_age
+from tools.benchmarks.documents import MEASURED, filled_in, keep, unmarked_tables, without_age
 from tools.benchmarks.figures import Figure
 from tools.readmes import READMES
 
@@ -84,13 +84,6 @@ def test_a_table_without_a_measurement_keeps_its_cells_and_says_so(tmp_path: Pat
     assert "| `speed`: seconds a second | >= 1 | typed |" in filled
     assert "No measurement is kept yet" in filled
     assert filled_in(filled, folder=tmp_path, code="") == filled
-
-
-def test_a_table_of_typed_figures_says_of_which_commit_they_are(tmp_path: Path) -> None:
-    (name, about) = next(iter(TYPED.items()))
-    filled = filled_in(TABLE.replace("figures: main", f"figures: {name}"), folder=tmp_path, code="")
-    assert "| `speed`: seconds a second | >= 1 | typed |" in filled
-    assert f"*Typed figures of {about}: older than the code." in filled
 
 
 def test_a_part_that_is_measured_later_replaces_its_figures_alone(measured: Path) -> None:

@@ -40,10 +40,6 @@ _OPENING, _CLOSING = r"<!-- figures: (?P<name>by row|\w+)(?P<goals>, goals)? -->
 _OLDER = "\n**The code has changed since.**"
 _OLDER_IN_A_ROW = ", **older than the code**"
 _MOST_IN_A_CELL = 40
-TYPED = {"quality": "commit dec9bbd, 2026-11-21"}
-"""Benchmarks whose figures were typed before measurements were kept: when that was."""
-
-_TYPED = "*Typed figures of {about}: older than the code. `tools/bench {name} --write-docs` measures them.*"
 _NONE = "*No measurement is kept yet: `tools/bench {name} --write-docs` makes one.*"
 _COMMENT = re.compile(r"<!-- (.*?) -->")
 _ABSENT = "not measured"
@@ -144,7 +140,7 @@ def filled_in(text: str, *, folder: Path, code: str) -> str:
         elif runs:
             lines = lines[:2] + [_row(line, runs) for line in lines[2:]]
         if not runs:
-            captions = [(_TYPED if name in TYPED else _NONE).format(name=name, about=TYPED.get(name))]
+            captions = [_NONE.format(name=name)]
         else:
             captions = _captions(name, runs, {figure for line in lines[2:] for figure in _named(line)}, code)
         return "\n".join([*lines, *([""] if lines else []), *captions])
@@ -199,9 +195,7 @@ def _row_with_benchmark(line: str, runs: Sequence[Run], code: str) -> str:
     cells = _cells(line)
     used = [run for run in runs if not run.values.keys().isdisjoint(_named(line))]
     if not used:
-        name = _benchmark_of(line)
-        told = f"typed, {TYPED[name]}{_OLDER_IN_A_ROW}" if name in TYPED else _ABSENT
-        return _joined([*cells[:-1], f"`tools/bench {name}`, {told}"])
+        return _joined([*cells[:-1], f"`tools/bench {_benchmark_of(line)}`, {_ABSENT}"])
     told = "; ".join(
         f"`tools/bench {_benchmark_of(line)}{_brief(run.options)}`, {run.date}, {run.commit}" for run in used
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import html
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,7 @@ from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.worlds.cache import cached_recording
 from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
+from tools.benchmarks.baseline import QUICK
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT, play
 
@@ -80,7 +81,8 @@ def measure(options: Options) -> list[Figure]:
         if not options.quick:
             _write_index(measured)
             figures += _of_strategies(_for_strategies(measured), Path(temporary))
-    return figures
+    # Another sample than that of a whole run, and no smaller part of it: its figures have names of their own.
+    return [replace(figure, name=QUICK + figure.name) for figure in figures] if options.quick else figures
 
 
 def _scenes(options: Options) -> list[Scene]:
