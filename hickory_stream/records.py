@@ -187,6 +187,23 @@ class Segmentation:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Returns:
+    """The returns that the points of an observation were made of, where depth is in whole millimetres.
+
+    `depth_mm` (h, w) uint16 within the box of the mask, 0 = not used; the points are their means over voxels of
+    `voxel_m`. `checksum` is that of the points and of the pose of the frame: where it still is, the journal has the
+    returns instead of the points.
+    """
+
+    depth_mm: NDArray[np.uint16]
+    voxel_m: float
+    checksum: int
+
+    def __post_init__(self) -> None:
+        freeze(self, "depth_mm", np.uint16, (None, None))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Observation:
     """One object in one keyframe, lifted to 3D; it has no feature yet.
 
@@ -194,6 +211,7 @@ class Observation:
     bool within it. `points_world` (N, 3) float32 and `colors` (N, 3) uint8, after depth filtering. `r_area` and
     `r_depth` are the cheap factors of S (Eq. for S in the paper), in 0..1. `is_cut`: the mask touches the border of the
     image. `group`: observations of one number > 0 are one thing as the frame by itself has it, without the map.
+    `returns` are what the points were made of, where they can be made of it again to the byte.
     """
 
     index: int
@@ -206,6 +224,7 @@ class Observation:
     r_depth: float
     is_cut: bool
     group: int = 0
+    returns: Returns | None = None
 
     def __post_init__(self) -> None:
         x0, y0, x1, y1 = self.box_px

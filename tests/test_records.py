@@ -71,6 +71,7 @@ VALID: dict[type, dict[str, Any]] = {
         "structure_shown": np.zeros((3, 4), bool),
         "alone": np.zeros((3, 4), np.int32),
     },
+    records.Returns: {"depth_mm": np.ones((2, 4), np.uint16), "voxel_m": 0.01, "checksum": 7},
     records.Observation: {
         "index": 0,
         "box_px": (2, 3, 6, 5),
@@ -253,6 +254,7 @@ VALID: dict[type, dict[str, Any]] = {
 
 # The lengths that nothing else in the record fixes: any other one is as good.
 FREE_LENGTH = {
+    (records.Returns, "depth_mm"),
     (mesh.Mesh, "faces"),
     (ports.Registered, "degenerate"),
     (records.Frame, "degenerate"),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-_LONGEST_WAIT = 4
+_LONGEST_WAIT = 2
 
 
 class CheckpointTimes:
     """Counts the keyframes since the last checkpoint; `keyframes`: one is due after so many.
 
     A search that is open has the whole map as it was when it was asked for, and the surfaces of all submaps: in a
-    building that is thirty times what has changed. So one waits until it is answered, at most four times as long.
+    building that is thirty times what has changed. So one waits until it is answered, at most twice as long.
     """
 
     def __init__(self, keyframes: int) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from hickory_stream.engine.checkpoints import unpacked
 from hickory_stream.engine.journal_chunks import JournalChunks, unpacked_array
 from hickory_stream.engine.journal_format import ARRAYS, CHANNELS, CHECKPOINT, COLOR, EVENT_NAMES, KNOWN, TOLD
+from hickory_stream.engine.packed_frames import PackedFrame, unpacked_frame
 from hickory_stream.engine.record_codec import PartPlace, decode, part_references
 from hickory_stream.engine.step import Checkpoint, JournalEntry, Step, StepKind
 from hickory_stream.engine.unread_records import UnreadRecords, as_array
@@ -285,6 +286,8 @@ class Journal:
         """Return a record of this kind, by the name of its type."""
         try:
             record = decode(data, part, later)
+            if isinstance(record, PackedFrame):
+                record = unpacked_frame(record)
         except ValueError as error:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
         if type(record).__name__ != kind:

@@ -10,6 +10,9 @@ frame of zstd by itself with a checksum, then the records, which name arrays and
 and their place in it (the first message of either chunk is none of these). Older journals have arrays and records in
 one chunk.
 
+What was observed in a keyframe is stored with the returns of its masks instead of their points, which are made of them
+again (`packed_frames`); older journals have the points.
+
 Before the chunk of a step is one of its own with what of the map's public records the step has changed, without points
 and space (`known_records`): first where they are, then the records. Older journals have none.
 

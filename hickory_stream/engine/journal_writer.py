@@ -31,7 +31,9 @@ from hickory_stream.engine.journal_format import (
     TOPICS,
 )
 from hickory_stream.engine.known_records import KnownRecords
+from hickory_stream.engine.packed_frames import packed_frame
 from hickory_stream.engine.record_codec import encode
+from hickory_stream.events import FrameObserved
 from hickory_stream.mapping.track import Track
 
 if TYPE_CHECKING:
@@ -98,7 +100,8 @@ class JournalWriter:
             # First in its chunk: it tells what the chunk is.
             self._add(STEP, stamp_ns, encode(entry.step))
             for event in entry.events:
-                self._add(CHANNELS[type(event).__name__], stamp_ns, encode(event))
+                stored = packed_frame(event) if isinstance(event, FrameObserved) else event
+                self._add(CHANNELS[type(event).__name__], stamp_ns, encode(stored))
             if entry.told is not None:
                 self._add(TOLD, stamp_ns, encode(entry.told))
             if color is not None:

@@ -3,8 +3,8 @@
 A record is a map of its fields under a tag with its name; only records of our own packages are ever made from it, by
 their constructors, and only where every field holds what it is declared to hold (`field_types`): who wrote the bytes is
 not known. Arrays are stored so that they compress: keys of voxels as blocks of bits or as differences, colours as
-differences from those before them and from their green, points at multiples of a step as differences, other numbers
-byte by byte.
+differences from those before them and from their green, points at multiples of a step as differences, images of depth
+as differences from what is beside (older journals have none), other numbers byte by byte.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import cbor2
 import numpy as np
 
 from hickory_stream.engine.field_types import checked_record, field_checks
+from hickory_stream.geometry.depth_code import packed_depths, unpacked_depths
 from hickory_stream.geometry.lattice import packed_steps, points_of, steps_of, unpacked_steps
 from hickory_stream.geometry.packing import array_of, color_planes, colors_of, planes_of
 from hickory_stream.geometry.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 # Of the range that is free for everybody's use ("first come, first served", RFC 8949, 9.2).
 _RECORD, _ARRAY, _PART, _MAP, _SET, _ENUM = 39_100, 39_101, 39_102, 39_103, 39_104, 39_105
 _PART_BYTES = 1024
-_PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS, _STEPS = range(7)
+_PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS, _STEPS, _DEPTHS = range(8)
 _SMALL_BYTES = 64
 _BLOCK_BYTES = 16
 _MOST_DIMENSIONS = 8
@@ -161,46 +162,58 @@ def encode_array(array: NDArray[Any]) -> bytes:
 
 
 def _plain(value: Any, parts: PartStore | None) -> Any:
+    kind: type = type(value)
+    if kind in _AS_THEY_ARE or kind is int:
+        return value
+    if isinstance(value, np.ndarray):
+        if parts is None or value.nbytes < _PART_BYTES:
+            return _array_tag(value)
+        # With its length, which many want to know who do not look at what is in it.
+        return cbor2.CBORTag(_PART, [*parts.put(value, lambda: encode_array(value)), len(value)])
+    if kind is tuple or kind is list:
+        return [_plain(item, parts) for item in value]
+    if _names_of(kind) is not None:
+        if parts is None or not parts.is_part(value):
+            return _record_tag(value, parts)
+        return cbor2.CBORTag(_PART, list(parts.put(value, lambda: cbor2.dumps(_record_tag(value, parts)))))
     match value:
-        case None | bool() | bytes():
-            return value
         case Enum():
-            return cbor2.CBORTag(_ENUM, [type(value).__name__, value.value])
+            return cbor2.CBORTag(_ENUM, [kind.__name__, value.value])
         case str():
             return str(value)
         case int() | np.integer():
             return int(value)
         case float() | np.floating():
             return float(value)
-        case np.ndarray():
-            if parts is None or value.nbytes < _PART_BYTES:
-                return _array_tag(value)
-            # With its length, which many want to know who do not look at what is in it.
-            return cbor2.CBORTag(_PART, [*parts.put(value, lambda: encode_array(value)), len(value)])
         case tuple() | list():
             return [_plain(item, parts) for item in value]
         case set() | frozenset():
             return cbor2.CBORTag(_SET, [_plain(item, parts) for item in sorted(value)])
-        case _ if dataclasses.is_dataclass(value):
-            if parts is None or not parts.is_part(value):
-                return _record_tag(value, parts)
-            return cbor2.CBORTag(_PART, list(parts.put(value, lambda: cbor2.dumps(_record_tag(value, parts)))))
         case _ if hasattr(value, "items"):
             return cbor2.CBORTag(_MAP, [[_plain(key, parts), _plain(item, parts)] for key, item in value.items()])
-    raise TypeError(f"a journal holds no {type(value).__name__}")
+    raise TypeError(f"a journal holds no {kind.__name__}")
 
 
 def _record_tag(value: Any, parts: PartStore | None) -> cbor2.CBORTag:
-    name = type(value).__name__
-    assert _records().get(name) is type(value), f"{name} is no record of the registry"
-    fields = {f.name: _plain(getattr(value, f.name), parts) for f in dataclasses.fields(value)}
-    return cbor2.CBORTag(_RECORD, [name, fields])
+    kind: type = type(value)
+    fields = {name: _plain(getattr(value, name), parts) for name in _names_of(kind) or ()}
+    return cbor2.CBORTag(_RECORD, [kind.__name__, fields])
+
+
+@cache
+def _names_of(kind: type) -> tuple[str, ...] | None:
+    """Return the names of the fields of a kind of record, None of what is no record."""
+    if not dataclasses.is_dataclass(kind):
+        return None
+    assert _records().get(kind.__name__) is kind, f"{kind.__name__} is no record of the registry"
+    return tuple(field.name for field in dataclasses.fields(kind))
 
 
 def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
-    little = np.asarray(array, dtype=array.dtype.newbyteorder("<"), order="C")
+    dtype, name = _little(array.dtype)
+    little = np.asarray(array, dtype=dtype, order="C")
     method, data = _PLAIN, b""
-    if little.dtype == bool:
+    if dtype.kind == "b":
         method, data = _BITS, np.packbits(little).tobytes()
     elif little.nbytes < _SMALL_BYTES:
         data = little.tobytes()
@@ -215,9 +228,18 @@ def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
         method, data = _BLOCKS, planes_of(np.diff(heads, prepend=np.int64(0))) + planes_of(words)
     elif little.dtype == np.int64 and little.ndim == 1:
         method, data = _DIFFERENCES, planes_of(np.diff(little, prepend=np.int64(0)))
+    elif little.dtype == np.uint16 and little.ndim == 2:
+        method, data = _DEPTHS, np.packbits(little > 0).tobytes() + packed_depths([little])
     else:
         method, data = _PLANES, planes_of(little)
-    return cbor2.CBORTag(_ARRAY, [little.dtype.str, list(little.shape), method, data])
+    return cbor2.CBORTag(_ARRAY, [name, list(little.shape), method, data])
+
+
+@cache
+def _little(dtype: np.dtype[Any]) -> tuple[np.dtype[Any], str]:
+    """Return the type of numbers with the lowest byte first, and its name."""
+    little = dtype.newbyteorder("<")
+    return little, little.str
 
 
 # ---- reading --------------------------------------------------------------------------------------------------------
@@ -301,7 +323,10 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
         raise ValueError(f"an array of shape {shape}")
     count = math.prod(shape)
     # What a shape claims must be there: memory is taken for it.
-    if method != _BLOCKS and len(data) != (-(-count // 8) if method == _BITS else count * dtype.itemsize):
+    if method == _DEPTHS:
+        if len(shape) != 2 or dtype != np.uint16 or len(data) < -(-count // 8):
+            raise ValueError(f"depths of shape {shape} in {len(data)} bytes")
+    elif method != _BLOCKS and len(data) != (-(-count // 8) if method == _BITS else count * dtype.itemsize):
         raise ValueError(f"an array of shape {shape} in {len(data)} bytes")
     if method == _BLOCKS:
         array = _keys(data, count).astype(dtype)
@@ -309,6 +334,9 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
         array = colors_of(data, shape[0])
     elif method == _STEPS and dtype == np.float32 and tuple(shape[1:]) == (3,):
         array = points_of(unpacked_steps(data, shape[0]))
+    elif method == _DEPTHS:
+        is_there = np.unpackbits(np.frombuffer(data, np.uint8, -(-count // 8)), count=count).astype(bool)
+        (array,) = unpacked_depths(data[-(-count // 8) :], [is_there.reshape(shape)])
     elif method == _BITS:
         array = np.unpackbits(np.frombuffer(data, np.uint8), count=count).astype(bool)
     elif method == _PLAIN:
@@ -353,7 +381,7 @@ def _records() -> dict[str, Any]:
     import hickory_stream.mapping
 
     names = ["hickory_stream.records", "hickory_stream.events", "hickory_stream.engine.step"]
-    names += ["hickory_stream.engine.checkpoints", "hickory_stream.engine.known_records"]
+    names += [f"hickory_stream.engine.{name}" for name in ("checkpoints", "known_records", "packed_frames")]
     names += ["hickory_stream.graph.factors"]
     for package in (hickory_stream.geometry, hickory_stream.mapping):
         names += [f"{package.__name__}.{module.name}" for module in pkgutil.iter_modules(package.__path__)]

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.compiled import numba
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -22,11 +24,9 @@ _LOW = (1 << _BITS) - 1
 
 def blocks_of(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
     """Return the ascending heads (M,) and the words (M,) of the blocks that strictly ascending keys (N,) lie in."""
-    heads = keys >> _BITS
-    starts = np.flatnonzero(np.diff(heads, prepend=heads[:1] - 1))
-    bits = np.uint64(1) << (keys & _LOW).astype(np.uint64)
-    words = np.bitwise_or.reduceat(bits, starts) if len(keys) else bits
-    return heads[starts], words
+    heads, words = np.empty(len(keys), dtype=np.int64), np.empty(len(keys), dtype=np.uint64)
+    count = _put_blocks(keys, heads, words)
+    return heads[:count], words[:count]
 
 
 def keys_of_blocks(heads: NDArray[np.int64], words: NDArray[np.uint64]) -> NDArray[np.int64]:
@@ -44,6 +44,30 @@ def count_in(words: NDArray[np.uint64]) -> int:
 
 def is_denser(keys: NDArray[np.int64]) -> bool:
     """Return whether keys (N,) ascend strictly, and take less as blocks than as they are, at two numbers a block."""
-    if not 0 < len(keys) <= MOST_KEYS or not (keys[1:] > keys[:-1]).all():
+    if not 0 < len(keys) <= MOST_KEYS:
         return False
-    return bool(2 * (1 + np.count_nonzero(np.diff(keys >> _BITS))) <= len(keys))
+    count = _num_blocks(keys)
+    return bool(0 < 2 * count <= len(keys))
+
+
+@numba.njit(cache=True, nogil=True)
+def _num_blocks(keys):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the number of blocks that at least one key lies in, 0 where they do not ascend strictly."""
+    count = 1
+    for i in range(1, len(keys)):
+        if keys[i] <= keys[i - 1]:
+            return 0
+        count += keys[i] >> _BITS != keys[i - 1] >> _BITS
+    return count
+
+
+@numba.njit(cache=True, nogil=True)
+def _put_blocks(keys, heads, words):  # type: ignore[no-untyped-def] # pragma: no cover
+    count = 0
+    for i in range(len(keys)):
+        head = keys[i] >> _BITS
+        if count == 0 or heads[count - 1] != head:
+            heads[count], words[count] = head, np.uint64(0)
+            count += 1
+        words[count - 1] |= np.uint64(1) << np.uint64(keys[i] & _LOW)
+    return count

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, in_company, keys_of_points
 from hickory_stream.ranges import Ranged, check_order, check_ranges, number
-from hickory_stream.records import Observation, RejectedMask
+from hickory_stream.records import Observation, RejectedMask, Returns
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.geometry.lattice import Lattice
     from hickory_stream.records import Frame, Segmentation
+
+
+MILLIMETRE, MOST_MM = np.float32(0.001), 65535
+"""As players make metres of the millimetres that cameras give."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -78,6 +83,7 @@ def observe(
                 r_depth=lifted.valid_share,
                 is_cut=_touches_border(box_px, frame.camera),
                 group=0 if alone is None else _group(alone, box_px, mask),
+                returns=lifted.returns,
             )
         )
     return tuple(observations), tuple(rejected)
@@ -100,12 +106,16 @@ def _masks(instances: NDArray[np.int32]) -> list[tuple[tuple[int, int, int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Lifted:
-    """A mask in 3D: (N, 3) points and colours, the inlier points, and R_depth, the share of its pixels with depth."""
+    """A mask in 3D: (N, 3) points and colours, the inlier points, and R_depth, the share of its pixels with depth.
+
+    `returns` are those that the points were made of, None where their depth is in no whole millimetres.
+    """
 
     points: NDArray[np.float32]
     colors: NDArray[np.uint8]
     company: NDArray[np.float32]
     valid_share: float
+    returns: Returns | None
 
 
 def _lift(
@@ -115,13 +125,12 @@ def _lift(
     x0, y0, x1, y1 = box_px
     camera = frame.camera.cropped(x0, y0, x1, y1)
     depth = frame.depth_m[y0:y1, x0:x1]
-    points, colors, num_reliable = _returns(
+    points, colors, depth_mm, is_whole, num_reliable = _returns(
         depth,
         frame.rgb[y0:y1, x0:x1],
         mask,
         _supported(depth, _agreeing(depth, mask, frame, config), frame, config),
-        ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32),
-        ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32),
+        *rays_of(camera),
         np.float32(config.min_depth_m),
         np.float32(config.max_depth_m),
     )
@@ -129,7 +138,7 @@ def _lift(
         return "no reliable depth in the mask"
     if len(points) < config.min_returns:
         return f"{len(points)} sure returns, fewer than {config.min_returns}"
-    points, colors, _ = voxel_means(on_steps(apply(frame.world_from_camera, points)), colors, voxel_m)
+    points, colors = means_in_world(points, colors, frame.world_from_camera, voxel_m)
     if len(points) < config.min_points:
         return f"{len(points)} points, fewer than {config.min_points}"
     company = points[in_company(points)]
@@ -137,18 +146,59 @@ def _lift(
     if size_m > config.max_box_m:
         return f"{size_m:.1f} m long: no object"
     return _Lifted(
-        points=points, colors=colors, company=company, valid_share=float(num_reliable / np.count_nonzero(mask))
+        points=points,
+        colors=colors,
+        company=company,
+        valid_share=float(num_reliable / np.count_nonzero(mask)),
+        returns=Returns(depth_mm=depth_mm, voxel_m=voxel_m, checksum=checksum_of(points, frame.world_from_camera))
+        if is_whole
+        else None,
     )
+
+
+def rays_of(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the normalised image coordinates of the columns (w,) and rows (h,): of their rays at a depth of 1."""
+    u = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
+    return u, ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)
+
+
+def means_in_world(
+    points_camera: NDArray[np.float32],
+    colors: NDArray[np.uint8],
+    world_from_camera: NDArray[np.float64],
+    voxel_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Return the points and colours of an observation, those of its returns.
+
+    Journals hold returns instead of points (`Returns`): what this gives must stay as it is, to the bit.
+    """
+    points_world = on_steps(apply(world_from_camera, points_camera))
+    return voxel_means(points_world, colors, voxel_m)[:2]
+
+
+def points_of_returns(
+    returns: Returns, box_px: tuple[int, int, int, int], camera: Camera, world_from_camera: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Return the points (N, 3) of an observation anew, from its returns in the frame's camera and pose."""
+    points = _points_of(returns.depth_mm, *rays_of(camera.cropped(*box_px)))
+    return means_in_world(points, np.zeros(points.shape, np.uint8), world_from_camera, returns.voxel_m)[0]
+
+
+def checksum_of(points: NDArray[np.float32], world_from_camera: NDArray[np.float64]) -> int:
+    """Return the checksum of (N, 3) points of an observation and the pose (4, 4) that they were seen from."""
+    return zlib.crc32(world_from_camera.astype("<f8").tobytes(), zlib.crc32(points.astype("<f4", copy=False).tobytes()))
 
 
 @numba.njit(cache=True, nogil=True)
 def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return (N, 3) camera-frame points and colours of reliable depth in `inner`, and the number of those in `mask`.
 
-    `u` (w,) and `v` (h,) are normalised image coordinates: those of the rays of columns and rows at a depth of 1.
+    Between them (h, w) their depth in millimetres, 0 elsewhere, and whether it is in whole ones. `u` (w,) and `v` (h,)
+    are the `rays_of` the camera.
     """
     height, width = mask.shape
     points, colors = np.empty((height * width, 3), dtype=np.float32), np.empty((height * width, 3), dtype=np.uint8)
+    depth_mm, is_whole = np.zeros((height, width), dtype=np.uint16), True
     count, num_reliable = 0, 0
     for y in range(height):
         for x in range(width):
@@ -157,10 +207,30 @@ def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):  # type: ignore[
                 num_reliable += 1
                 if inner[y, x]:
                     points[count, 0], points[count, 1], points[count, 2] = z * u[x], z * v[y], z
+                    whole = np.rint(z * np.float32(1000.0))
+                    if 0 < whole <= MOST_MM and np.float32(whole) * MILLIMETRE == z:
+                        depth_mm[y, x] = np.uint16(whole)
+                    else:
+                        is_whole = False
                     for k in range(3):
                         colors[count, k] = rgb[y, x, k]
                     count += 1
-    return points[:count], colors[:count], num_reliable
+    return points[:count], colors[:count], depth_mm, is_whole, num_reliable
+
+
+@numba.njit(cache=True, nogil=True)
+def _points_of(depth_mm, u, v):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N, 3) the points of `_returns` of which the depth is given."""
+    height, width = depth_mm.shape
+    points = np.empty((np.count_nonzero(depth_mm), 3), dtype=np.float32)
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            if depth_mm[y, x]:
+                z = np.float32(depth_mm[y, x]) * MILLIMETRE
+                points[count, 0], points[count, 1], points[count, 2] = z * u[x], z * v[y], z
+                count += 1
+    return points
 
 
 def voxel_means(

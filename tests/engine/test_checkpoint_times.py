@@ -20,4 +20,4 @@ def test_one_waits_for_searches_and_the_next_one_counts_from_it() -> None:
 
 
 def test_one_waits_for_no_search_for_ever() -> None:
-    assert due(2, "s" * 20) == ".......x.......x...."
+    assert due(2, "s" * 12) == "...x...x...x"

@@ -1,0 +1,141 @@
+"""What was observed in a keyframe as the journal stores it: the returns of each mask instead of its points.
+
+Points are means of returns over voxels. Three returns in whole millimetres, each told from its neighbours in the image,
+take less than the point that they make, which is told from nothing; and the points come out again to the byte.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.depth_code import packed_depths, unpacked_depths
+from hickory_stream.geometry.surface_colors import packed_colors, unpacked_colors
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.perception.observe import checksum_of, points_of_returns
+from hickory_stream.records import Returns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.events import FrameObserved
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.records import Observation
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PackedPoints:
+    """What is left of the `Returns` of the observation at `place`: its depth is with that of the others."""
+
+    place: int
+    voxel_m: float
+    checksum: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PackedFrame:
+    """An event of which the observations in `packed` have neither points nor colours nor returns.
+
+    `is_used` (P,) tells of the pixels of their masks, one mask after another, which have returns; `depths` are these as
+    `packed_depths` gives them, `colors` (3, N) what `packed_colors` leaves of each.
+    """
+
+    event: FrameObserved
+    packed: tuple[PackedPoints, ...]
+    is_used: NDArray[np.bool_]
+    depths: bytes
+    colors: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        freeze(self, "is_used", np.bool_, (None,))
+        freeze(self, "colors", np.uint8, (3, None))
+
+
+_NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
+
+
+def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
+    """Return an event as it is stored: as it is, where no points can be made of returns."""
+    if event.coarse is None or event.coarse.camera is None:
+        return event
+    observations = list(event.observations)
+    packed: list[PackedPoints] = []
+    masks: list[NDArray[np.bool_]] = []
+    images: list[NDArray[np.uint16]] = []
+    colors: list[NDArray[np.uint8]] = []
+    for place, one in enumerate(event.observations):
+        # Whoever has given an observation other points, or the frame another pose, has made them of something else.
+        returns = one.returns
+        if returns is None or returns.checksum != checksum_of(one.points_world, event.world_from_camera):
+            continue
+        packed.append(PackedPoints(place=place, voxel_m=returns.voxel_m, checksum=returns.checksum))
+        masks.append(one.mask)
+        images.append(returns.depth_mm)
+        colors.append(packed_colors(keys_of_points(one.points_world, returns.voxel_m), one.colors))
+        observations[place] = replace(one, points_world=_NO_POINTS, colors=_NO_COLORS, returns=None)
+    if not packed:
+        return event
+    return PackedFrame(
+        event=replace(event, observations=tuple(observations)),
+        packed=tuple(packed),
+        is_used=np.concatenate([image[mask] > 0 for image, mask in zip(images, masks, strict=True)]),
+        depths=packed_depths(images),
+        colors=np.concatenate(colors, axis=1),
+    )
+
+
+def unpacked_frame(frame: PackedFrame) -> FrameObserved:
+    """Return the event that was packed.
+
+    Raises:
+        ValueError: the parts do not belong together, or other points come out.
+    """
+    event = frame.event
+    if event.coarse is None or event.coarse.camera is None:
+        raise ValueError("returns of a frame without a camera")
+    if any(not 0 <= part.place < len(event.observations) for part in frame.packed):
+        raise ValueError(f"returns of more than {len(event.observations)} observations")
+    observations = list(event.observations)
+    images = unpacked_depths(frame.depths, _used(frame, [event.observations[part.place].mask for part in frame.packed]))
+    at = 0
+    for part, image in zip(frame.packed, images, strict=True):
+        one = observations[part.place]
+        returns = Returns(depth_mm=image, voxel_m=part.voxel_m, checksum=part.checksum)
+        points = _points(returns, one, event.coarse.camera, event.world_from_camera)
+        left = frame.colors[:, at : at + len(points)]
+        at += len(points)
+        if left.shape[1] != len(points):
+            raise ValueError(f"{frame.colors.shape[1]} colours of more points")
+        colors = unpacked_colors(keys_of_points(points, part.voxel_m), left)
+        observations[part.place] = replace(one, points_world=points, colors=colors, returns=returns)
+    if at != frame.colors.shape[1]:
+        raise ValueError(f"{frame.colors.shape[1]} colours of {at} points")
+    return replace(event, observations=tuple(observations))
+
+
+def _used(frame: PackedFrame, masks: Sequence[NDArray[np.bool_]]) -> list[NDArray[np.bool_]]:
+    """Return (h, w) for each mask which of its pixels have returns."""
+    ends = np.cumsum([0, *(np.count_nonzero(mask) for mask in masks)])
+    if ends[-1] != len(frame.is_used):
+        raise ValueError(f"marks of {len(frame.is_used)} pixels, of {ends[-1]} in masks")
+    used = [np.zeros(mask.shape, dtype=bool) for mask in masks]
+    for (start, end), mask, marks in zip(pairwise(ends), masks, used, strict=True):
+        marks[mask] = frame.is_used[start:end]
+    return used
+
+
+def _points(
+    returns: Returns, observation: Observation, camera: Camera, world_from_camera: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    if not returns.voxel_m > 0:
+        raise ValueError(f"voxels of {returns.voxel_m} m")
+    points = points_of_returns(returns, observation.box_px, camera, world_from_camera)
+    if checksum_of(points, world_from_camera) != returns.checksum:
+        raise ValueError("other points come of the returns than were seen")
+    return points
