@@ -8,17 +8,19 @@ import numpy as np
 from scipy import ndimage
 
 from hickory_stream.compiled import numba
-from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import exp, exp_each, log, log1p, power
-from hickory_stream.shapes.quadric_lm import distances_to, refined, tangent_distance
+from hickory_stream.shapes.quadric_lm import lm_fit, tangent_distance
 from hickory_stream.shapes.seeds import chessboard_depth
-from hickory_stream.shapes.tangent_planes import BLOCK, DISTANCE, X, Y, Z, fill_distances, new_block
+from hickory_stream.shapes.tangent_planes import BLOCK, DISTANCE, X, Y, Z, distances_of, fill_distances, new_block
 from hickory_stream.shapes.thinning import thinned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.shapes.sdf import DistanceGrid
+
+# A fit has eleven parameters.
+_FEWEST = 11
 
 
 class FitField:
@@ -35,7 +37,7 @@ class FitField:
         self._waste_weight = waste_weight
         self._band = grid.band_m / grid.step_m
         self._occupancies: dict[bytes, NDArray[np.float32]] = {}
-        self._speaking: NDArray[np.int64] | None = None
+        self._speaking: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
         self._band_cells: NDArray[np.int64] | None = None
         self.volume = float(self._object.sum(dtype=np.float64))
 
@@ -112,52 +114,23 @@ class FitField:
 
         It is estimated from about `max_samples` cells if the primitive's window has more.
         """
-        low, high = self._window(row, 1.0)
-        stride = max(int(np.prod(high - low)) // max_samples, 1) | 1
-        return float(_gain(self._object, self._covered, row, low, high, stride, self._waste_weight))
+        return float(_gain(self._object, self._covered, row, max_samples, self._waste_weight))
 
     def fitted(self, row: NDArray[np.float64], max_samples: int, iterations: int) -> NDArray[np.float64]:
         """Return the primitive fitted to the unexplained volume in its neighbourhood."""
         if self._speaking is None:
             self._speaking = _speaking(self._distance, self._covered, self._band)
-        low, high = self._window(row, self._band + 2)
-        cells = _within(self._speaking, low, high)
-        cells = cells[thinned(len(cells), max_samples)]
-        if len(cells) < 11:
-            return row
-        i, j, k = cells.T
-        fit = refined(
+        found = _fitted(
             row,
-            cells.astype(np.float64),
-            self._distance[i, j, k].astype(np.float64),
-            1.0 - self._covered[i, j, k].astype(np.float64),
-            band=self._band,
-            iterations=iterations,
-            max_log_axis=self.max_log_axis,
+            *self._speaking,
+            self._distance,
+            self._covered,
+            self._band,
+            max_samples,
+            iterations,
+            self.max_log_axis,
         )
-        return self.trimmed(fit, max_samples)
-
-    def trimmed(self, row: NDArray[np.float64], max_samples: int) -> NDArray[np.float64]:
-        """Return the primitive cut back, along its own axes, to the part of the object that lies in it.
-
-        Distances are only known on the grid: beyond it nothing limits the growth of a thin primitive.
-        """
-        low, high = self._window(row, 1.0)
-        found = _cells_below(self._distance, low, high, np.float32(0.5))
-        cells = found[thinned(len(found), 2 * max_samples)].astype(np.float64)
-        if len(cells) == 0:
-            return row
-        inside = cells[distances_to(row, cells) < 0.5]
-        if len(inside) == 0:
-            return row
-        axes = row[8:17].reshape(3, 3)
-        local = portable.matmul(inside - row[5:8], axes)
-        half = portable.exp(row[2:5])
-        first, last = np.maximum(local.min(axis=0) - 0.5, -half), np.minimum(local.max(axis=0) + 0.5, half)
-        out = row.copy()
-        out[2:5] = portable.log(np.maximum((last - first) / 2, 0.25))
-        out[5:8] = row[5:8] + portable.matmul(axes, (first + last) / 2)
-        return out
+        return np.asarray(found)
 
     def _window(self, row: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first cells and the ends of the part of the grid within `margin` of the box of a primitive."""
@@ -241,7 +214,9 @@ def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no c
 
 
 @numba.njit(cache=True, nogil=True)
-def _gain(inside, covered, row, low, high, stride, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
+def _gain(inside, covered, row, max_samples, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
+    low, high = _window(row, 1.0, inside.shape)
+    stride = max((high[0] - low[0]) * (high[1] - low[1]) * (high[2] - low[2]) // max_samples, 1) | 1
     axes, within = exp_each(row[2:5]), _inscribed(row)
     block = new_block()
     shares, befores = np.empty(BLOCK), np.empty(BLOCK)
@@ -294,42 +269,92 @@ def _gain_of(d, share, before, waste_weight):  # type: ignore[no-untyped-def] # 
 
 @numba.njit(cache=True, nogil=True)
 def _speaking(distance, covered, band):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the (N, 3) cells used for a fit: those near the surface, and one in eight of those deep inside."""
+    """Return the (N, 3) cells used for a fit, and where those of each row along z begin.
+
+    They are those near the surface, and one in eight of those deep inside.
+    """
     out = np.empty((distance.size, 3), np.int64)
+    starts = np.empty(distance.shape[0] * distance.shape[1] + 1, np.int64)
     count = 0
     for i in range(distance.shape[0]):
         for j in range(distance.shape[1]):
+            starts[i * distance.shape[1] + j] = count
             for k in range(distance.shape[2]):
                 if distance[i, j, k] >= band or covered[i, j, k] >= 0.95:
                     continue
                 if distance[i, j, k] > -0.99 * band or (i % 2 == 0 and j % 2 == 0 and k % 2 == 0):
                     out[count, 0], out[count, 1], out[count, 2] = i, j, k
                     count += 1
-    return out[:count].copy()
+    starts[-1] = count
+    return out[:count].copy(), starts
 
 
 @numba.njit(cache=True, nogil=True)
-def _cells_below(distance, low, high, limit):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the (N, 3) cells of a window whose distance is below a limit."""
-    out = np.empty(((high[0] - low[0]) * (high[1] - low[1]) * (high[2] - low[2]), 3), np.int64)
+def _fitted(  # type: ignore[no-untyped-def] # pragma: no cover
+    row, speaking, starts, distance, covered, band, max_samples, iterations, max_log_axis
+):
+    """Return a primitive fitted to the cells that speak around it, and trimmed; as it is where these are too few."""
+    low, high = _window(row, band + 2.0, distance.shape)
+    near = np.empty(len(speaking), np.int64)
+    count = 0
+    for i in range(low[0], high[0]):
+        for j in range(low[1], high[1]):
+            line = i * distance.shape[1] + j
+            for n in range(starts[line], starts[line + 1]):
+                if low[2] <= speaking[n, 2] < high[2]:
+                    near[count] = n
+                    count += 1
+    chosen = thinned(count, max_samples)
+    count = len(chosen)
+    if count < _FEWEST:
+        return row
+    points, distances, weights = np.empty((count, 3)), np.empty(count), np.empty(count)
+    for n in range(count):
+        i, j, k = speaking[near[chosen[n]]]
+        points[n, 0], points[n, 1], points[n, 2] = i, j, k
+        distances[n] = distance[i, j, k]
+        weights[n] = 1.0 - np.float64(covered[i, j, k])
+    return _trimmed(lm_fit(row, points, distances, weights, band, iterations, max_log_axis), distance, 2 * max_samples)
+
+
+@numba.njit(cache=True, nogil=True)
+def _trimmed(row, distance, max_samples):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return a primitive cut back, along its own axes, to the part of the object that lies in it.
+
+    Distances are only known on the grid: beyond it nothing limits the growth of a thin primitive.
+    """
+    low, high = _window(row, 1.0, distance.shape)
+    found = np.empty(((high[0] - low[0]) * (high[1] - low[1]) * (high[2] - low[2]), 3), np.int64)
     count = 0
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
             for k in range(low[2], high[2]):
-                if distance[i, j, k] < limit:
-                    out[count, 0], out[count, 1], out[count, 2] = i, j, k
+                if distance[i, j, k] < np.float32(0.5):
+                    found[count, 0], found[count, 1], found[count, 2] = i, j, k
                     count += 1
-    return out[:count].copy()
-
-
-@numba.njit(cache=True, nogil=True)
-def _within(cells, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the cells within a window."""
-    chosen = np.empty(len(cells), np.int64)
-    count = 0
+    chosen = thinned(count, max_samples)
+    cells = np.empty((len(chosen), 3))
+    for n in range(len(chosen)):
+        for axis in range(3):
+            cells[n, axis] = found[chosen[n], axis]
+    own = distances_of(row, cells, np.inf)
+    first, last = np.full(3, np.inf), np.full(3, -np.inf)
     for n in range(len(cells)):
-        i, j, k = cells[n]
-        if low[0] <= i < high[0] and low[1] <= j < high[1] and low[2] <= k < high[2]:
-            chosen[count] = n
-            count += 1
-    return cells[chosen[:count]]
+        if own[n] < 0.5:
+            x, y, z = cells[n, 0] - row[5], cells[n, 1] - row[6], cells[n, 2] - row[7]
+            for axis in range(3):
+                along = x * row[8 + axis] + y * row[11 + axis] + z * row[14 + axis]
+                first[axis], last[axis] = min(first[axis], along), max(last[axis], along)
+    if first[0] > last[0]:
+        return row
+    out = row.copy()
+    for axis in range(3):
+        half = exp(row[2 + axis])
+        first[axis], last[axis] = max(first[axis] - 0.5, -half), min(last[axis] + 0.5, half)
+        out[2 + axis] = log(max((last[axis] - first[axis]) / 2.0, 0.25))
+    for i in range(3):
+        shift = 0.0
+        for axis in range(3):
+            shift += row[8 + 3 * i + axis] * ((first[axis] + last[axis]) / 2.0)
+        out[5 + i] = row[5 + i] + shift
+    return out

@@ -72,7 +72,7 @@ def refined(
     `points` (N, 3), signed `distances` (N,), negative inside, truncated at `band`, and `weights` (N,): 0 where another
     primitive already explains the object. Everything is in units of cells, so that no tolerance depends on the scale.
     """
-    return np.asarray(_fit(row, points, distances, weights, band, iterations, max_log_axis))
+    return np.asarray(lm_fit(row, points, distances, weights, band, iterations, max_log_axis))
 
 
 def distances_to(row: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -277,9 +277,10 @@ def _sigma2(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] 
 
 
 @numba.njit(cache=True, nogil=True)
-def _fit(  # type: ignore[no-untyped-def] # pragma: no cover
+def lm_fit(  # type: ignore[no-untyped-def] # pragma: no cover
     row, points, distances, weights, band, iterations, max_log_axis
 ):
+    """Return what `refined` does."""
     targets = np.minimum(np.maximum(distances, -band), OUTER_BAND)
     d = distances_of(row, points, band)
     sigma2 = _sigma2(d, targets, weights, band, band * band)

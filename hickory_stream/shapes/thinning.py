@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from hickory_stream.compiled import numba
 
 
-def thinned(count: int, most: int) -> NDArray[np.int64]:
+@numba.njit(cache=True, nogil=True)
+def thinned(count, most):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the indices of about `most` of `count` samples; all of them if there are fewer.
 
     One sample of each interval is taken, at an offset by the golden ratio: a constant stride through the cells of a
@@ -19,5 +17,7 @@ def thinned(count: int, most: int) -> NDArray[np.int64]:
     if count <= most:
         return np.arange(count)
     stride = count / most
-    n = np.arange(most)
-    return np.asarray((stride * (n + (n * 0.6180339887498949) % 1.0)).astype(np.int64))
+    chosen = np.empty(most, np.int64)
+    for n in range(most):
+        chosen[n] = np.int64(stride * (n + (n * 0.6180339887498949) % 1.0))
+    return chosen
