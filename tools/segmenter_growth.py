@@ -13,6 +13,7 @@ import numpy as np
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hickory_stream.perception.absolute_features import is_size
+from hickory_stream.perception.features import joined
 from hickory_stream.perception.join import Groups, JoinConfig, rounds
 from hickory_stream.perception.odds_features import odds_features
 from hickory_stream.perception.pair_features import pair_features
@@ -96,7 +97,7 @@ def _features_of(
     count = int(numbers.max()) + 1
     pairs, features = pair_features(lesson.measures, numbers, count)
     odds = None if lesson.odds is None else lesson.odds.of_groups(numbers, count)
-    return pairs, features | odds_features(odds, pairs, count)
+    return pairs, joined(features, odds_features(odds, pairs, count))
 
 
 def _samples_of_truth(lesson: Lesson, share: float, names: tuple[str, ...], random: np.random.Generator) -> Samples:

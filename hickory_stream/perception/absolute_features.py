@@ -12,10 +12,9 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.portable_kernels import log, log1p
-from hickory_stream.perception.features import named, of_both
+from hickory_stream.perception.features import Features, of_both
 
 if TYPE_CHECKING:
-    from hickory_stream.perception.features import Features
     from hickory_stream.perception.ordered_pairs import OrderedPairs
 
 _FAR_M = 0.3
@@ -39,8 +38,8 @@ def is_size(name: str) -> bool:
     return name.endswith((*_UNITS, *_OTHERS)) or name in _COUNTS
 
 
-def absolute_features(ordered: OrderedPairs) -> Features:
-    """Return by name (K,) the sizes of the regions `large` and `small` of each pair, and their relative position."""
+def absolute_features(ordered: OrderedPairs) -> tuple[Features, Features]:
+    """Return the sizes of the regions `large` and `small` of each pair, and their relative position."""
     regions, extents, union = ordered.regions, ordered.extents, ordered.union
     geometry, pairs, large, small = ordered.geometry, ordered.pairs, ordered.large, ordered.small
     of_regions = np.empty((len(regions.pixels), len(_OF_REGIONS)))
@@ -61,7 +60,7 @@ def absolute_features(ordered: OrderedPairs) -> Features:
         (geometry.aside_m, geometry.overlap_m, geometry.inset_m, geometry.contact_spread_m),
         (pairs.touch, pairs.step_m, pairs.gap_m, pairs.bridged),
     )
-    return {**of_both(_OF_REGIONS, of_regions, large, small), **named(_OF_PAIRS, of_pairs)}
+    return of_both(_OF_REGIONS, of_regions, large, small), Features(_OF_PAIRS, of_pairs)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

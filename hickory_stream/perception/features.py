@@ -1,29 +1,63 @@
-"""Features of pairs of regions by name, from rows of numbers."""
+"""Features of pairs of regions by name, as columns of one table: trees take all of them at once."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+import numpy as np
 
-    import numpy as np
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
 
-    Features = dict[str, NDArray[np.float64]]
-    """The features (K,) of K pairs by name."""
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features(Mapping[str, "NDArray[np.float64]"]):
+    """The features (K,) of K pairs by name: the columns of `rows` (K, len(names))."""
+
+    names: tuple[str, ...]
+    rows: NDArray[np.float64]
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        return self.rows[:, _places(self.names)[name]]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def rows_of(self, names: tuple[str, ...]) -> NDArray[np.float64]:
+        """Return (K, len(names)) some of the columns; raises `KeyError`."""
+        return self.rows.take(_columns(self.names, names), axis=1)
 
 
-def named(names: Sequence[str], rows: NDArray[np.float64]) -> Features:
-    """Return the columns (K,) of rows (K, len(names)) by their names."""
-    return dict(zip(names, rows.T, strict=True))
+def joined(*parts: Features) -> Features:
+    """Return the columns of all parts, which have the same pairs and no name in common."""
+    return Features(
+        tuple(name for part in parts for name in part.names), np.concatenate([part.rows for part in parts], axis=1)
+    )
 
 
 def of_both(
     names: Sequence[str], rows: NDArray[np.float64], large: NDArray[np.int64], small: NDArray[np.int64]
 ) -> Features:
     """Return the features of both regions, `large` and `small` (K,), of pairs, from rows (n, len(names)) of regions."""
-    both: Features = {}
-    for name, of_large, of_small in zip(names, rows[large].T, rows[small].T, strict=True):
-        both[f"large_{name}"], both[f"small_{name}"] = of_large, of_small
-    return both
+    both = np.empty((len(large), 2 * len(names)))
+    both[:, ::2], both[:, 1::2] = rows[large], rows[small]
+    return Features(tuple(f"{side}_{name}" for name in names for side in ("large", "small")), both)
+
+
+@lru_cache(maxsize=64)
+def _places(names: tuple[str, ...]) -> dict[str, int]:
+    return {name: i for i, name in enumerate(names)}
+
+
+@lru_cache(maxsize=64)
+def _columns(names: tuple[str, ...], wanted: tuple[str, ...]) -> NDArray[np.int64]:
+    places = _places(names)
+    return np.array([places[name] for name in wanted], dtype=np.int64)

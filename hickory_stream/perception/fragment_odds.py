@@ -13,6 +13,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.perception.pixel_network import DISTANCES_PX, ODDS_UNIT, ODDS_ZERO, OFFSETS
+from hickory_stream.perception.region_graph import merged_keys
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,21 +49,24 @@ class FragmentOdds:
 
     def of_groups(self, numbers: NDArray[np.int64], count: int) -> FragmentOdds:
         """Return the sums of `count` groups; `numbers` (n,) names the group of each fragment."""
-        a, b = numbers[self.a], numbers[self.b]
-        is_inner = a == b
-        key = np.minimum(a, b) * count + np.maximum(a, b)
-        keys, place = np.unique(key[~is_inner], return_inverse=True)
-        # Pairs between two members of a group are within the group.
-        both, num_within = np.concatenate([numbers, a[is_inner]]), self.levels[is_inner].sum(axis=2)
+        a, b, places = merged_keys(self.a, self.b, numbers, count)
+        sums = np.zeros((len(a), _NUM_DISTANCES), dtype=np.int64)
+        levels = np.zeros((len(a), _NUM_DISTANCES, _NUM_LEVELS), dtype=np.int64)
+        inner, num_inner = np.zeros((2, count, _NUM_DISTANCES), dtype=np.int64)
+        thing, num_pixels = np.zeros((2, count), dtype=np.int64)
+        _add_pairs((self.a, self.sums, self.levels), (places, numbers), (sums, levels, inner, num_inner))
+        _add_fragments(
+            (self.inner, self.num_inner, self.thing, self.num_pixels), numbers, (inner, num_inner, thing, num_pixels)
+        )
         return FragmentOdds(
-            a=keys // count,
-            b=keys % count,
-            sums=_summed(self.sums[~is_inner], place, len(keys)),
-            levels=_summed(self.levels[~is_inner], place, len(keys)),
-            inner=_summed(np.concatenate([self.inner, self.sums[is_inner]]), both, count),
-            num_inner=_summed(np.concatenate([self.num_inner, num_within]), both, count),
-            thing=_summed(self.thing, numbers, count),
-            num_pixels=_summed(self.num_pixels, numbers, count),
+            a=a,
+            b=b,
+            sums=sums,
+            levels=levels,
+            inner=inner,
+            num_inner=num_inner,
+            thing=thing,
+            num_pixels=num_pixels,
         )
 
     def of_pairs(self, pairs: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -98,8 +102,8 @@ def fragment_odds(labels: NDArray[np.int32], odds: PixelOdds) -> FragmentOdds:
         levels=levels[keys].astype(np.int64),
         inner=inner,
         num_inner=num_inner,
-        thing=things[:, 0],
-        num_pixels=things[:, 1],
+        thing=things[:, 0].copy(),
+        num_pixels=things[:, 1].copy(),
     )
 
 
@@ -107,18 +111,32 @@ def _level_of_byte() -> NDArray[np.int64]:
     return np.searchsorted(np.array(LEVELS) * ODDS_UNIT + ODDS_ZERO, np.arange(256), side="right")
 
 
-def _summed(values: NDArray[np.int64], place: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    out = np.zeros((count, *values.shape[1:]), dtype=np.int64)
-    if len(values):
-        _add(out.reshape(count, -1), values.reshape(len(values), -1), place)
-    return out
+@numba.njit(cache=True, nogil=True)
+def _add_pairs(pairs, which, out):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Add the sums of pairs to those of the pairs of groups; pairs of two members of a group are within the group."""
+    (a, sums, levels), (places, numbers), (out_sums, out_levels, inner, num_inner) = pairs, which, out
+    for i in range(len(places)):
+        place, group = places[i], numbers[a[i]]
+        for distance in range(sums.shape[1]):
+            if place < 0:
+                inner[group, distance] += sums[i, distance]
+                num_inner[group, distance] += levels[i, distance].sum()
+                continue
+            out_sums[place, distance] += sums[i, distance]
+            for level in range(levels.shape[2]):
+                out_levels[place, distance, level] += levels[i, distance, level]
 
 
 @numba.njit(cache=True, nogil=True)
-def _add(sums, rows, place):  # type: ignore[no-untyped-def] # pragma: no cover
-    for i in range(len(place)):
-        for k in range(rows.shape[1]):
-            sums[place[i], k] += rows[i, k]
+def _add_fragments(fragments, numbers, out):  # type: ignore[no-untyped-def] # pragma: no cover
+    (inner, num_inner, thing, num_pixels), (out_inner, out_num_inner, out_thing, out_num_pixels) = fragments, out
+    for i in range(len(numbers)):
+        group = numbers[i]
+        out_thing[group] += thing[i]
+        out_num_pixels[group] += num_pixels[i]
+        for distance in range(inner.shape[1]):
+            out_inner[group, distance] += inner[i, distance]
+            out_num_inner[group, distance] += num_inner[i, distance]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry import portable
+from hickory_stream.perception.features import joined
 from hickory_stream.perception.map_prior import MapPriorConfig
 from hickory_stream.perception.occlusion_bridging import BridgingConfig, is_bridged
 from hickory_stream.perception.odds_features import odds_features
@@ -180,8 +181,8 @@ def rounds(
 def _round(graph: RegionGraph, numbers: NDArray[np.int64], count: int, odds: FragmentOdds | None) -> Round:
     """Return the round of `count` regions, of which `numbers` (n,) gives that of each fragment."""
     pairs, features = pair_features(graph, numbers, count)
-    features |= odds_features(None if odds is None else odds.of_groups(numbers, count), pairs, count)
-    return Round(numbers=numbers, pairs=pairs, features=features)
+    of_odds = odds_features(None if odds is None else odds.of_groups(numbers, count), pairs, count)
+    return Round(numbers=numbers, pairs=pairs, features=joined(features, of_odds))
 
 
 def _closest(pairs: NDArray[np.int64], probability: NDArray[np.float64], count: int, least: float) -> NDArray[np.int64]:

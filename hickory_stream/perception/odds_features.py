@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
-from hickory_stream.perception.features import named
+from hickory_stream.perception.features import Features
 from hickory_stream.perception.fragment_odds import NUM_NEAR
 from hickory_stream.perception.pixel_network import DISTANCES_PX, ODDS_UNIT
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.features import Features
     from hickory_stream.perception.fragment_odds import FragmentOdds
 
 _NUM_DISTANCES = len(DISTANCES_PX)
@@ -39,12 +38,12 @@ ODDS_FEATURES = (
 def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: int) -> Features:
     """Return by name (K,) the features of (K, 2) pairs, large and small, of `count` regions; NaN without odds."""
     if odds is None:
-        return named(ODDS_FEATURES, np.full((len(pairs), len(ODDS_FEATURES)), np.nan))
+        return Features(ODDS_FEATURES, np.full((len(pairs), len(ODDS_FEATURES)), np.nan))
     rows = np.empty((len(pairs), len(ODDS_FEATURES)))
     sums, levels = odds.of_pairs(pairs, count)
     best = _best(odds.a, odds.b, odds.sums, odds.levels, count)
     _fill(rows, pairs, sums, levels, odds.inner, odds.num_inner, odds.thing, odds.num_pixels, best)
-    return named(ODDS_FEATURES, rows)
+    return Features(ODDS_FEATURES, rows)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -18,14 +18,13 @@ import numpy as np
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.portable_kernels import log, log1p
 from hickory_stream.perception.absolute_features import absolute_features
-from hickory_stream.perception.features import named, of_both
+from hickory_stream.perception.features import Features, joined, of_both
 from hickory_stream.perception.ordered_pairs import ordered_pairs
 from hickory_stream.perception.region_extents import LEAST_M
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.features import Features
     from hickory_stream.perception.ordered_pairs import OrderedPairs
     from hickory_stream.perception.region_graph import RegionGraph
 
@@ -67,12 +66,12 @@ def pair_features(graph: RegionGraph, numbers: NDArray[np.int64], count: int) ->
     """
     ordered = ordered_pairs(graph, numbers, count)
     large, small = ordered.large, ordered.small
-    features = {
-        **of_both(_OF_REGIONS, _of_regions(ordered), large, small),
-        **named(_RELATIONS, _relations(ordered)),
-        **named(_CONTACTS, _contacts(ordered)),
-        **absolute_features(ordered),
-    }
+    features = joined(
+        of_both(_OF_REGIONS, _of_regions(ordered), large, small),
+        Features(_RELATIONS, _relations(ordered)),
+        Features(_CONTACTS, _contacts(ordered)),
+        *absolute_features(ordered),
+    )
     return np.stack([large, small], axis=1), features
 
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.compiled import numba
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -37,14 +39,31 @@ def pair_geometry(
     regions: Regions, pairs: RegionPairs, large: NDArray[np.int64], small: NDArray[np.int64]
 ) -> PairGeometry:
     """Return the relative geometry of the regions `large` and `small` (K,) of K pairs."""
-    center = regions.place / np.maximum(regions.pixels, 1)[:, None]
-    touch = np.maximum(pairs.touch, 1)[:, None]
-    contact_m = pairs.contact / touch
-    return PairGeometry(
-        aside_m=center[small] - center[large],
-        overlap_m=np.minimum(regions.high[large], regions.high[small])
-        - np.maximum(regions.low[large], regions.low[small]),
-        inset_m=np.minimum(regions.low[small] - regions.low[large], regions.high[large] - regions.high[small]),
-        contact_m=contact_m,
-        contact_spread_m=np.sqrt(np.maximum(pairs.contact_squares / touch - contact_m * contact_m, 0)),
+    aside_m, overlap_m, inset_m, contact_m, spread_m = np.empty((5, len(large), 3))
+    _fill(
+        (regions.pixels, regions.place, regions.low, regions.high),
+        (pairs.touch, pairs.contact, pairs.contact_squares),
+        large,
+        small,
+        (aside_m, overlap_m, inset_m, contact_m, spread_m),
     )
+    return PairGeometry(
+        aside_m=aside_m, overlap_m=overlap_m, inset_m=inset_m, contact_m=contact_m, contact_spread_m=spread_m
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill(regions, pairs, larges, smalls, out):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Fill in a row of each of the five arrays of `PairGeometry` for each pair."""
+    (pixels, place, low, high), (touches, contact, contact_squares) = regions, pairs
+    aside_m, overlap_m, inset_m, contact_m, spread_m = out
+    for i in range(len(larges)):
+        large, small, touch = larges[i], smalls[i], max(touches[i], 1.0)
+        per_large, per_small = max(pixels[large], 1.0), max(pixels[small], 1.0)
+        for k in range(3):
+            aside_m[i, k] = place[small, k] / per_small - place[large, k] / per_large
+            overlap_m[i, k] = min(high[large, k], high[small, k]) - max(low[large, k], low[small, k])
+            inset_m[i, k] = min(low[small, k] - low[large, k], high[large, k] - high[small, k])
+            mean_m = contact[i, k] / touch
+            contact_m[i, k] = mean_m
+            spread_m[i, k] = np.sqrt(max(contact_squares[i, k] / touch - mean_m * mean_m, 0.0))

@@ -126,51 +126,99 @@ def build_region_graph(fragments: Fragments, *, reach_px: int, gap_m: float, bri
 
 def merged_regions(regions: Regions, numbers: NDArray[np.int64], count: int) -> Regions:
     """Return the measures of `count` merged regions; `numbers` (n,) gives the merged region of each region."""
+    values = [getattr(regions, name) for name in _REGION_SUMS]
+    sums = [np.zeros((count, *own.shape[1:])) for own in values]
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, numbers, regions.low)
-    np.maximum.at(high, numbers, regions.high)
-    return Regions(
-        low=low, high=high, **{name: _summed(getattr(regions, name), numbers, count) for name in _REGION_SUMS}
-    )
+    _merge_regions(_rows(values), _rows(sums), (regions.low, regions.high), (low, high), numbers)
+    return Regions(low=low, high=high, **dict(zip(_REGION_SUMS, sums, strict=True)))
 
 
 def merged_pairs(pairs: RegionPairs, numbers: NDArray[np.int64]) -> RegionPairs:
     """Return the measures of the pairs of merged regions, ordered by number; pairs within one are left out."""
-    a, b = numbers[pairs.a], numbers[pairs.b]
-    turned = (a > b)[:, None]
     count = int(numbers.max(initial=0)) + 1
-    apart = a != b
-    keys, place = np.unique((np.minimum(a, b) * count + np.maximum(a, b))[apart], return_inverse=True)
-
-    def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return _summed(values[apart], place, len(keys))
-
-    gap_m = np.full(len(keys), np.inf)
-    np.minimum.at(gap_m, place, pairs.gap_m[apart])
-    return RegionPairs(
-        a=keys // count,
-        b=keys % count,
-        gap_m=gap_m,
-        nearer=total(np.where(turned, pairs.nearer[:, ::-1], pairs.nearer)),
-        above=total(np.where(turned, pairs.above[:, ::-1], pairs.above)),
-        **{name: total(getattr(pairs, name)) for name in _PAIR_SUMS},
+    a, b, places = merged_keys(pairs.a, pairs.b, numbers, count)
+    values = [getattr(pairs, name) for name in _PAIR_SUMS]
+    sums = [np.zeros((len(a), *own.shape[1:])) for own in values]
+    nearer, above, gap_m = np.zeros((len(a), 2)), np.zeros((len(a), 2)), np.full(len(a), np.inf)
+    _merge_pairs(
+        _rows(values),
+        _rows(sums),
+        (pairs.nearer, pairs.above, pairs.gap_m),
+        (nearer, above, gap_m),
+        (pairs.a, pairs.b, numbers, places),
     )
+    return RegionPairs(a=a, b=b, nearer=nearer, above=above, gap_m=gap_m, **dict(zip(_PAIR_SUMS, sums, strict=True)))
 
 
-def _summed(values: NDArray[np.float64], places: NDArray[np.int64], count: int) -> NDArray[np.float64]:
-    """Return (count, ...) the sums of (N, ...) values by place, added in order, so that rounding is reproducible."""
-    rows = np.ascontiguousarray(values if values.ndim > 1 else values[:, None])
-    out: NDArray[np.float64] = _sums(rows, places, count)
-    return out if values.ndim > 1 else out[:, 0]
+def _rows(values: list[NDArray[np.float64]]) -> tuple[NDArray[np.float64], ...]:
+    """Return each of (N, ...) values as rows (N, k) of the same memory, for a kernel that takes all at once."""
+    return tuple(own if own.ndim > 1 else own[:, None] for own in values)
 
 
 @numba.njit(cache=True, nogil=True)
-def _sums(rows, places, count):  # type: ignore[no-untyped-def] # pragma: no cover
-    out = np.zeros((count, rows.shape[1]))
+def merged_keys(a, b, numbers, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (M,), (M,) the pairs of merged regions, ordered, and (K,) which of them each pair a, b is part of.
+
+    `numbers` (n,) gives the merged region 0..count - 1 of each region; pairs within one are part of none, -1.
+    """
+    table = np.full(count * count, -1, dtype=np.int64)
+    places = np.empty(len(a), dtype=np.int64)
+    for i in range(len(a)):
+        one, other = numbers[a[i]], numbers[b[i]]
+        places[i] = -1 if one == other else min(one, other) * count + max(one, other)
+        if one != other:
+            table[places[i]] = 0
+    num_pairs = 0
+    for key in range(count * count):
+        if table[key] == 0:
+            table[key] = num_pairs
+            num_pairs += 1
+    lower, upper = np.empty(num_pairs, dtype=np.int64), np.empty(num_pairs, dtype=np.int64)
+    for i in range(len(a)):
+        if places[i] >= 0:
+            place = table[places[i]]
+            lower[place], upper[place] = places[i] // count, places[i] % count
+            places[i] = place
+    return lower, upper, places
+
+
+# All sums are added in the order of their rows, so that rounding is reproducible.
+
+
+@numba.njit(cache=True, nogil=True)
+def _merge_regions(values, sums, boxes, merged_boxes, numbers):  # type: ignore[no-untyped-def] # pragma: no cover
+    (low, high), (merged_low, merged_high) = boxes, merged_boxes
+    for i in range(len(numbers)):
+        for k in range(3):
+            merged_low[numbers[i], k] = min(merged_low[numbers[i], k], low[i, k])
+            merged_high[numbers[i], k] = max(merged_high[numbers[i], k], high[i, k])
+    for one in range(len(values)):
+        rows, out = values[one], sums[one]
+        for i in range(len(numbers)):
+            for k in range(rows.shape[1]):
+                out[numbers[i], k] += rows[i, k]
+
+
+@numba.njit(cache=True, nogil=True)
+def _merge_pairs(values, sums, others, merged_others, which):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Add up the pairs that are part of one; `nearer` and `above` are by side, and sides may have changed places."""
+    (nearer, above, gap_m), (merged_nearer, merged_above, merged_gap_m) = others, merged_others
+    a, b, numbers, places = which
     for i in range(len(places)):
-        for k in range(rows.shape[1]):
-            out[places[i], k] += rows[i, k]
-    return out
+        place = places[i]
+        if place < 0:
+            continue
+        turned = numbers[a[i]] > numbers[b[i]]
+        for side in range(2):
+            merged_nearer[place, side] += nearer[i, 1 - side if turned else side]
+            merged_above[place, side] += above[i, 1 - side if turned else side]
+        merged_gap_m[place] = min(merged_gap_m[place], gap_m[i])
+    for one in range(len(values)):
+        rows, out = values[one], sums[one]
+        for i in range(len(places)):
+            if places[i] >= 0:
+                for k in range(rows.shape[1]):
+                    out[places[i], k] += rows[i, k]
 
 
 def _pairs(

@@ -73,8 +73,8 @@ def region_sums(
         labels.ravel(), supports.ravel(), points, count, planes, bins, bottom_m, height_bin_m
     )
     widths = np.cumsum([1, 1, 1, 3, 3, 3, 6, 3, 1])
-    pixels, area_m2, depth_m, lab_sums, lab_squares, place, products, normals, sigma_m, grain = np.split(
-        sums, widths, axis=1
+    pixels, area_m2, depth_m, lab_sums, lab_squares, place, products, normals, sigma_m, grain = (
+        np.ascontiguousarray(columns) for columns in np.split(sums, widths, axis=1)
     )
     out = RegionSums(
         pixels=pixels[:, 0],

@@ -45,10 +45,10 @@ def support_contacts_of(
     """
     count = int(pieces[-1])
     outline, free, on = _counted(
-        (pieces[contacts.here], pieces[contacts.there], contacts.here_px, contacts.there_px),
+        (contacts.here, contacts.there, contacts.here_px, contacts.there_px),
         (contacts.is_below, contacts.touches, contacts.nearer),
-        pieces[contacts.cut],
-        contacts.cut_px,
+        (contacts.cut, contacts.cut_px),
+        pieces,
         heights_m.ravel(),
         level.ravel(),
         count,
@@ -57,35 +57,40 @@ def support_contacts_of(
 
 
 @numba.njit(cache=True, nogil=True)
-def _counted(contacts, marks, edge, edge_px, heights, level, count):  # type: ignore[no-untyped-def] # pragma: no cover
+def _counted(contacts, marks, edge, pieces, heights, level, count):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the counts of `SupportContacts`: a first pass finds the foot of each region, a second one counts it."""
-    here, there, here_px, there_px = contacts
+    here_labels, there_labels, here_px, there_px = contacts
     is_below, touches, nearer = marks
+    edge_labels, edge_px = edge
     low, high = np.full(count, np.inf), np.full(count, -np.inf)
-    for i in range(len(here)):
-        if is_below[i] and here[i] != there[i] and here[i] < count:
+    for i in range(len(here_labels)):
+        here = pieces[here_labels[i]]
+        if is_below[i] and here != pieces[there_labels[i]] and here < count:
             z = np.float64(heights[here_px[i]])
-            low[here[i]], high[here[i]] = min(low[here[i]], z), max(high[here[i]], z)
-    for i in range(len(edge)):
-        if edge[i] < count:
+            low[here], high[here] = min(low[here], z), max(high[here], z)
+    for i in range(len(edge_labels)):
+        here = pieces[edge_labels[i]]
+        if here < count:
             z = np.float64(heights[edge_px[i]])
-            low[edge[i]], high[edge[i]] = min(low[edge[i]], z), max(high[edge[i]], z)
+            low[here], high[here] = min(low[here], z), max(high[here], z)
     foot = np.zeros(count)
     for k in range(count):
         if np.isfinite(low[k]):
             foot[k] = (1 - _FOOT_SHARE) * low[k] + _FOOT_SHARE * high[k]
     outline, free = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
     on = np.zeros((count, count + 1), dtype=np.int64)
-    for i in range(len(here)):
-        if not (is_below[i] and here[i] != there[i] and here[i] < count):
+    for i in range(len(here_labels)):
+        here, there = pieces[here_labels[i]], pieces[there_labels[i]]
+        if not (is_below[i] and here != there and here < count):
             continue
-        if np.float64(heights[here_px[i]]) <= foot[here[i]]:
-            outline[here[i]] += 1
+        if np.float64(heights[here_px[i]]) <= foot[here]:
+            outline[here] += 1
             if touches[i]:
-                on[here[i], there[i]] += level[there_px[i]]
+                on[here, there] += level[there_px[i]]
             elif not nearer[i]:
-                free[here[i]] += 1
-    for i in range(len(edge)):
-        if edge[i] < count and np.float64(heights[edge_px[i]]) <= foot[edge[i]]:
-            outline[edge[i]] += 1
+                free[here] += 1
+    for i in range(len(edge_labels)):
+        here = pieces[edge_labels[i]]
+        if here < count and np.float64(heights[edge_px[i]]) <= foot[here]:
+            outline[here] += 1
     return outline, free, on

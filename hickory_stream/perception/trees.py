@@ -16,6 +16,7 @@ import numpy as np
 from hickory_stream.compiled import numba
 from hickory_stream.errors import ModelError
 from hickory_stream.geometry import portable
+from hickory_stream.perception.features import Features
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,7 +56,10 @@ class Trees:
 
     def probabilities(self, inputs: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
         """Return (K,) the probability that each pair is one object; `inputs` has every feature (K,) by name."""
-        rows = np.array([inputs[name] for name in self.features]).T.copy()
+        if isinstance(inputs, Features):
+            rows = inputs.rows_of(self.features)
+        else:
+            rows = np.array([inputs[name] for name in self.features]).T.copy()
         odds = self.baseline + _sums_of_leaves(
             rows, self.roots, self.feature, self.threshold, self.left, self.right, self.nan_left, self.value
         )

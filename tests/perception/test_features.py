@@ -1,16 +1,24 @@
-"""Features by name, from rows of numbers."""
+"""Features by name, as columns of one table."""
 
 import numpy as np
 import pytest
 
-from hickory_stream.perception.features import named, of_both
+from hickory_stream.perception.features import Features, joined, of_both
 
 
-def test_a_row_has_a_number_for_each_name() -> None:
-    features = named(("near", "far"), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]))
-    assert {name: column.tolist() for name, column in features.items()} == {"near": [1, 3, 5], "far": [2, 4, 6]}
-    with pytest.raises(ValueError, match="argument 2"):
-        named(("near",), np.zeros((3, 2)))
+def test_a_column_has_a_name_and_some_of_them_are_taken_in_any_order() -> None:
+    features = joined(
+        Features(("near", "far"), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])),
+        Features(("apart",), np.array([[7.0], [8.0], [9.0]])),
+    )
+    assert {name: column.tolist() for name, column in features.items()} == {
+        "near": [1, 3, 5],
+        "far": [2, 4, 6],
+        "apart": [7, 8, 9],
+    }
+    assert features.rows_of(("apart", "near")).tolist() == [[7, 1], [8, 3], [9, 5]]
+    with pytest.raises(KeyError):
+        features.rows_of(("near", "nowhere"))
 
 
 def test_features_of_both_are_those_of_the_larger_and_the_smaller_part() -> None:
