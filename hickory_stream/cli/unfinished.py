@@ -20,12 +20,12 @@ def resume_command(folder: Path) -> str:
 
 def unfinished_note(saved: SavedMap) -> str | None:
     """Return what is to be said of a map's run, None where it has ended or can not be gone on with."""
-    from hickory_stream.engine.folder_lock import check_unlocked
-    from hickory_stream.engine.journal import Journal
-
     mode = saved.manifest.run.get("mode")
     if saved.manifest.finished_cleanly or mode is None:
         return None
+    from hickory_stream.engine.folder_lock import check_unlocked
+    from hickory_stream.engine.journal import Journal
+
     try:
         with Journal(saved.folder) as journal:
             steps = len(journal)

@@ -54,14 +54,18 @@ def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_who
     from dataclasses import replace
 
     from hickory_stream.cli.unfinished import unfinished_note
-    from hickory_stream.engine.history.time_travel import stamp_of
     from hickory_stream.engine.saved_map import open_map
 
     saved = open_map(path, warns=warns, is_whole=is_whole)
     note = unfinished_note(saved)
     if note is not None:
         sys.stderr.write(f"note: {note}\n")
-    return saved if at is None else replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
+    if at is None:
+        return saved
+    # With the core, which takes a second to import and which nobody else needs.
+    from hickory_stream.engine.history.time_travel import stamp_of
+
+    return replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
 
 
 def add_unproven_argument(parser: argparse.ArgumentParser) -> None:

@@ -84,16 +84,19 @@ def coarse(surface: Surface, viewpoint: Viewpoint) -> Surface:
     Vertices in one cell of that size become one of them (Rossignac and Borrel 1993).
     """
     apart_m = _COARSE_PX * viewpoint.pixel_m(surface.vertices)
-    if apart_m <= _FINEST_M:
-        return surface
-    _, chosen, cell_of = np.unique(keys_of_points(surface.vertices, apart_m), return_index=True, return_inverse=True)
-    faces = cell_of.astype(np.int32)[surface.faces]
-    a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    if len(faces) == 0:
-        # All of it is in a cell or two: still to be seen.
-        return surface
-    return Surface(vertices=surface.vertices[chosen], faces=faces, colors=surface.colors[chosen], owner=surface.owner)
+    while apart_m > _FINEST_M:
+        _, chosen, cell_of = np.unique(
+            keys_of_points(surface.vertices, apart_m), return_index=True, return_inverse=True
+        )
+        faces = cell_of.astype(np.int32)[surface.faces]
+        a, b, c = faces.T
+        faces = faces[(a != b) & (b != c) & (c != a)]
+        if len(faces):
+            vertices, colors = surface.vertices[chosen], surface.colors[chosen]
+            return Surface(vertices=vertices, faces=faces, colors=colors, owner=surface.owner)
+        # All of it is in a cell or two: still to be seen, by the coarsest cells that leave triangles of it.
+        apart_m /= 2
+    return surface
 
 
 def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Surface]:

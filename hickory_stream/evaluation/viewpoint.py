@@ -69,7 +69,7 @@ class Viewpoint:
         """Return the side of a pixel, in metres, at the nearest of (N, 3) points in front of the camera."""
         if self.is_orthographic:
             return 1.0 / self.focal_px
-        depths = apply(invert(self.world_from_camera), np.asarray(points_world, dtype=np.float64))[:, 2]
+        depths = (points_world - self.world_from_camera[:3, 3]) @ self.world_from_camera[:3, 2]
         return float(depths.min(initial=np.inf, where=depths > 0)) / self.focal_px if (depths > 0).any() else 0.0
 
 

@@ -22,8 +22,12 @@ def planes_of(array: NDArray[Any]) -> bytes:
 
 def array_of(planes: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     """Return the array of which `planes_of` gave the bytes; raises ValueError where there are not as many."""
-    numbers = np.frombuffer(planes, np.uint8).reshape(dtype.itemsize, math.prod(shape))
-    columns = np.ascontiguousarray(numbers.T).reshape(-1).view(dtype).reshape(math.prod(shape[1:]), shape[0])
+    rows = np.frombuffer(planes, np.uint8).reshape(dtype.itemsize, math.prod(shape))
+    numbers = np.empty(rows.shape[::-1], np.uint8)
+    # Plane by plane it takes half of the time that a transposed copy takes.
+    for i, row in enumerate(rows):
+        numbers[:, i] = row
+    columns = numbers.reshape(-1).view(dtype).reshape(math.prod(shape[1:]), shape[0])
     return np.ascontiguousarray(columns.T).reshape(shape)
 
 

@@ -127,6 +127,16 @@ def test_the_light_on_a_mesh_far_away_is_of_few_triangles_and_its_outline_stays(
     assert (owners[0] != owners[1]).mean() < 0.06
 
 
+def test_the_light_on_a_mesh_of_less_than_a_pixel_is_still_of_few_triangles() -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
+    colors = np.full((len(sphere.vertices), 3), 128, np.uint8)
+    fine = Surface(vertices=sphere.vertices + 0.3, faces=sphere.faces, colors=colors, owner=7)
+    far = from_above(np.array([[-50.0, -50, 0], [50, 50, 1]]), 200, 200, 0)
+    few = coarse(fine, far)
+    assert 0 < len(few.faces) < len(fine.faces) / 10
+    assert np.allclose(few.vertices.mean(axis=0), 0.3, atol=0.02)
+
+
 def test_the_same_map_gives_the_same_picture(saved: SavedMap) -> None:
     assert np.array_equal(render_map(saved, {2, 4}, SIZE), render_map(saved, {2, 4}, SIZE))
 
