@@ -70,12 +70,12 @@ class JournalConfig(Ranged):
     Attributes:
         flush_s: a lost power supply costs at most the events of so many seconds; a killed process costs none.
         checkpoint_keyframes: the state of the core is kept every so many keyframes, later while loops are searched:
-            fewer make looking back quicker.
+            fewer make looking back, and going on after a kill, quicker, and the journal larger.
         keep_images: the images of keyframes are kept, for `replay --rrd`; `jpeg_quality` where the log has none.
     """
 
     flush_s: float = number(2.0, 0, 86400, "s")
-    checkpoint_keyframes: int = number(24, 1, 1_000_000_000, "keyframes")
+    checkpoint_keyframes: int = number(32, 1, 1_000_000_000, "keyframes")
     keep_images: bool = True
     jpeg_quality: int = number(80, 1, 100, "percent")
 

@@ -76,7 +76,7 @@ def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
         "revision": int(snapshot.revision),
         "stamp_ns": int(snapshot.stamp_ns),
         "submaps": [encode_submap(submap, encode_space(submap, files)) for submap in snapshot.submaps],
-        "objects": [encode_object(tracked, files) for tracked in snapshot.objects],
+        "objects": [encode_object(tracked, encode_points(tracked, files)) for tracked in snapshot.objects],
     }
     if snapshot.graph is not None:
         document["graph"] = encode_graph(snapshot.graph)
@@ -161,8 +161,14 @@ def _decode_submap(entry: Json, read: Callable[[str], bytes], *, is_whole: bool)
     return Submap(id=entry["id"], world_from_submap=rigid_pose(entry["world_from_submap"]), observed_space=space)
 
 
-def encode_object(tracked: TrackedObject, files: dict[str, bytes]) -> Json:
-    """Return an object as the document has it, and add the content of the file that it names."""
+def encode_points(tracked: TrackedObject, files: dict[str, bytes]) -> str:
+    """Return the name of the file of an object's points, and add its content."""
+    data = points_bytes(tracked.points_world, tracked.colors)
+    return _add_file(files, f"{POINTS}/{tracked.id:06d}", ".points", data)
+
+
+def encode_object(tracked: TrackedObject, points_name: str) -> Json:
+    """Return an object as the document has it; `points_name` is as that of `encode_points`."""
     names = [view.name for view in tracked.views]
     return {
         "id": int(tracked.id),
@@ -171,9 +177,7 @@ def encode_object(tracked: TrackedObject, files: dict[str, bytes]) -> Json:
         "sightings": int(tracked.sightings),
         "first_seen_ns": int(tracked.first_seen_ns),
         "last_seen_ns": int(tracked.last_seen_ns),
-        "points": _add_file(
-            files, f"{POINTS}/{tracked.id:06d}", ".points", points_bytes(tracked.points_world, tracked.colors)
-        ),
+        "points": points_name,
         "box": {
             "world_from_box": json_numbers(tracked.box.world_from_box),
             "half_extents_m": json_numbers(tracked.box.half_extents_m),

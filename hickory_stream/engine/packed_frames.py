@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+import zstandard
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.depth_code import packed_depths, unpacked_depths
@@ -42,21 +43,23 @@ class PackedPoints:
 class PackedFrame:
     """An event of which the observations in `packed` have neither points nor colours nor returns.
 
-    `is_used` (P,) tells of the pixels of their masks, one mask after another, which have returns; `depths` are these as
-    `packed_depths` gives them, `colors` (3, N) what `packed_colors` leaves of each.
+    `is_used` (P,) tells of the pixels of their masks, one mask after another, which have returns; `depths` are these
+    as `packed_depths` gives them, `colors` what `packed_colors` leaves of each, (3, N). Both are frames of zstd: beside
+    numbers of other kinds the compressor would learn other frequencies.
     """
 
     event: FrameObserved
     packed: tuple[PackedPoints, ...]
     is_used: NDArray[np.bool_]
     depths: bytes
-    colors: NDArray[np.uint8]
+    colors: bytes
 
     def __post_init__(self) -> None:
         freeze(self, "is_used", np.bool_, (None,))
-        freeze(self, "colors", np.uint8, (3, None))
 
 
+# There is next to nothing in them that repeats: higher levels take longer, and find it where it is none.
+_LEVEL = 1
 _NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
 
 
@@ -85,8 +88,8 @@ def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
         event=replace(event, observations=tuple(observations)),
         packed=tuple(packed),
         is_used=np.concatenate([image[mask] > 0 for image, mask in zip(images, masks, strict=True)]),
-        depths=packed_depths(images),
-        colors=np.concatenate(colors, axis=1),
+        depths=zstandard.compress(packed_depths(images), _LEVEL),
+        colors=zstandard.compress(np.concatenate(colors, axis=1).tobytes(), _LEVEL),
     )
 
 
@@ -102,20 +105,24 @@ def unpacked_frame(frame: PackedFrame) -> FrameObserved:
     if any(not 0 <= part.place < len(event.observations) for part in frame.packed):
         raise ValueError(f"returns of more than {len(event.observations)} observations")
     observations = list(event.observations)
-    images = unpacked_depths(frame.depths, _used(frame, [event.observations[part.place].mask for part in frame.packed]))
+    used = _used(frame, [event.observations[part.place].mask for part in frame.packed])
+    # A return takes a byte, or three; a point takes three bytes and comes of one return at least.
+    most_bytes = 3 * sum(int(np.count_nonzero(marks)) for marks in used)
+    images = unpacked_depths(_unpacked(frame.depths, most_bytes), used)
+    colors_left = np.frombuffer(_unpacked(frame.colors, most_bytes), np.uint8).reshape(3, -1)
     at = 0
     for part, image in zip(frame.packed, images, strict=True):
         one = observations[part.place]
         returns = Returns(depth_mm=image, voxel_m=part.voxel_m, checksum=part.checksum)
         points = _points(returns, one, event.coarse.camera, event.world_from_camera)
-        left = frame.colors[:, at : at + len(points)]
+        own = colors_left[:, at : at + len(points)]
         at += len(points)
-        if left.shape[1] != len(points):
-            raise ValueError(f"{frame.colors.shape[1]} colours of more points")
-        colors = unpacked_colors(keys_of_points(points, part.voxel_m), left)
+        if own.shape[1] != len(points):
+            raise ValueError(f"{colors_left.shape[1]} colours of more points")
+        colors = unpacked_colors(keys_of_points(points, part.voxel_m), own)
         observations[part.place] = replace(one, points_world=points, colors=colors, returns=returns)
-    if at != frame.colors.shape[1]:
-        raise ValueError(f"{frame.colors.shape[1]} colours of {at} points")
+    if at != colors_left.shape[1]:
+        raise ValueError(f"{colors_left.shape[1]} colours of {at} points")
     return replace(event, observations=tuple(observations))
 
 
@@ -128,6 +135,16 @@ def _used(frame: PackedFrame, masks: Sequence[NDArray[np.bool_]]) -> list[NDArra
     for (start, end), mask, marks in zip(pairwise(ends), masks, used, strict=True):
         marks[mask] = frame.is_used[start:end]
     return used
+
+
+def _unpacked(data: bytes, most_bytes: int) -> bytes:
+    """Return what a frame of zstd holds; raises ValueError where it claims more bytes, for memory is taken for them."""
+    try:
+        if not 0 <= zstandard.frame_content_size(data) <= most_bytes:
+            raise ValueError(f"a frame of more than {most_bytes} bytes")
+        return zstandard.decompress(data)
+    except zstandard.ZstdError as error:
+        raise ValueError(f"returns that cannot be unpacked: {error}") from error
 
 
 def _points(

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from hickory_stream.engine.folder_layout import named_by
-from hickory_stream.engine.map_codec import encode_graph, encode_object, encode_space, encode_submap
+from hickory_stream.engine.map_codec import encode_graph, encode_object, encode_points, encode_space, encode_submap
+from hickory_stream.geometry.made_arrays import are_made_alike
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.records import Submap, TrackedObject
 
@@ -146,10 +147,11 @@ def _submap_entry(submap: Submap, known: _Entry[Submap] | None, files: dict[str,
 
 
 def _object_entry(
-    tracked: TrackedObject, _: _Entry[TrackedObject] | None, files: dict[str, bytes]
+    tracked: TrackedObject, known: _Entry[TrackedObject] | None, files: dict[str, bytes]
 ) -> _Entry[TrackedObject]:
-    text = dumps_exactly(encode_object(tracked, files))
-    return _Entry(tracked, text, tuple(files))
+    has_same_points = known is not None and are_made_alike(known.record, tracked)
+    points = known.files[0] if known is not None and has_same_points else encode_points(tracked, files)
+    return _Entry(tracked, dumps_exactly(encode_object(tracked, points)), (points,))
 
 
 def _others(entries: Iterable[_Entry[Any]], than: Iterable[_Entry[Any]]) -> list[_Entry[Any]]:

@@ -35,13 +35,15 @@ Keep = Callable[[bytes], Callable[[], bytes]]
 class _Maker:
     """What makes the arrays `names` of a record, the one that is asked for among those that it gives.
 
-    `keeps`: what was made stays, until it is given up again. `is_packed`: it is made of what is compressed.
+    `keeps`: what was made stays, until it is given up again. `is_packed`: it is made of what is compressed. `of` is
+    what it is made of, where that is known.
     """
 
     make: Callable[[str], Mapping[str, Any]]
     names: tuple[str, ...]
     keeps: bool
     is_packed: bool = False
+    of: tuple[object, ...] = ()
 
 
 _lock = RLock()
@@ -67,9 +69,24 @@ class GivesUpArrays:
         return made[name]
 
 
-def give_up(record: GivesUpArrays, make: Make, *names: str) -> None:
-    """Let go of arrays of a record; `make` gives each by its name, as it is, and must not hold the record."""
-    _let_go(record, _Maker(lambda name: {name: make(name)}, names, keeps=False))
+def give_up(record: GivesUpArrays, make: Make, *names: str, of: tuple[object, ...] = ()) -> None:
+    """Let go of arrays of a record; `make` gives each by its name, as it is, and must not hold the record.
+
+    `of` are immutable objects, of nothing else the arrays are made: `are_made_alike` then tells.
+    """
+    _let_go(record, _Maker(lambda name: {name: make(name)}, names, keeps=False, of=of))
+
+
+def made_of(record: GivesUpArrays) -> tuple[object, ...]:
+    """Return what the arrays of a record are made of, as `give_up` was told; () where that is not known."""
+    maker = _makers.get(record)
+    return () if maker is None else maker.of
+
+
+def are_made_alike(a: GivesUpArrays, b: GivesUpArrays) -> bool:
+    """Return whether the arrays of two records are known to be made of the same, without making them."""
+    of_a, of_b = made_of(a), made_of(b)
+    return len(of_a) == len(of_b) > 0 and all(x is y for x, y in zip(of_a, of_b, strict=True))
 
 
 def read_later(record: GivesUpArrays, read: MakeAll, *names: str) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.geometry.made_arrays import give_up, has_given_up, read_briefly
+from hickory_stream.geometry.made_arrays import give_up, has_given_up, made_of, read_briefly
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.mapping.moved import moved_object
 from hickory_stream.mapping.observed_space import as_record, without_room
@@ -183,7 +183,8 @@ def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> Tr
     if np.array_equal(world_from_submap, np.eye(4)):
         return item
     moved = moved_object(item, world_from_submap)
-    give_up(moved, lambda name: _moved_array(item, world_from_submap, name), "points_world", "colors")
+    of = (*made_of(item), world_from_submap)
+    give_up(moved, lambda name: _moved_array(item, world_from_submap, name), "points_world", "colors", of=of)
     return moved
 
 

@@ -226,7 +226,7 @@ def as_object(track: Track) -> TrackedObject:
         merged_ids=track.merged_ids,
         sketch=track.sketch if track.shape is None else None,
     )
-    give_up(item, lambda name: _shown(solid, name), "points_world", "colors")
+    give_up(item, lambda name: _shown(solid, name), "points_world", "colors", of=(solid,))
     return item
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+import zstandard
 
 from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.engine.journal import Journal
@@ -22,6 +23,7 @@ from hickory_stream.perception.observe import ObserveConfig, observe
 from hickory_stream.records import Frame, Segmentation, SpaceObservation
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -110,9 +112,13 @@ def test_a_frame_without_its_camera_is_stored_as_points() -> None:
     assert packed_frame(event) is event
 
 
+def _changed(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
+    return zstandard.compress(change(zstandard.decompress(data)))
+
+
 def _with_other_depth(depths: bytes) -> bytes:
     # The first return takes three bytes.
-    return depths[:5] + bytes([depths[5] ^ 2]) + depths[6:]
+    return _changed(depths, lambda data: data[:5] + bytes([data[5] ^ 2]) + data[6:])
 
 
 def _with_bit(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -127,10 +133,14 @@ def test_parts_that_do_not_belong_together_are_refused() -> None:
     for damaged, told in [
         (replace(stored, is_used=_with_bit(stored.is_used)), "returns in"),
         (replace(stored, is_used=stored.is_used[1:]), "marks of"),
-        (replace(stored, depths=stored.depths[1:]), "returns in"),
+        (replace(stored, depths=_changed(stored.depths, lambda data: data[1:])), "returns in"),
+        (replace(stored, depths=stored.depths[1:]), "cannot be unpacked|more than"),
+        (replace(stored, depths=stored.depths[:-1]), "cannot be unpacked"),
+        (replace(stored, depths=zstandard.compress(bytes(1 << 20))), "a frame of more than"),
         (replace(stored, depths=_with_other_depth(stored.depths)), "other points"),
-        (replace(stored, colors=stored.colors[:, 1:]), "colours of"),
-        (replace(stored, colors=np.tile(stored.colors, 2)), "colours of"),
+        (replace(stored, colors=_changed(stored.colors, lambda data: data[3:])), "colours of"),
+        (replace(stored, colors=_changed(stored.colors, lambda data: data[1:])), "reshape"),
+        (replace(stored, colors=_changed(stored.colors, lambda data: data + b"abc")), "colours of"),
         (replace(stored, packed=(replace(first, place=2), second)), "more than 2 observations"),
         (replace(stored, packed=(replace(first, place=-1), second)), "more than 2 observations"),
         (replace(stored, packed=(replace(first, voxel_m=0.0), second)), "voxels of 0"),

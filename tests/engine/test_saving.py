@@ -75,3 +75,31 @@ def test_a_submap_that_only_moved_has_its_files_without_its_voxels_being_asked_f
 def never_asked(name: str) -> np.ndarray:
     """Voxels that nobody may ask for."""
     raise AssertionError(f"{name} was read")
+
+
+def test_points_that_are_made_of_the_same_are_neither_made_nor_written_again() -> None:
+    asked: list[str] = []
+    cloud, other_cloud = object(), object()
+    first, *others = SNAPSHOT.objects
+
+    def made_of(of: object, sightings: int) -> MapSnapshot:
+        one = replace(first, sightings=sightings)
+
+        def make(name: str) -> np.ndarray:
+            asked.append(name)
+            return getattr(first, name)
+
+        give_up(one, make, "points_world", "colors", of=(of,))
+        return replace(SNAPSHOT, objects=(one, *others))
+
+    encoder, new = SnapshotEncoder(), dict[str, bytes]()
+    encoder.encoded(made_of(cloud, 5), new.__setitem__)
+    assert sorted(asked) == ["colors", "points_world"]
+    asked.clear()
+    new.clear()
+    later = encoder.encoded(made_of(cloud, 6), new.__setitem__)
+    assert (asked, new, later.gone) == ([], {}, frozenset())
+    expected, _ = encode_snapshot(replace(SNAPSHOT, objects=(replace(first, sightings=6), *others)))
+    assert later.document == dumps_exactly(expected).encode()
+    encoder.encoded(made_of(other_cloud, 6), new.__setitem__)
+    assert sorted(asked) == ["colors", "points_world"]

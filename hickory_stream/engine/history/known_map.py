@@ -19,7 +19,7 @@ from hickory_stream.geometry.made_arrays import read_parts
 from hickory_stream.records import MapSnapshot, PoseGraphRecord, Submap, TrackedObject
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from hickory_stream.engine.journal import Journal
     from hickory_stream.engine.known_records import Place
@@ -30,8 +30,10 @@ _POINTS, _SPACE = ("points_world", "colors"), ("free", "structure")
 _REST = tuple(f.name for f in fields(TrackedObject) if f.name not in ("id", *_POINTS))
 
 
-def known_map(journal: Journal, index: int, config: MappingConfig) -> MapSnapshot | None:
+def known_map(journal: Journal, index: int, config: Callable[[], MappingConfig]) -> MapSnapshot | None:
     """Return the map after a step; None where the journal, an older one, has no records of it.
+
+    `config` is asked for when the core is to be given the events.
 
     Raises:
         MapFolderError: the journal is damaged; also from whatever of the map is looked at later.
@@ -52,7 +54,7 @@ def known_map(journal: Journal, index: int, config: MappingConfig) -> MapSnapsho
 class _Records:
     """Reads the records of the map after one step."""
 
-    def __init__(self, journal: Journal, index: int, config: MappingConfig) -> None:
+    def __init__(self, journal: Journal, index: int, config: Callable[[], MappingConfig]) -> None:
         self._journal = journal
         self._index = index
         self._config = config
@@ -101,7 +103,7 @@ class _Records:
         """Return the map as the core makes it of the events."""
         with self._lock:
             if self._replayed is None:
-                replay = Replay(self._journal, self._config, reads_later=True)
+                replay = Replay(self._journal, self._config(), reads_later=True)
                 replay.seek(self._index)
                 self._replayed = replay.snapshot()
             return self._replayed

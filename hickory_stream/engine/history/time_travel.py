@@ -14,8 +14,8 @@ import numpy as np
 
 from hickory_stream.engine.history.core_replay import Replay
 from hickory_stream.engine.history.known_map import known_map
-from hickory_stream.engine.history.recorded_config import recorded_config
 from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.manifest import read_manifest
 from hickory_stream.errors import InputError
 from hickory_stream.records import MapSnapshot, PoseGraphRecord
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.config import MapperConfig
     from hickory_stream.records import TrackedObject
 
 ChangeKind = Literal["appeared", "new", "merged", "dropped", "gone", "moved", "better view", "shape changed"]
@@ -62,11 +63,11 @@ def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
     index = step_at(journal.stamps_ns, stamp_ns)
     if index is None:
         return MapSnapshot(revision=0, stamp_ns=stamp_ns, submaps=(), objects=())
-    config = recorded_config(path).mapping
-    known = known_map(journal, index, config)
+    read_manifest(path)
+    known = known_map(journal, index, lambda: _config_of(path).mapping)
     if known is not None:
         return known
-    replay = Replay(journal, config, reads_later=True)
+    replay = Replay(journal, _config_of(path).mapping, reads_later=True)
     replay.seek(index)
     return replay.snapshot()
 
@@ -111,7 +112,7 @@ def stamp_of(path: Path, text: str) -> int:
         stamps_ns = journal.stamps_ns
     if len(stamps_ns) == 0:
         raise InputError(f"{path} knows nothing yet: its run ended before the first keyframe")
-    clock_s = own_clock_s(stamps_ns, recorded_config(path).run.time_jump_s)
+    clock_s = own_clock_s(stamps_ns, _config_of(path).run.time_jump_s)
     expected = f"seconds from 0 to {clock_s[-1]:.3f}, or a stamp with {_NS}, up to {stamps_ns.max()}{_NS}"
     try:
         value = int(text.removesuffix(_NS)) if text.endswith(_NS) else float(text)
@@ -124,6 +125,13 @@ def stamp_of(path: Path, text: str) -> int:
     if not 0 <= value <= clock_s[-1] + 0.0005:
         raise InputError(f"found the time {text}, expected {expected}")
     return int(stamps_ns[int(np.searchsorted(clock_s, value + 0.0005, side="right")) - 1])
+
+
+def _config_of(path: Path) -> MapperConfig:
+    # The configuration takes in perception and shapes: importing these takes longer than reading what was known.
+    from hickory_stream.engine.history.recorded_config import recorded_config
+
+    return recorded_config(path)
 
 
 def own_clock_s(stamps_ns: NDArray[np.int64], time_jump_s: float) -> NDArray[np.float64]:

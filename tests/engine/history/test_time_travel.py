@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -68,6 +70,20 @@ def test_the_map_at_every_keyframe_is_exactly_the_one_that_was_published_then(wa
         assert map_digest(watched.saved.as_known_at(report.stamp_ns)) == map_digest(report.snapshot)
         between = watched.saved.as_known_at(report.stamp_ns + PERIOD_NS // 2)
         assert map_digest(between) == map_digest(report.snapshot)
+
+
+def test_to_look_back_takes_neither_perception_nor_shapes(watched: Watched) -> None:
+    code = (
+        "import sys; from pathlib import Path; from hickory_stream.engine.saved_map import open_map; "
+        f"known = open_map(Path(sys.argv[1])).as_known_at({watched.reports[4].stamp_ns}); "
+        "print(len([one.box for one in known.objects]), *(name for name in sys.modules if name in sys.argv[2:]))"
+    )
+    heavy = [f"hickory_stream.{name}" for name in ("perception.perceive", "shapes.build", "config")]
+    folder = str(watched.run.folder.path)
+    done = subprocess.run([sys.executable, "-c", code, folder, *heavy], capture_output=True, text=True, check=True)
+    expected = watched.reports[4].snapshot
+    assert expected is not None
+    assert done.stdout.split() == [str(len(expected.objects))]
 
 
 def test_the_map_at_the_end_is_the_finished_one_and_before_the_start_it_is_empty(watched: Watched) -> None:
