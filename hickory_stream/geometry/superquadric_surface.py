@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
@@ -134,12 +135,7 @@ def _patches(
     reach = float(portable.hypot(x * axes[0], y * axes[1]).max())
     x, y = _evenly(x, y, _arc(x * axes[0], y * axes[1]), steps_around)
     radius, z = _evenly(radius, z, _arc(radius * reach, z * axes[2]), steps_upwards)
-    corners = (
-        np.stack([np.outer(radius, x), np.outer(radius, y), np.repeat(z[:, None], len(x), axis=1)], axis=-1) * axes
-    )
-    a, b, c, d = corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]
-    areas = np.linalg.norm(np.cross(c - a, d - b), axis=-1).ravel() / 2
-    middles = ((a + b + c + d) / 4).reshape(-1, 3)
+    middles, areas = _patches_of_octant(x, y, radius, z, np.array(axes))
     signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
     return (signs[:, None] * middles[None]).reshape(-1, 3), np.tile(areas, len(signs))
 
@@ -160,16 +156,48 @@ def _evenly(
 def _along_curve(points: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the places of (N, 3) points along Morton's space-filling curve."""
     low = points.min(axis=0)
-    cells = ((points - low) / max(float(np.ptp(points, axis=0).max()), _TINY) * 1023).astype(np.int64)
-    return _spread(cells[:, 0]) | _spread(cells[:, 1]) << 1 | _spread(cells[:, 2]) << 2
+    return np.asarray(_places(points, low, max(float((points.max(axis=0) - low).max()), _TINY)))
 
 
-def _spread(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return numbers of 10 bits with two zeros after each bit."""
-    out = numbers
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        out = (out | out << shift) & mask
+@numba.njit(cache=True, nogil=True)
+def _places(points, low, extent):  # type: ignore[no-untyped-def] # pragma: no cover
+    out = np.zeros(len(points), np.int64)
+    for n in range(len(points)):
+        for axis in range(3):
+            # 10 bits, with two zeros after each.
+            bits = np.int64((points[n, axis] - low[axis]) / extent * 1023.0)
+            bits = (bits | bits << 16) & 0x030000FF
+            bits = (bits | bits << 8) & 0x0300F00F
+            bits = (bits | bits << 4) & 0x030C30C3
+            bits = (bits | bits << 2) & 0x09249249
+            out[n] |= bits << axis
     return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _patches_of_octant(x, y, radius, z, axes):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N, 3) the middles and (N,) the areas of the patches between points of both outlines."""
+    count = (len(radius) - 1) * (len(x) - 1)
+    middles, areas = np.empty((count, 3)), np.empty(count)
+    corners, across, along = np.empty((4, 3)), np.empty(3), np.empty(3)
+    n = 0
+    for ring in range(len(radius) - 1):
+        for step in range(len(x) - 1):
+            for c in range(4):
+                i, j = ring + (1 if c > 1 else 0), step + (1 if c in (1, 2) else 0)
+                corners[c, 0] = radius[i] * x[j] * axes[0]
+                corners[c, 1] = radius[i] * y[j] * axes[1]
+                corners[c, 2] = z[i] * axes[2]
+            for axis in range(3):
+                across[axis] = corners[2, axis] - corners[0, axis]
+                along[axis] = corners[3, axis] - corners[1, axis]
+                middles[n, axis] = (corners[0, axis] + corners[1, axis] + corners[2, axis] + corners[3, axis]) / 4.0
+            a = across[1] * along[2] - across[2] * along[1]
+            b = across[2] * along[0] - across[0] * along[2]
+            c = across[0] * along[1] - across[1] * along[0]
+            areas[n] = np.sqrt(a * a + b * b + c * c) / 2.0
+            n += 1
+    return middles, areas
 
 
 def _unit_curve(angles: NDArray[np.float64], exponent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

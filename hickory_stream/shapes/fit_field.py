@@ -8,11 +8,12 @@ import numpy as np
 from scipy import ndimage
 
 from hickory_stream.compiled import numba
-from hickory_stream.geometry.portable_kernels import exp, exp_each, log, log1p, power
-from hickory_stream.shapes.quadric_lm import lm_fit, tangent_distance
+from hickory_stream.geometry.portable_kernels import exp, exp_each, log
+from hickory_stream.shapes.occupancy import distance_bound, inscribed, occupancies, occupancy
+from hickory_stream.shapes.quadric_lm import lm_fit
 from hickory_stream.shapes.seeds import chessboard_depth
 from hickory_stream.shapes.tangent_planes import BLOCK, DISTANCE, X, Y, Z, distances_of, fill_distances, new_block
-from hickory_stream.shapes.thinning import thinned
+from hickory_stream.shapes.thinning import share_of, thinned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -104,7 +105,7 @@ class FitField:
         low, high = self._window(row, 1.0)
         key = row.tobytes()
         if key not in self._occupancies:
-            self._occupancies[key] = _occupancies(row, low, high)
+            self._occupancies[key] = occupancies(row, low, high)
         part = self._covered[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
         np.maximum(part, self._occupancies[key], out=part)
         self._speaking = None
@@ -150,100 +151,49 @@ def _window(row, margin, shape):  # type: ignore[no-untyped-def] # pragma: no co
 
 
 @numba.njit(cache=True, nogil=True)
-def _occupancy(d):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the share of a cell within a primitive, linear near its surface."""
-    return min(max(0.5 - d, 0.0), 1.0)
-
-
-@numba.njit(cache=True, nogil=True)
-def _distance(row, x, y, z, axes, within, local, gradient, shape):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the signed distance of a cell to a primitive; beyond half a cell no more than a lower bound of its size.
-
-    `axes` = exp(row[2:5]); `within` is the inscribed box, in shares of them.
-    """
-    d = _bound(row, x, y, z, axes, within)
-    if abs(d) > 0.5:
-        return d
-    # Inside, the distance to a tangent plane is no lower bound.
-    return max(tangent_distance(row, x, y, z, local, gradient, shape, False, 0.5), -0.5)
-
-
-@numba.njit(cache=True, nogil=True)
-def _bound(row, x, y, z, axes, within):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return a bound of a cell's distance without logarithms: beyond half a cell, in or out; 0 if there is none."""
-    dx, dy, dz = x - row[5], y - row[6], z - row[7]
-    u = abs(row[8] * dx + row[11] * dy + row[14] * dz)
-    v = abs(row[9] * dx + row[12] * dy + row[15] * dz)
-    w = abs(row[10] * dx + row[13] * dy + row[16] * dz)
-    # Most cells need no logarithm: outside the box is outside; deep in the inscribed box or octahedron (exponents up
-    # to 1, ellipsoid) is inside. A gauge changes by at most 1 / inradius per cell.
-    outside = max(u - axes[0], v - axes[1], w - axes[2])
-    if outside > 0.5:
-        return outside
-    inside = min(within * axes[0] - u, within * axes[1] - v, within * axes[2] - w)
-    u, v, w = u / axes[0], v / axes[1], w / axes[2]
-    smallest = min(axes[0], axes[1], axes[2])
-    if row[0] <= 1.0 and row[1] <= 1.0:
-        inside = max(inside, (1.0 - np.sqrt(u * u + v * v + w * w)) * smallest)
-    else:
-        inside = max(inside, (1.0 - u - v - w) * smallest / 1.7320508)
-    return -inside if inside > 0.5 else 0.0
-
-
-@numba.njit(cache=True, nogil=True)
-def _inscribed(row):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return s such that the box of s times the semi-axes touches the primitive with its corners."""
-    return exp(-0.5 * row[0] * log1p(power(2.0, row[1] / row[0])))
-
-
-@numba.njit(cache=True, nogil=True)
-def _occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
-    out = np.empty((high[0] - low[0], high[1] - low[1], high[2] - low[2]), np.float32)
-    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
-    axes, within = exp_each(row[2:5]), _inscribed(row)
-    for i in range(low[0], high[0]):
-        for j in range(low[1], high[1]):
-            k = low[2]
-            while k < high[2]:
-                d = _distance(row, i, j, k, axes, within, local, gradient, shape)
-                # Between adjacent cells the distance changes by at most 1: cells after a far one can be skipped.
-                end = min(k + 1 + int(max(abs(d) - 0.5, 0.0)), high[2])
-                out[i - low[0], j - low[1], k - low[2] : end - low[2]] = _occupancy(d)
-                k = end
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
 def _gain(inside, covered, row, max_samples, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
     low, high = _window(row, 1.0, inside.shape)
     stride = max((high[0] - low[0]) * (high[1] - low[1]) * (high[2] - low[2]) // max_samples, 1) | 1
-    axes, within = exp_each(row[2:5]), _inscribed(row)
+    axes, within = exp_each(row[2:5]), inscribed(row)
     block = new_block()
     shares, befores = np.empty(BLOCK), np.empty(BLOCK)
     total, count = 0.0, 0
+    # Cells, which of them their bounds are enough for, and what is known of them.
+    cells, bounds = np.empty((3, BLOCK)), np.empty(BLOCK)
+    own, known = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
     size_y, size_z = high[1] - low[1], high[2] - low[2]
     size = (high[0] - low[0]) * size_y * size_z
-    for m in range((size + stride - 1) // stride):
-        # One cell of each stride, at an offset that does not alias with the rows of the window.
-        n = m * stride + int(stride * ((m * 0.6180339887498949) % 1.0))
-        if n >= size:
-            break
-        i = low[0] + n // (size_y * size_z)
-        j = low[1] + (n // size_z) % size_y
-        k = low[2] + n % size_z
-        before = covered[i, j, k]
-        if before >= 1.0:
-            continue
-        d = _bound(row, i, j, k, axes, within)
-        if abs(d) > 0.5:
-            total += _gain_of(d, inside[i, j, k], before, waste_weight)
-            continue
-        block[X + count], block[Y + count], block[Z + count] = i, j, k
-        shares[count], befores[count] = inside[i, j, k], before
-        count += 1
-        if count == BLOCK:
-            total += _gain_of_block(block, count, row, shares, befores, waste_weight)
-            count = 0
+    m, is_left = 0, True
+    while is_left:
+        num_cells = 0
+        while num_cells < BLOCK and is_left:
+            # One cell of each stride, at an offset that does not alias with the rows of the window.
+            n = m * stride + int(stride * share_of(m))
+            m += 1
+            is_left = m * stride < size
+            if n >= size:
+                break
+            line = n // size_z
+            i, k = line // size_y, low[2] + n - line * size_z
+            j = low[1] + line - i * size_y
+            i += low[0]
+            if covered[i, j, k] >= 1.0:
+                continue
+            cells[0, num_cells], cells[1, num_cells], cells[2, num_cells] = i, j, k
+            own[num_cells], known[num_cells] = inside[i, j, k], covered[i, j, k]
+            num_cells += 1
+        for n in range(num_cells):
+            bounds[n] = distance_bound(row, cells[0, n], cells[1, n], cells[2, n], axes, within)
+        for n in range(num_cells):
+            if abs(bounds[n]) > 0.5:
+                total += _gain_of(bounds[n], own[n], known[n], waste_weight)
+                continue
+            block[X + count], block[Y + count], block[Z + count] = cells[0, n], cells[1, n], cells[2, n]
+            shares[count], befores[count] = own[n], known[n]
+            count += 1
+            if count == BLOCK:
+                total += _gain_of_block(block, count, row, shares, befores, waste_weight)
+                count = 0
     total += _gain_of_block(block, count, row, shares, befores, waste_weight)
     return total * stride
 
@@ -262,7 +212,7 @@ def _gain_of_block(block, count, row, shares, befores, waste_weight):  # type: i
 @numba.njit(cache=True, nogil=True)
 def _gain_of(d, share, before, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the gain of one cell at a distance `d`, of which the object fills a `share` and `before` is covered."""
-    after = max(_occupancy(d), before)
+    after = max(occupancy(d), before)
     more = min(after, share) - min(before, share)
     return more - waste_weight * (max(after - share, 0.0) - max(before - share, 0.0))
 

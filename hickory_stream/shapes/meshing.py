@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from hickory_stream.compiled import numba
@@ -15,6 +14,7 @@ from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import Reconstruction
 from hickory_stream.shapes.blur import gaussian_blurred
+from hickory_stream.shapes.rough_distance import rough_distance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from hickory_stream.shapes.tsdf import Evidence, VoxelGrid
 
 _GREY = (150, 150, 150)
+# The surface depends on the cells beside it, and their blurred values on those up to four cells away along each axis:
+# none of them is farther from the solid's boundary than 5 sqrt 3 cells.
+_REACH = 9
 
 
 def surface_field(solid: NDArray[np.bool_], evidence: Evidence) -> NDArray[np.float32]:
@@ -31,8 +34,7 @@ def surface_field(solid: NDArray[np.bool_], evidence: Evidence) -> NDArray[np.fl
     Where the surface was measured the field is the measured distance; elsewhere it is the distance to the completed
     solid, smoothed. It is never exactly zero on a voxel, so that its level set is a closed manifold.
     """
-    distance = ndimage.distance_transform_edt(~solid) - ndimage.distance_transform_edt(solid)
-    rough = (distance - np.sign(distance) * 0.5).astype(np.float32)
+    rough = rough_distance(solid, _REACH)
     smooth = gaussian_blurred(rough, 1.0, mode="nearest")
     measured = (evidence.near > evidence.free) & (np.abs(evidence.distance) < 1.0) & ((evidence.distance <= 0) == solid)
     # Where both are known, the nearer surface counts: a measured front must not move the completed back.

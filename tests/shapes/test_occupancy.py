@@ -1,0 +1,45 @@
+"""The cells that a superquadric fills: by the distances of `tangent_distance`, to the last bit."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.shapes.occupancy import distance_bound, inscribed, occupancies, occupancy
+from hickory_stream.shapes.quadric_lm import row_of, tangent_distance
+from tests.strategies import rotations
+
+_LOW, _HIGH = np.array([-9, -9, -9]), np.array([10, 10, 10])
+
+
+def occupancies_one_by_one(row: np.ndarray) -> np.ndarray:
+    """Return the same cell by cell: what follows a cell far away is as it is."""
+    axes, within = np.exp(row[2:5]), inscribed(row)
+    local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
+    out = np.empty(_HIGH - _LOW, np.float32)
+    for i, j in np.ndindex(*out.shape[:2]):
+        k = 0
+        while k < out.shape[2]:
+            x, y, z = np.array([i, j, k]) + _LOW
+            d = distance_bound(row, x, y, z, axes, within)
+            if abs(d) <= 0.5:
+                d = max(tangent_distance(row, x, y, z, local, gradient, shape, False, 0.5), -0.5)
+            end = k + 1 + int(max(abs(d) - 0.5, 0.0))
+            out[i, j, k:end] = occupancy(d)
+            k = end
+    return out
+
+
+@given(st.floats(0.1, 2.0), st.floats(0.1, 2.0), rotations(), st.tuples(*[st.floats(0.3, 8.0)] * 3))
+def test_shares_of_a_block_are_those_of_each_cell(
+    e1: float, e2: float, rotation: np.ndarray, axes: tuple[float, float, float]
+) -> None:
+    row = row_of((e1, e2), np.array(axes), np.array([0.3, -0.6, 0.1]), rotation)
+    assert np.array_equal(occupancies(row, _LOW, _HIGH), occupancies_one_by_one(row))
+
+
+def test_a_box_fills_its_volume() -> None:
+    row = row_of((0.1, 0.1), np.array([5.0, 3.0, 2.5]), np.zeros(3), np.eye(3))
+    filled = occupancies(row, _LOW, _HIGH)
+    assert filled.dtype == np.float32
+    assert abs(filled.sum() - 10 * 6 * 5) < 0.06 * 10 * 6 * 5
+    assert (filled[4 + 9 - 1, 9, 9], filled[7 + 9, 9, 9]) == (1.0, 0.0)
