@@ -23,6 +23,7 @@ from numba.core import event
 
 from hickory_stream import compiling
 from hickory_stream.caches import cache_folder, cache_root, mark_used, wanted_root
+from hickory_stream.kernel_loading import load_lazily
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -151,3 +152,4 @@ if not numba.config.CACHE_LOCATOR_CLASSES:
         "IPythonCacheLocator,ZipCacheLocator"
     )
 event.register("numba:compile", _Compiles())
+load_lazily()

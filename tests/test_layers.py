@@ -19,7 +19,7 @@ LAYERS = (
     ("hickory_stream.errors", "hickory_stream.confined"),
     (
         "hickory_stream.ranges+hickory_stream.config_text+hickory_stream.json_text+hickory_stream.terminal+hickory_stream.html_page",
-        "hickory_stream.caches+hickory_stream.compiling+hickory_stream.compiled",
+        "hickory_stream.caches+hickory_stream.compiling+hickory_stream.kernel_loading+hickory_stream.compiled",
     ),
     ("hickory_stream.geometry",),
     ("hickory_stream.records+hickory_stream.events",),

@@ -1,0 +1,61 @@
+"""Loading of compiled kernels without what only a compiler needs of them.
+
+Beside its machine code numba keeps a kernel's bitcode, for kernels that call it and are compiled later. It parses that
+whenever it loads one, and lists all symbols in it: a third of what loading takes. Here that waits until somebody asks.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import binding
+from numba.core import codegen
+
+_WAITING = "_hickory_bitcode"
+# The entry point of a kernel, which its machine code has.
+_ENTRY = "_ZN7cpython"
+
+
+def load_lazily() -> None:
+    """Have numba load kernels so, from now on; where it is built otherwise than it was, it loads as it does."""
+    library = getattr(codegen, "JITCodeLibrary", None)
+    needed = ("_unserialize", "_set_compiled_object", "_finalize_final_module", "_get_module_for_linking")
+    if library is None or not all(hasattr(library, name) for name in (*needed, "get_pointer_to_function")):
+        return
+    whole_unserialize = library._unserialize.__func__
+    whole_module = library._get_module_for_linking
+    whole_pointer = library.get_pointer_to_function
+
+    def unserialize(cls: Any, generator: Any, state: Any) -> Any:
+        name, kind, data = state
+        if kind != "object":
+            return whole_unserialize(cls, generator, state)
+        machine_code, bitcode = data
+        own = generator.create_library(name)
+        own.enable_object_caching()
+        own._set_compiled_object(machine_code)
+        own._finalize_final_module()
+        setattr(own, _WAITING, bitcode)
+        return own
+
+    def module_for_linking(self: Any) -> Any:
+        _parse(self)
+        return whole_module(self)
+
+    def pointer_to_function(self: Any, name: str) -> Any:
+        if name.startswith(_ENTRY) and hasattr(self, _WAITING):
+            return self._codegen._engine.get_function_address(name)
+        _parse(self)
+        return whole_pointer(self, name)
+
+    library._unserialize = classmethod(unserialize)
+    library._get_module_for_linking = module_for_linking
+    library.get_pointer_to_function = pointer_to_function
+
+
+def _parse(library: Any) -> None:
+    """Do for a library what was left out when it was loaded."""
+    bitcode = library.__dict__.pop(_WAITING, None)
+    if bitcode is not None:
+        library._shared_module = binding.parse_bitcode(bitcode)
+        library._codegen._engine._load_defined_symbols(library._shared_module)
