@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.canonical import canonical
@@ -27,6 +26,7 @@ from hickory_stream.shapes.fit_field import FitField
 from hickory_stream.shapes.frame import object_axes
 from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplified
 from hickory_stream.shapes.panels import panels, sheet_thickness
+from hickory_stream.shapes.pieces import pieces_of
 from hickory_stream.shapes.quadric_lm import ROW, row_of
 from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
 from hickory_stream.shapes.seeds import chessboard_depth, grown_box, principal_axes
@@ -342,17 +342,15 @@ def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
     """Return starts from the largest components of the unexplained volume, and from boxes grown in deep cells."""
     left = field.left
     first_cell, left = _cropped(left)
-    labels, count = ndimage.label(left)
+    labels, sizes, bounds = pieces_of(left)
+    count = len(sizes) - 1
     if count == 0:
         return []
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
     starts = []
-    windows = ndimage.find_objects(labels)
     depth = chessboard_depth(left)
     for label in np.argsort(-sizes, kind="stable")[: min(count, num_seeds)]:
-        window = windows[label - 1]
-        first = np.array([part.start for part in window]) + first_cell
+        window = tuple(slice(start, stop) for start, stop in bounds[label].T)
+        first = bounds[label, 0] + first_cell
         mine = labels[window] == label
         starts += _component_starts(np.argwhere(mine) + first)
         depth_here = depth[window] * mine
@@ -379,7 +377,7 @@ def _cropped(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bo
             return first, cells[:0]
         first[axis] = max(int(used[0]) - 1, 0)
         window.append(slice(int(first[axis]), int(used[-1]) + 2))
-    return first, cells[tuple(window)]
+    return first, np.ascontiguousarray(cells[tuple(window)])
 
 
 def _best_by_gain(

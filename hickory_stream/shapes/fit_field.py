@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.portable_kernels import exp, exp_each, log
 from hickory_stream.shapes.occupancy import distance_bound, inscribed, occupancies, occupancy
+from hickory_stream.shapes.pieces import piece_around
 from hickory_stream.shapes.quadric_lm import lm_fit
 from hickory_stream.shapes.seeds import chessboard_depth
 from hickory_stream.shapes.tangent_planes import BLOCK, DISTANCE, X, Y, Z, distances_of, fill_distances, new_block
@@ -91,8 +91,10 @@ class FitField:
         farthest = np.unravel_index(int(np.argmax(reach)), reach.shape)
         if reach[farthest] < min_reach:
             return None
-        labels, _ = ndimage.label((self._distance < 0) & (reach > 1.0))
-        return np.argwhere(labels == labels[farthest])
+        i, j, k = (int(n) for n in farthest)
+        is_reaching = (self._distance < 0) & (reach > 1.0)
+        # Whatever does not reach so far itself is one with all that does not.
+        return np.argwhere(piece_around(is_reaching, i, j, k) if is_reaching[farthest] else ~is_reaching)
 
     def cover_with(self, rows: list[NDArray[np.float64]]) -> None:
         """Set the cover to that of exactly these primitives."""

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 # The exponents of the simple shapes, and the number of distinct cyclic orders of their axes: one for a box.
 _SIMPLE = ((0.1, 0.1, 1), (1.0, 1.0, 1), (0.1, 1.0, 3), (2.0, 1.0, 3))
 _FINALISTS = 3
+# The cyclic orders of the axes.
+_TURNS = np.array([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 
 
 def jointly_refined(
@@ -123,8 +125,9 @@ def _stays(row: NDArray[np.float64], before: NDArray[np.float64]) -> bool:
 def _turned(row: NDArray[np.float64], turn: int) -> NDArray[np.float64]:
     """Return a row with its axes in another cyclic order: the same box, another axis for a cylinder."""
     out = row.copy()
-    out[2:5] = np.roll(row[2:5], turn)
-    out[8:17] = np.roll(row[8:17].reshape(3, 3), turn, axis=1).ravel()
+    order = _TURNS[turn]
+    out[2:5] = row[2:5][order]
+    out[8:17] = row[8:17].reshape(3, 3)[:, order].ravel()
     return out
 
 

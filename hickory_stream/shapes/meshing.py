@@ -97,11 +97,12 @@ def painted(
         weight[here] += weights
     is_seen = weight > 0
     colors = total / np.maximum(weight, 1e-12)[:, None]
-    if len(points_world):
-        near, which = cKDTree(points_world).query(vertices, distance_upper_bound=reach_m)
-        found = np.isfinite(near) & ~is_seen
-        colors[found] = point_colors[which[found]]
-        is_seen |= found
+    unseen = np.flatnonzero(~is_seen)
+    if len(points_world) and len(unseen):
+        near, which = cKDTree(points_world).query(vertices[unseen], distance_upper_bound=reach_m)
+        is_found = np.isfinite(near)
+        colors[unseen[is_found]] = point_colors[which[is_found]]
+        is_seen[unseen[is_found]] = True
     if is_seen.any() and not is_seen.all():
         _, nearest = cKDTree(vertices[is_seen]).query(vertices[~is_seen])
         colors[~is_seen] = colors[is_seen][nearest]

@@ -13,14 +13,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import diagonalise
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, joined, moved, volumes_m3
 from hickory_stream.shapes.around import around_all, surface_samples
 from hickory_stream.shapes.frame import object_axes
+from hickory_stream.shapes.pieces import joined_faces
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -191,10 +192,32 @@ def _box(corners: NDArray[np.float64], thickness: float) -> tuple[NDArray[np.flo
 
     The box is larger by the thickness, so that the two sides of a panel are not worth a box each.
     """
-    points = corners.reshape(-1, 3)
-    off = points - points.mean(axis=0)
-    _, axes = portable.eigh(portable.matmul(off.T, off))
-    return np.ptp(portable.matmul(off, axes), axis=0) + thickness, axes
+    extents, axes = _principal_box(np.ascontiguousarray(corners).reshape(-1, 3))
+    return extents + thickness, axes
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _principal_box(points):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the extents of (N, 3) points along their principal axes, and these, the longest one last."""
+    middle, products, axes = np.zeros(3), np.zeros((3, 3)), np.empty((3, 3))
+    for n in range(len(points)):
+        for i in range(3):
+            middle[i] += points[n, i]
+    middle /= len(points)
+    for n in range(len(points)):
+        x, y, z = points[n, 0] - middle[0], points[n, 1] - middle[1], points[n, 2] - middle[2]
+        off = (x, y, z)
+        for i in range(3):
+            for j in range(3):
+                products[i, j] += off[i] * off[j]
+    diagonalise(products, axes)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for n in range(len(points)):
+        x, y, z = points[n, 0] - middle[0], points[n, 1] - middle[1], points[n, 2] - middle[2]
+        for i in range(3):
+            along = x * axes[0, i] + y * axes[1, i] + z * axes[2, i]
+            low[i], high[i] = min(low[i], along), max(high[i], along)
+    return high - low, axes
 
 
 def _cut(parts: list[_Part], corners: NDArray[np.float64], most: int) -> list[_Part]:
@@ -238,19 +261,10 @@ def _joined(
     places: NDArray[np.float64], faces: NDArray[np.integer], *, closed_only: bool = True
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the same of faces that are joined where they share a vertex."""
-    first, second = faces.ravel(), faces[:, [1, 2, 0]].ravel()
-    links = coo_array((np.ones(len(first), bool), (first, second)), shape=(len(places), len(places)))
-    _, label = connected_components(links, directed=False)
-    _, body = np.unique(label[faces[:, 0]], return_inverse=True)
-    # In a closed body each edge is as often passed one way as the other.
-    both = first * len(places) + second
-    back = second * len(places) + first
-    values, index = np.unique(np.concatenate([both, back]), return_inverse=True)
-    balance = np.bincount(index[: len(both)], minlength=len(values)) - np.bincount(
-        index[len(both) :], minlength=len(values)
-    )
+    piece, is_open_face = joined_faces(np.ascontiguousarray(faces, np.int64), len(places))
+    _, body = np.unique(piece, return_inverse=True)
     is_open = np.zeros(body.max() + 1, bool)
-    is_open[np.repeat(body, 3)[balance[index[: len(both)]] != 0]] = True
+    is_open[body[is_open_face]] = True
     corners = places[faces]
     if not closed_only:
         # About the middle of each body, where what is open lacks least.

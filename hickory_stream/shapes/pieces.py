@@ -1,0 +1,126 @@
+"""Connected pieces: of cells that touch by a face, and of triangles that share a vertex."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hickory_stream.compiled import numba
+
+
+@numba.njit(cache=True, nogil=True)
+def pieces_of(cells):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the pieces of the set ones of (nx, ny, nz) cells, numbered from 1 in the order of their first cells.
+
+    They are int32 labels of the cells, 0 for what is not set, (N + 1,) sizes, and (N + 1, 2, 3) first cells and ends of
+    the pieces' bounds; what is not set has size 0.
+    """
+    labels = np.zeros(cells.shape, np.int32)
+    stack = np.empty(cells.size, np.int64)
+    most = 16
+    sizes, bounds = np.zeros(most, np.int64), np.zeros((most, 2, 3), np.int64)
+    count = 0
+    for i in range(cells.shape[0]):
+        for j in range(cells.shape[1]):
+            for k in range(cells.shape[2]):
+                if not cells[i, j, k] or labels[i, j, k] != 0:
+                    continue
+                count += 1
+                if count == most:
+                    sizes = np.concatenate((sizes, np.zeros(most, np.int64)))
+                    bounds = np.concatenate((bounds, np.zeros((most, 2, 3), np.int64)))
+                    most *= 2
+                sizes[count] = _flood(cells, labels, stack, (i, j, k), count, bounds[count])
+    return labels, sizes[: count + 1].copy(), bounds[: count + 1].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def piece_around(cells, i, j, k):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return whether each of (nx, ny, nz) cells is in the piece of a set one."""
+    labels = np.zeros(cells.shape, np.int32)
+    _flood(cells, labels, np.empty(cells.size, np.int64), (i, j, k), 1, np.empty((2, 3), np.int64))
+    return labels == 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _flood(cells, labels, stack, seed, label, bounds):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Label the piece of a set cell, and fill in its bounds; return its size."""
+    nx, ny, nz = cells.shape
+    labels[seed] = label
+    stack[0] = (seed[0] * ny + seed[1]) * nz + seed[2]
+    waiting, size = 1, 0
+    for axis in range(3):
+        bounds[0, axis], bounds[1, axis] = seed[axis], seed[axis] + 1
+    while waiting > 0:
+        waiting -= 1
+        line, k = stack[waiting] // nz, stack[waiting] % nz
+        i, j = line // ny, line % ny
+        size += 1
+        bounds[0, 0], bounds[1, 0] = min(bounds[0, 0], i), max(bounds[1, 0], i + 1)
+        bounds[0, 1], bounds[1, 1] = min(bounds[0, 1], j), max(bounds[1, 1], j + 1)
+        bounds[0, 2], bounds[1, 2] = min(bounds[0, 2], k), max(bounds[1, 2], k + 1)
+        for u, v, w in ((i - 1, j, k), (i + 1, j, k), (i, j - 1, k), (i, j + 1, k), (i, j, k - 1), (i, j, k + 1)):
+            if 0 <= u < nx and 0 <= v < ny and 0 <= w < nz and cells[u, v, w] and labels[u, v, w] == 0:
+                labels[u, v, w] = label
+                stack[waiting] = (u * ny + v) * nz + w
+                waiting += 1
+    return size
+
+
+@numba.njit(cache=True, nogil=True)
+def joined_faces(faces, num_vertices):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the piece of each of (F, 3) faces, and whether one of its edges is passed more often one way.
+
+    A piece is called by the least of its vertices. In a closed piece each edge is as often passed one way as the other.
+    """
+    count = len(faces)
+    root = np.arange(num_vertices)
+    for f in range(count):
+        for c in range(2):
+            a, b = _root(root, faces[f, c]), _root(root, faces[f, c + 1])
+            root[max(a, b)] = min(a, b)
+    # The edges that leave each vertex, and those that reach it.
+    leaving, reaching = np.zeros(num_vertices + 1, np.int64), np.zeros(num_vertices + 1, np.int64)
+    for f in range(count):
+        for c in range(3):
+            leaving[faces[f, c] + 1] += 1
+            reaching[faces[f, (c + 1) % 3] + 1] += 1
+    leaving, reaching = np.cumsum(leaving), np.cumsum(reaching)
+    to, of, at_leaving, at_reaching = (
+        np.empty(3 * count, np.int64),
+        np.empty(3 * count, np.int64),
+        leaving.copy(),
+        reaching.copy(),
+    )
+    for f in range(count):
+        for c in range(3):
+            a, b = faces[f, c], faces[f, (c + 1) % 3]
+            to[at_leaving[a]], of[at_reaching[b]] = b, a
+            at_leaving[a] += 1
+            at_reaching[b] += 1
+    balance = np.zeros(num_vertices, np.int64)
+    is_open = np.zeros(num_vertices, np.bool_)
+    for a in range(num_vertices):
+        for n in range(leaving[a], leaving[a + 1]):
+            balance[to[n]] += 1
+        for n in range(reaching[a], reaching[a + 1]):
+            balance[of[n]] -= 1
+        for n in range(leaving[a], leaving[a + 1]):
+            if balance[to[n]] != 0:
+                is_open[_root(root, a)] = True
+        for n in range(leaving[a], leaving[a + 1]):
+            balance[to[n]] = 0
+        for n in range(reaching[a], reaching[a + 1]):
+            balance[of[n]] = 0
+    pieces, are_open = np.empty(count, np.int64), np.empty(count, np.bool_)
+    for f in range(count):
+        pieces[f] = _root(root, faces[f, 0])
+        are_open[f] = is_open[pieces[f]]
+    return pieces, are_open
+
+
+@numba.njit(cache=True, nogil=True)
+def _root(root, vertex):  # type: ignore[no-untyped-def] # pragma: no cover
+    while root[vertex] != vertex:
+        root[vertex] = root[root[vertex]]
+        vertex = root[vertex]
+    return vertex

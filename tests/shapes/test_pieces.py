@@ -1,0 +1,55 @@
+"""Connected pieces of cells and of triangles: those of SciPy's labels and components."""
+
+import numpy as np
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from hickory_stream.shapes.pieces import joined_faces, piece_around, pieces_of
+
+
+@given(st.integers(0, 1000), st.floats(0.2, 0.8), st.tuples(*[st.integers(1, 12)] * 3))
+def test_pieces_of_cells_are_labelled_in_their_order(seed: int, share: float, shape: tuple[int, int, int]) -> None:
+    cells = np.random.default_rng(seed).random(shape) < share
+    labels, sizes, bounds = pieces_of(cells)
+    truth, count = ndimage.label(cells)
+    assert np.array_equal(labels, truth)
+    assert sizes.tolist() == [0, *np.bincount(truth.ravel(), minlength=count + 1)[1:]]
+    windows = [tuple(slice(start, stop) for start, stop in part.T) for part in bounds[1:]]
+    assert windows == ndimage.find_objects(truth)
+    for cell in np.argwhere(cells)[:3]:
+        assert np.array_equal(piece_around(cells, *cell), truth == truth[tuple(cell)])
+
+
+def edges_by_count(faces: np.ndarray) -> dict[tuple[int, int], int]:
+    balance: dict[tuple[int, int], int] = {}
+    for face in faces.tolist():
+        for a, b in zip(face, face[1:] + face[:1], strict=True):
+            balance[a, b] = balance.get((a, b), 0) + 1
+            balance[b, a] = balance.get((b, a), 0) - 1
+    return balance
+
+
+@given(st.integers(0, 1000), st.integers(1, 40), st.integers(3, 30))
+def test_faces_are_joined_by_their_vertices_and_open_where_an_edge_is_not_passed_back(
+    seed: int, num_faces: int, num_vertices: int
+) -> None:
+    faces = np.random.default_rng(seed).integers(0, num_vertices, (num_faces, 3))
+    pieces, are_open = joined_faces(faces, num_vertices)
+    balance = edges_by_count(faces)
+    together = [set(face) for face in faces.tolist()]
+    for f in range(num_faces):
+        piece = set(faces[f].tolist())
+        while any(piece & other and not other <= piece for other in together):
+            piece = piece.union(*(other for other in together if piece & other))
+        assert pieces[f] == min(piece)
+        assert are_open[f] == any(count != 0 for (a, _), count in balance.items() if a in piece)
+
+
+def test_a_box_beside_one_without_a_face_is_closed() -> None:
+    box, other = trimesh.creation.box(), trimesh.creation.box()
+    faces = np.concatenate([box.faces, other.faces[1:] + len(box.vertices)])
+    pieces, are_open = joined_faces(faces.astype(np.int64), 2 * len(box.vertices))
+    assert np.unique(pieces).tolist() == [0, len(box.vertices)]
+    assert are_open.tolist() == [False] * 12 + [True] * 11
