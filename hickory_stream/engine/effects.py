@@ -42,10 +42,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class AtHand:
-    """The keyframe that an event is about: its pixels and observations, which some effects need."""
+    """The keyframe that an event is about: its pixels and observations, which some effects need.
+
+    `patches` (h, w, D) are the features of its colours; None where nobody found them ahead.
+    """
 
     frame: Frame
     observations: Sequence[Observation]
+    patches: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -147,6 +151,7 @@ class EffectRunner:
             at_hand.observations,
             effect.observation_indices,
             self._to.extractor,
+            at_hand.patches,
         )
         return FeaturesReady(frame_index=effect.frame_index, features=features), patches
 

@@ -9,6 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hickory_stream.engine.channel import Channel, ChannelClosed
 from hickory_stream.engine.pacing import Pacer
 from hickory_stream.engine.threads import on_thread
@@ -18,11 +20,13 @@ from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from numpy.typing import NDArray
+
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.modes import Mode
     from hickory_stream.engine.stopping import Stop
     from hickory_stream.geometry.depth_sensor import SensorConfig
-    from hickory_stream.ports import Segmenter, Source
+    from hickory_stream.ports import FeatureExtractor, Segmenter, Source
     from hickory_stream.records import Frame, RawFrame
 
 logger = logging.getLogger(__name__)
@@ -35,9 +39,9 @@ _LIVE_FRAMES = 32
 class Read:
     """One frame on its way.
 
-    `is_candidate`: stamps and poses make it a keyframe. In a playback it then comes with its `frame`, decoded, and what
-    was `prepared` of it; one that `is_torn` is no candidate. `counts` is what was lost since the frame before.
-    `arrived_s` is when it was there (monotonic).
+    `is_candidate`: stamps and poses make it a keyframe. In a playback it then comes with its `frame`, decoded, what was
+    `prepared` of it and its `patches`: the features (h, w, D) of its colours; one that `is_torn` is no candidate.
+    `counts` is what was lost since the frame before. `arrived_s` is when it was there (monotonic).
     """
 
     raw: RawFrame
@@ -46,6 +50,7 @@ class Read:
     is_candidate: bool
     frame: Frame | None = None
     prepared: object = None
+    patches: NDArray[np.float32] | None = None
     is_torn: bool = False
     counts: Mapping[str, int] = field(default_factory=dict)
     arrived_s: float = 0.0
@@ -69,9 +74,12 @@ class Reader:
     them, still compressed, the newest.
     """
 
-    def __init__(self, config: MapperConfig, segmenter: Segmenter, stop: Stop, *, mode: Mode) -> None:
+    def __init__(
+        self, config: MapperConfig, segmenter: Segmenter, extractor: FeatureExtractor, stop: Stop, *, mode: Mode
+    ) -> None:
         self._config = config
         self._segmenter = segmenter
+        self._extractor = extractor
         self._stop = stop
         self._mode = mode
         self._channel: Channel[Read] = (
@@ -132,13 +140,15 @@ class Reader:
                         continue
                     last_ns = raw.stamp_ns
                     await pacer.wait(raw.stamp_ns, self._stop.event)
-                    frame, prepared, is_torn = None, None, False
+                    frame, prepared, patches, is_torn = None, None, None, False
                     if is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
                         frame = await self._decoded(raw, index)
                         is_torn = frame is None
                     if frame is not None:
                         keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+                        # What needs no map: nearly every keyframe is asked for features, and the map waits for none.
                         prepared = await on_thread(self._thread, self._segmenter.prepare, frame)
+                        patches = await on_thread(self._thread, self._extractor.extract, np.asarray(frame.rgb))
                     read = Read(
                         raw=replace(raw, index=index),
                         round_index=round_index,
@@ -146,6 +156,7 @@ class Reader:
                         is_candidate=frame is not None,
                         frame=frame,
                         prepared=prepared,
+                        patches=patches,
                         is_torn=is_torn,
                         counts=dict(lost),
                         arrived_s=time.monotonic(),

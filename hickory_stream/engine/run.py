@@ -9,10 +9,10 @@
                    StepWriter <────── DueShapes
                         └──> Recorder (a thread) ──> journal, views
 
-`Reader` decides which frames may be keyframes and, in a playback, decodes those ahead; `Run` perceives a keyframe
-against the map as it is after the one before. `RunClock` knows where the run stands, `Stop` whether it is to end.
-Whatever takes longer than a millisecond runs on a thread or in a child. A playback waits wherever something is full; a
-live run never does: it maps the newest keyframe and counts what it left out.
+`Reader` decides which frames may be keyframes and, in a playback, decodes those ahead and finds what needs no map;
+`Run` perceives a keyframe against the map as it is after the one before. `RunClock` knows where the run stands, `Stop`
+whether it is to end. Whatever takes longer than a millisecond runs on a thread or in a child. A playback waits wherever
+something is full; a live run never does: it maps the newest keyframe and counts what it left out.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Run:
         self._parts = parts
         self._stop = Stop()
         self._clock = RunClock(config.run.time_jump_s)
-        self._reader = Reader(config, parts.segmenter, self._stop, mode=parts.mode)
+        self._reader = Reader(config, parts.segmenter, parts.extractor, self._stop, mode=parts.mode)
         self._choice = KeyframeChoice(parts.mode, config.keyframes)
         cache = ShapeCache(cache_folder("shapes"), generator_key(config)) if config.run.shape_cache else None
         self._shapes = ShapeQueue(folder, parts.workers, config.shapes, cache)
@@ -314,7 +314,7 @@ class Run:
         if not np.isfinite(frame.depth_m).any():
             self._clock.counts["keyframes_without_depth"] += 1
         seen = time.perf_counter()
-        at_hand = AtHand(frame=frame, observations=perceived.observations)
+        at_hand = AtHand(frame=frame, observations=perceived.observations, patches=read.patches)
         decided = await self._effects.decide(perceived.event(frame), at_hand)
         ended = time.perf_counter()
         times = {"wait_for_shapes": waited - started, "perceive": seen - waited, "decide": ended - seen}

@@ -112,8 +112,16 @@ def perceive(
 
 
 def features_of(
-    frame: Frame, observations: Sequence[Observation], indices: Sequence[int], extractor: FeatureExtractor
+    frame: Frame,
+    observations: Sequence[Observation],
+    indices: Sequence[int],
+    extractor: FeatureExtractor,
+    patches: NDArray[np.float32] | None = None,
 ) -> tuple[tuple[MaskFeature, ...], NDArray[np.float32]]:
-    """Return the pooled features of the observations at `indices`, and the (h, w, D) patches they were pooled from."""
-    patches = extractor.extract(np.asarray(frame.rgb))
+    """Return the pooled features of the observations at `indices`, and the (h, w, D) patches they were pooled from.
+
+    `patches` is what the extractor gave for this frame, None if it was not asked.
+    """
+    if patches is None:
+        patches = extractor.extract(np.asarray(frame.rgb))
     return tuple(mask_feature(observations[i], patches, extractor.patch_px) for i in indices), patches

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.engine.reading import sensed
+from hickory_stream.config import MapperConfig
+from hickory_stream.engine.reading import Position, Read, Reader, sensed
+from hickory_stream.engine.stopping import Stop
 from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig
+from hickory_stream.perception.descriptor import ColorTextureDescriptor
+from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.surface import Surface
 
 RAW = next(SceneSource(1).frames())
 FRAME = RAW.decode()
@@ -27,3 +34,27 @@ def test_a_configured_bias_takes_the_place_of_the_one_that_the_source_took_off()
     left = FRAME.depth_m - np.float32(0.02)
     np.testing.assert_allclose(frame.depth_m, np.where(left <= 2.5, left, np.nan), atol=1e-6)
     assert 0 < np.isfinite(frame.depth_m).mean() < np.isfinite(FRAME.depth_m).mean()
+
+
+def test_a_keyframe_of_a_playback_comes_with_all_that_needs_no_map() -> None:
+    reads = asyncio.run(_read(SceneSource(4)))
+    candidates = [read for read in reads if read.is_candidate]
+    assert candidates
+    for read in reads:
+        if read.frame is None:
+            assert (read.prepared, read.patches) == (None, None)
+            continue
+        assert isinstance(read.prepared, Surface)
+        np.testing.assert_array_equal(read.patches, ColorTextureDescriptor().extract(read.frame.rgb))
+
+
+async def _read(source: SceneSource) -> list[Read]:
+    segmenter = GeometricSegmenter(GeometricConfig())
+    reader = Reader(MapperConfig(), segmenter, ColorTextureDescriptor(), Stop(), mode="playback")
+    taken: list[Read] = []
+    async with asyncio.TaskGroup() as group:
+        group.create_task(reader.read(source, rate=None, loops=1, start=Position(), counts=Counter()))
+        while (some := await reader.take()) is not None:
+            taken += some
+    reader.close()
+    return taken

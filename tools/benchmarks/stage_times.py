@@ -49,7 +49,7 @@ _STAGES = (
     ("reading", ("decode", "_renumbered", "_placed", "next", "open_")),
     ("perception", ("prepare", "_perceived")),
     ("registration", ("KeyframePlaces", "_found")),
-    ("deciding", ("handle", "decide", "_answered", "features", "pooled")),
+    ("deciding", ("handle", "decide", "_answered", "features", "extract", "pooled")),
 )
 STAGES = tuple(STAGE_BUDGETS_MS)
 
