@@ -66,47 +66,29 @@ def surface_image(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fit(inverse, lens, spread, max_sigma, points, normals, sigma):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Fill in the surface elements, row by row: the sums of a row's windows are added cell by cell, vectorised."""
     height, width = inverse.shape
     fx, fy, cx, cy = lens
     least = np.sqrt(spread / max_sigma) if max_sigma > 0 else 0.0  # sigma = spread z^2, so that 1/z is at least this
+    inner = max(width - 2 * _RADIUS, 0)
+    sums, planes = np.empty((9, inner)), np.empty((3, inner))
+    gates, counts = np.empty(inner), np.empty(inner)
     for y in range(_RADIUS, height - _RADIUS):
-        for x in range(_RADIUS, width - _RADIUS):
-            own = inverse[y, x]
-            if own < least or own <= 0.0:
-                continue
-            a, b, c, count = 0.0, 0.0, own, 0.0
-            is_plane = False
-            for step in range(2):
-                gate = 0.05 * own if step == 0 else 3.0 * spread + 0.002 * own
-                n = su = sv = sd = suu = suv = svv = sud = svd = 0.0
-                for dy in range(-_RADIUS, _RADIUS + 1):
-                    for dx in range(-_RADIUS, _RADIUS + 1):
-                        d = inverse[y + dy, x + dx]
-                        if d <= 0.0 or abs(d - (c + a * dx + b * dy)) > gate:
-                            continue
-                        n += 1.0
-                        su += dx
-                        sv += dy
-                        sd += d
-                        suu += dx * dx
-                        suv += dx * dy
-                        svv += dy * dy
-                        sud += dx * d
-                        svd += dy * d
-                is_plane = False
-                if n < _LEAST_CELLS:
-                    break
-                cuu, cuv, cvv = suu - su * su / n, suv - su * sv / n, svv - sv * sv / n
-                cud, cvd = sud - su * sd / n, svd - sv * sd / n
-                determinant = cuu * cvv - cuv * cuv
-                if determinant < 1e-2 * (cuu + cvv) * (cuu + cvv):
-                    break
-                a = (cud * cvv - cvd * cuv) / determinant
-                b = (cvd * cuu - cud * cuv) / determinant
-                c = (sd - a * su - b * sv) / n
-                count = n
-                is_plane = True
-            if not is_plane or c <= 0.0 or abs(c - own) > 4.0 * spread + 0.002 * own:
+        own_row = inverse[y, _RADIUS : _RADIUS + inner]
+        for i in range(inner):
+            own = own_row[i]
+            planes[0, i], planes[1, i], planes[2, i] = 0.0, 0.0, own
+            gates[i], counts[i] = 0.05 * own, 1.0
+        _sum_windows(inverse, y, planes, gates, sums)
+        _solve(sums, planes, counts)
+        for i in range(inner):
+            gates[i] = 3.0 * spread + 0.002 * own_row[i]
+        _sum_windows(inverse, y, planes, gates, sums)
+        _solve(sums, planes, counts)
+        for i in range(inner):
+            x, own = i + _RADIUS, own_row[i]
+            a, b, c, count = planes[0, i], planes[1, i], planes[2, i], counts[i]
+            if own < least or own <= 0.0 or count == 0.0 or c <= 0.0 or abs(c - own) > 4.0 * spread + 0.002 * own:
                 continue
             # 1/z = a' U + b' V + c' in coordinates of the image plane; (a', b', c') is along the plane's normal.
             u, v = (x - cx) / fx, (y - cy) / fy
@@ -120,3 +102,42 @@ def _fit(inverse, lens, spread, max_sigma, points, normals, sigma):  # type: ign
             points[y, x, 0], points[y, x, 1], points[y, x, 2] = u * z, v * z, z
             normals[y, x, 0], normals[y, x, 1], normals[y, x, 2] = -nx / length, -ny / length, -nz / length
             sigma[y, x] = spread * z * z * along / np.sqrt(0.5 * count)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _sum_windows(inverse, y, planes, gates, sums):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Fill the nine sums of a row's windows: n, u, v, d, uu, uv, vv, ud, vd over the cells within the gates."""
+    sums[:] = 0.0
+    inner = sums.shape[1]
+    for dy in range(-_RADIUS, _RADIUS + 1):
+        for dx in range(-_RADIUS, _RADIUS + 1):
+            du, dv = float(dx), float(dy)
+            row = inverse[y + dy, _RADIUS + dx : _RADIUS + dx + inner]
+            for i in range(inner):
+                d = row[i]
+                off = abs(d - (planes[2, i] + planes[0, i] * du + planes[1, i] * dv))
+                is_in = (d > 0.0) & (off <= gates[i])
+                sums[0, i] += 1.0 if is_in else 0.0
+                sums[1, i] += du if is_in else 0.0
+                sums[2, i] += dv if is_in else 0.0
+                sums[3, i] += d if is_in else 0.0
+                sums[4, i] += du * du if is_in else 0.0
+                sums[5, i] += du * dv if is_in else 0.0
+                sums[6, i] += dv * dv if is_in else 0.0
+                sums[7, i] += du * d if is_in else 0.0
+                sums[8, i] += dv * d if is_in else 0.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _solve(sums, planes, counts):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Fit the planes of a row's windows; `counts` becomes 0 where there is none, now or in the fit before."""
+    for i in range(sums.shape[1]):
+        n, su, sv, sd = sums[0, i], sums[1, i], sums[2, i], sums[3, i]
+        cuu, cuv, cvv = sums[4, i] - su * su / n, sums[5, i] - su * sv / n, sums[6, i] - sv * sv / n
+        cud, cvd = sums[7, i] - su * sd / n, sums[8, i] - sv * sd / n
+        determinant = cuu * cvv - cuv * cuv
+        has_plane = (n >= _LEAST_CELLS) & (determinant >= 1e-2 * (cuu + cvv) * (cuu + cvv))
+        a = (cud * cvv - cvd * cuv) / determinant
+        b = (cvd * cuu - cud * cuv) / determinant
+        planes[0, i], planes[1, i], planes[2, i] = a, b, (sd - a * su - b * sv) / n
+        counts[i] = n if has_plane and counts[i] > 0.0 else 0.0
