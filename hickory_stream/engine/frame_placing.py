@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from hickory_stream.engine.effects import EffectRunner
     from hickory_stream.engine.history.registration_history import RegistrationHistory
     from hickory_stream.poses.registration_config import RegistrationConfig
+    from hickory_stream.poses.surface_image import SurfaceImage
     from hickory_stream.records import Frame
 
 logger = logging.getLogger(__name__)
@@ -60,10 +61,13 @@ class Placing:
         """Go on as after some step of a run; None: as at its beginning."""
         self._places.restore(history)
 
-    async def place(self, frame: Frame) -> Frame | None:
-        """Return a keyframe at the pose at which it is mapped, None where it does not fit the map."""
+    async def place(self, frame: Frame, surface: SurfaceImage | None = None) -> Frame | None:
+        """Return a keyframe at the pose at which it is mapped, None where it does not fit the map.
+
+        `surface` is its `keyframe_surface`, None where nobody found it ahead.
+        """
         started = time.perf_counter()
-        found = await on_thread(self._thread, self._places.place, frame)
+        found = await on_thread(self._thread, self._places.place, frame, surface)
         self._timings_s["register"] += time.perf_counter() - started
         if found is None:
             return frame

@@ -49,16 +49,17 @@ class KeyframePlaces:
             return odometry_from_camera
         return compose(self.map_from_odometry, odometry_from_camera)
 
-    def place(self, frame: Frame) -> PlacedFrame | KeyframeKeptOut | None:
+    def place(self, frame: Frame, surface: SurfaceImage | None = None) -> PlacedFrame | KeyframeKeptOut | None:
         """Return a keyframe where it is mapped, or why it is not; None: keyframes are mapped where odometry has them.
 
-        So they are where registration is off.
+        So they are where registration is off. `surface` is what `keyframe_surface` gives for this frame, None if it was
+        not asked.
         """
         if not self._config.enabled:
             return None
         odometry_from_camera = frame.world_from_camera
         spread_per_m = frame.sensor.spread_per_m
-        image = self._image(coarse_depth(frame.depth_m), frame.camera, spread_per_m)
+        image = keyframe_surface(frame, self._config) if surface is None else surface
         found = self._registration.place(image, odometry_from_camera, frame.degenerate)
         if isinstance(found, KeptOut):
             return KeyframeKeptOut(frame_index=frame.index, stamp_ns=frame.stamp_ns, reason=found.reason)
@@ -97,7 +98,7 @@ class KeyframePlaces:
         last = history.last
         remembered = [
             Remembered(
-                image=self._image(np.asarray(each.coarse.depth_mm), each.camera, each.event.spread_per_m),
+                image=_image(np.asarray(each.coarse.depth_mm), each.camera, each.event.spread_per_m, self._config),
                 map_from_camera=each.event.map_from_camera,
                 number=each.number,
                 is_anchor=each.event.is_anchor,
@@ -113,7 +114,15 @@ class KeyframePlaces:
         )
         self._registration.restore(belief, remembered, history.num_placed)
 
-    def _image(self, depth_mm: NDArray[np.uint16], camera: Camera, spread_per_m: float) -> SurfaceImage:
-        return surface_image(
-            depth_mm, coarse_camera(camera), spread_per_m=spread_per_m, max_sigma_m=self._config.max_depth_sigma_m
-        )
+
+def keyframe_surface(frame: Frame, config: RegistrationConfig) -> SurfaceImage:
+    """Return the surface by which a keyframe is registered; it needs nothing of the keyframes before."""
+    return _image(coarse_depth(frame.depth_m), frame.camera, frame.sensor.spread_per_m, config)
+
+
+def _image(
+    depth_mm: NDArray[np.uint16], camera: Camera, spread_per_m: float, config: RegistrationConfig
+) -> SurfaceImage:
+    return surface_image(
+        depth_mm, coarse_camera(camera), spread_per_m=spread_per_m, max_sigma_m=config.max_depth_sigma_m
+    )

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.engine.channel import Channel, ChannelClosed
+from hickory_stream.engine.keyframe_places import keyframe_surface
 from hickory_stream.engine.pacing import Pacer
 from hickory_stream.engine.threads import on_thread
 from hickory_stream.errors import RecordingError
 from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
+from hickory_stream.perception.space import free_space
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from hickory_stream.engine.stopping import Stop
     from hickory_stream.geometry.depth_sensor import SensorConfig
     from hickory_stream.ports import FeatureExtractor, Segmenter, Source
+    from hickory_stream.poses.surface_image import SurfaceImage
     from hickory_stream.records import Frame, RawFrame
 
 logger = logging.getLogger(__name__)
@@ -36,12 +39,27 @@ _LIVE_FRAMES = 32
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Ahead:
+    """What of a keyframe needs no map, and is found while those before it are mapped; None where it was not.
+
+    What the segmenter has `prepared`, the `patches` (h, w, D) of features of its colours, the `surface` by which it is
+    registered, and the keys of the voxels that it sees to be free. All but patches and surface are for the frame's own
+    pose.
+    """
+
+    prepared: object = None
+    patches: NDArray[np.float32] | None = None
+    surface: SurfaceImage | None = None
+    free_keys: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Read:
     """One frame on its way.
 
-    `is_candidate`: stamps and poses make it a keyframe. In a playback it then comes with its `frame`, decoded, what was
-    `prepared` of it and its `patches`: the features (h, w, D) of its colours; one that `is_torn` is no candidate.
-    `counts` is what was lost since the frame before. `arrived_s` is when it was there (monotonic).
+    `is_candidate`: stamps and poses make it a keyframe. In a playback it then comes with its `frame`, decoded, and with
+    what is known of it `ahead`; one that `is_torn` is no candidate. `counts` is what was lost since the frame before.
+    `arrived_s` is when it was there (monotonic).
     """
 
     raw: RawFrame
@@ -49,8 +67,7 @@ class Read:
     first_index: int
     is_candidate: bool
     frame: Frame | None = None
-    prepared: object = None
-    patches: NDArray[np.float32] | None = None
+    ahead: Ahead = field(default_factory=Ahead)
     is_torn: bool = False
     counts: Mapping[str, int] = field(default_factory=dict)
     arrived_s: float = 0.0
@@ -140,23 +157,20 @@ class Reader:
                         continue
                     last_ns = raw.stamp_ns
                     await pacer.wait(raw.stamp_ns, self._stop.event)
-                    frame, prepared, patches, is_torn = None, None, None, False
+                    frame, ahead, is_torn = None, Ahead(), False
                     if is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
                         frame = await self._decoded(raw, index)
                         is_torn = frame is None
                     if frame is not None:
                         keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-                        # What needs no map: nearly every keyframe is asked for features, and the map waits for none.
-                        prepared = await on_thread(self._thread, self._segmenter.prepare, frame)
-                        patches = await on_thread(self._thread, self._extractor.extract, np.asarray(frame.rgb))
+                        ahead = await self._ahead(frame)
                     read = Read(
                         raw=replace(raw, index=index),
                         round_index=round_index,
                         first_index=offset,
                         is_candidate=frame is not None,
                         frame=frame,
-                        prepared=prepared,
-                        patches=patches,
+                        ahead=ahead,
                         is_torn=is_torn,
                         counts=dict(lost),
                         arrived_s=time.monotonic(),
@@ -212,6 +226,20 @@ class Reader:
     def _is_late(self, last_ns: int | None, stamp_ns: int) -> bool:
         """Return whether a frame is out of order: older than the one before, but by less than a jump of the clock."""
         return last_ns is not None and 0 < last_ns - stamp_ns <= self._config.run.late_s * 1e9
+
+    async def _ahead(self, frame: Frame) -> Ahead:
+        """Return what needs no map; nearly every keyframe is asked for all of it."""
+        config = self._config
+        registration, space, lattice = config.registration, config.perception.space, config.mapping.lattice
+        surface: SurfaceImage | None = None
+        if registration.enabled:
+            surface = await on_thread(self._thread, keyframe_surface, frame, registration)
+        return Ahead(
+            prepared=await on_thread(self._thread, self._segmenter.prepare, frame),
+            patches=await on_thread(self._thread, self._extractor.extract, np.asarray(frame.rgb)),
+            surface=surface,
+            free_keys=await on_thread(self._thread, free_space, frame, space, lattice),
+        )
 
     async def _decoded(self, raw: RawFrame, index: int) -> Frame | None:
         """Return the frame, None where its images are torn: the next frame is tried as keyframe."""

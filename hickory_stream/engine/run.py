@@ -22,6 +22,7 @@ import logging
 import time
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,7 +42,7 @@ from hickory_stream.engine.history.rewind import rewound_to
 from hickory_stream.engine.keyframe_images import color_of
 from hickory_stream.engine.loop_closing import LoopCloser
 from hickory_stream.engine.loop_delay import LoopDelay
-from hickory_stream.engine.reading import Position, Read, Reader, sensed
+from hickory_stream.engine.reading import Ahead, Position, Read, Reader, sensed
 from hickory_stream.engine.recorder import Recorder
 from hickory_stream.engine.run_accounts import engine_metrics, run_ledger, run_timings
 from hickory_stream.engine.run_clock import RunClock
@@ -286,7 +287,7 @@ class Run:
 
     async def _map_keyframe(self, read: Read) -> FrameOutcome:
         """Map a keyframe and return what became of it; in a live run it is decoded only now, and may be torn."""
-        frame, prepared = read.frame, read.prepared
+        frame, ahead = read.frame, read.ahead
         if frame is None:
             try:
                 decoded = await on_thread(self._thinker, read.raw.decode)
@@ -294,27 +295,28 @@ class Run:
                 logger.warning("frame %d cannot be decoded: %s", read.raw.index, error)
                 return FrameOutcome.UNDECODABLE
             frame = sensed(decoded, read.raw.index, self._parts.config.sensor)
-        placed = await self._placing.place(frame)
+        placed = await self._placing.place(frame, ahead.surface)
         if placed is None:
             return FrameOutcome.KEPT_OUT
         if read.frame is None:
-            prepared = await on_thread(self._thinker, self._parts.segmenter.prepare, placed)
+            ahead = Ahead(prepared=await on_thread(self._thinker, self._parts.segmenter.prepare, placed))
         elif placed is not frame:
-            prepared = prepared_at(self._parts.segmenter, prepared, placed.world_from_camera)
-        await self._keyframe(read, placed, prepared)
+            prepared = prepared_at(self._parts.segmenter, ahead.prepared, placed.world_from_camera)
+            ahead = replace(ahead, prepared=prepared, free_keys=None)
+        await self._keyframe(read, placed, ahead)
         return FrameOutcome.MAPPED
 
-    async def _keyframe(self, read: Read, frame: Frame, prepared: object) -> None:
+    async def _keyframe(self, read: Read, frame: Frame, ahead: Ahead) -> None:
         self._clock.num_keyframes += 1
         started = time.perf_counter()
         await self._due.commit(frame.stamp_ns)
         await self._corrections.close_loops(frame.stamp_ns)
         waited = time.perf_counter()
-        perceived = await on_thread(self._thinker, self._perceived, frame, prepared)
+        perceived = await on_thread(self._thinker, self._perceived, frame, ahead)
         if not np.isfinite(frame.depth_m).any():
             self._clock.counts["keyframes_without_depth"] += 1
         seen = time.perf_counter()
-        at_hand = AtHand(frame=frame, observations=perceived.observations, patches=read.patches)
+        at_hand = AtHand(frame=frame, observations=perceived.observations, patches=ahead.patches)
         decided = await self._effects.decide(perceived.event(frame), at_hand)
         ended = time.perf_counter()
         times = {"wait_for_shapes": waited - started, "perceive": seen - waited, "decide": ended - seen}
@@ -345,10 +347,17 @@ class Run:
             core=self._effects.core,
         )
 
-    def _perceived(self, frame: Frame, prepared: object) -> Perceived:
+    def _perceived(self, frame: Frame, ahead: Ahead) -> Perceived:
         config, prior = self._parts.config, self._effects.core.prior()
-        lattice = config.mapping.lattice
-        return perceive(frame, prior, prepared, self._parts.segmenter, config.perception, lattice=lattice)
+        return perceive(
+            frame,
+            prior,
+            ahead.prepared,
+            self._parts.segmenter,
+            config.perception,
+            lattice=config.mapping.lattice,
+            free_keys=ahead.free_keys,
+        )
 
     # ---- the end -----------------------------------------------------------------------------------------------------
 

@@ -95,11 +95,12 @@ def perceive(
     config: PerceptionConfig,
     *,
     lattice: Lattice,
+    free_keys: NDArray[np.int64] | None = None,
 ) -> Perceived:
     """Return the results of perception for a keyframe.
 
     `prior` is the map so far, `lattice` its voxel sizes; `prepared` is the result of the segmenter's `prepare` for this
-    frame, None if it was not called.
+    frame, and `free_keys` its `free_space`, None if they were not called.
     """
     segmentation = segmenter.segment(frame, prior, prepared)
     observations, rejected = observe(frame, segmentation, config.observe, lattice)
@@ -107,7 +108,7 @@ def perceive(
         segmentation=segmentation,
         observations=observations,
         rejected=rejected,
-        space=observe_space(frame, segmentation, config.space, lattice),
+        space=observe_space(frame, segmentation, config.space, lattice, free_keys),
     )
 
 

@@ -38,13 +38,42 @@ class SpaceConfig(Ranged):
     max_depth_m: float = number(5.0, 0.1, 1000, "m")
 
 
-def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig, lattice: Lattice) -> SpaceObservation:
-    """Return the free and structure voxels of a frame."""
+def observe_space(
+    frame: Frame,
+    segmentation: Segmentation,
+    config: SpaceConfig,
+    lattice: Lattice,
+    free_keys: NDArray[np.int64] | None = None,
+) -> SpaceObservation:
+    """Return the free and structure voxels of a frame.
+
+    `free_keys` is what `free_space` gave for it, None if it was not asked.
+    """
+    points, valid, pixels = _rays(frame, config)
+    structure = segmentation.own_structure[pixels][valid]
+    on_structure = sorted_unique(keys_of_points(points[structure], lattice.space_m))
+    return SpaceObservation(
+        free_keys=free_space(frame, config, lattice) if free_keys is None else free_keys,
+        structure_keys=on_structure,
+        surface_keys=difference(sorted_unique(keys_of_points(points[~structure], lattice.space_m)), on_structure),
+        floor_z_m=segmentation.floor_z_m,
+    )
+
+
+def free_space(frame: Frame, config: SpaceConfig, lattice: Lattice) -> NDArray[np.int64]:
+    """Return the sorted keys of the free voxels of a frame, which do not depend on what is structure in it."""
+    points, _, _ = _rays(frame, config)
+    origin = frame.world_from_camera[:3, 3].astype(np.float64)
+    return _free_keys(origin, points, _dense_returns(frame, config), lattice.space_m)
+
+
+def _rays(frame: Frame, config: SpaceConfig) -> tuple[NDArray[np.float64], NDArray[np.bool_], tuple[slice, slice]]:
+    """Return (N, 3) where the rays end in the world, (h, w) which of them have an end, and their pixels (h, w)."""
     stride = config.stride_px
     # One ray at the centre of each cell; an image that is smaller than a cell still has one.
     top, left = min(stride // 2, frame.camera.height - 1), min(stride // 2, frame.camera.width - 1)
-    depth = frame.depth_m[top::stride, left::stride]
-    structure = segmentation.own_structure[top::stride, left::stride]
+    pixels = slice(top, None, stride), slice(left, None, stride)
+    depth = frame.depth_m[pixels]
     camera = Camera(
         width=depth.shape[1],
         height=depth.shape[0],
@@ -55,16 +84,7 @@ def observe_space(frame: Frame, segmentation: Segmentation, config: SpaceConfig,
     )
     valid = np.isfinite(depth) & (depth < config.max_depth_m)
     points = apply(frame.world_from_camera, backproject(depth, camera)[valid]).astype(np.float64)
-    origin = frame.world_from_camera[:3, 3].astype(np.float64)
-    on_structure = sorted_unique(keys_of_points(points[structure[valid]], lattice.space_m))
-    return SpaceObservation(
-        free_keys=_free_keys(origin, points, _dense_returns(frame, config), lattice.space_m),
-        structure_keys=on_structure,
-        surface_keys=difference(
-            sorted_unique(keys_of_points(points[~structure[valid]], lattice.space_m)), on_structure
-        ),
-        floor_z_m=segmentation.floor_z_m,
-    )
+    return points, valid, pixels
 
 
 def _dense_returns(frame: Frame, config: SpaceConfig) -> NDArray[np.float64]:

@@ -10,15 +10,18 @@ import numpy as np
 
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
+from hickory_stream.engine.keyframe_places import keyframe_surface
 from hickory_stream.engine.reading import Position, Read, Reader, sensed
 from hickory_stream.engine.stopping import Stop
 from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.perceive import perceive
 from hickory_stream.perception.surface import Surface
 
 RAW = next(SceneSource(1).frames())
 FRAME = RAW.decode()
+SEGMENTER = GeometricSegmenter(GeometricConfig())
 
 
 def test_without_a_configured_sensor_a_frame_stays_what_the_source_gave() -> None:
@@ -40,17 +43,22 @@ def test_a_keyframe_of_a_playback_comes_with_all_that_needs_no_map() -> None:
     reads = asyncio.run(_read(SceneSource(4)))
     candidates = [read for read in reads if read.is_candidate]
     assert candidates
+    config = MapperConfig()
     for read in reads:
         if read.frame is None:
-            assert (read.prepared, read.patches) == (None, None)
+            assert read.ahead.prepared is None
             continue
-        assert isinstance(read.prepared, Surface)
-        np.testing.assert_array_equal(read.patches, ColorTextureDescriptor().extract(read.frame.rgb))
+        ahead, frame = read.ahead, read.frame
+        assert isinstance(ahead.prepared, Surface)
+        np.testing.assert_array_equal(ahead.patches, ColorTextureDescriptor().extract(frame.rgb))
+        assert ahead.surface is not None
+        np.testing.assert_array_equal(ahead.surface.points, keyframe_surface(frame, config.registration).points)
+        alone = perceive(frame, None, None, SEGMENTER, config.perception, lattice=config.mapping.lattice)
+        np.testing.assert_array_equal(ahead.free_keys, alone.space.free_keys)
 
 
 async def _read(source: SceneSource) -> list[Read]:
-    segmenter = GeometricSegmenter(GeometricConfig())
-    reader = Reader(MapperConfig(), segmenter, ColorTextureDescriptor(), Stop(), mode="playback")
+    reader = Reader(MapperConfig(), SEGMENTER, ColorTextureDescriptor(), Stop(), mode="playback")
     taken: list[Read] = []
     async with asyncio.TaskGroup() as group:
         group.create_task(reader.read(source, rate=None, loops=1, start=Position(), counts=Counter()))

@@ -47,8 +47,8 @@ BUDGET_MS = sum(STAGE_BUDGETS_MS.values())
 # By what a call's name contains; the first that fits. What fits none is writing: files of views, journal, shapes.
 _STAGES = (
     ("reading", ("decode", "_renumbered", "_placed", "next", "open_")),
-    ("perception", ("prepare", "_perceived")),
-    ("registration", ("KeyframePlaces", "_found")),
+    ("perception", ("prepare", "_perceived", "free_space")),
+    ("registration", ("KeyframePlaces", "keyframe_surface", "_found")),
     ("deciding", ("handle", "decide", "_answered", "features", "extract", "pooled")),
 )
 STAGES = tuple(STAGE_BUDGETS_MS)
