@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
-from hickory_stream.evaluation.raycast import CREASE_COSINE, Hits, image_colors, normals_of_vertices
+from hickory_stream.evaluation.raycast import CREASE_COSINE, Hits, image_colors
 from hickory_stream.geometry.arrays import freeze
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class _Image:
     def draw(self, surface: Surface, index: int) -> None:
         uv = surface.uv if surface.image is not None and surface.uv is not None else _NO_UV
         _draw_triangles(
-            surface.vertices, surface.faces, surface.colors, uv, surface.owner, index,
+            surface.vertices, surface.faces, surface.normals, surface.colors, uv, surface.owner, index,
             self._pose, self._lens, self._viewpoint.is_orthographic, float(self._step_px), self._within_px,
             *self._buffers,
         )  # fmt: skip
@@ -147,10 +147,9 @@ def _squares_over(low, high, reach, step, count):  # type: ignore[no-untyped-def
 
 @numba.njit(cache=True, nogil=True)
 def _draw_triangles(  # type: ignore[no-untyped-def] # pragma: no cover
-    vertices, faces, colors, uv, owner, index, pose, lens, is_flat, step, within, depths, normals_at, colors_at,
-    owners_at, of_at, uv_at,
+    vertices, faces, normals, colors, uv, owner, index, pose, lens, is_flat, step, within, depths, normals_at,
+    colors_at, owners_at, of_at, uv_at,
 ):  # fmt: skip
-    normals = normals_of_vertices(vertices, faces)
     count, has_uv, keeps_uv = len(vertices), len(uv) > 0, len(of_at) > 0
     x, y, z = np.empty(count), np.empty(count), np.empty(count)
     for i in range(count):

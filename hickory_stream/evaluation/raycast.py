@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 CREASE_COSINE = 0.82
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
     """Coloured triangles: `vertices` (V, 3) float32, `faces` (F, 3) int32, `colors` (V, 3) uint8, and their owner.
 
@@ -42,6 +43,13 @@ class Surface:
         if self.image is not None:
             freeze(self, "uv", np.float32, (len(self.vertices), 2))
             freeze(self, "image", np.uint8, (None, None, 3))
+
+    @cached_property
+    def normals(self) -> NDArray[np.float32]:
+        """The unit normals (V, 3) of the vertices, those of all faces around each, which every view of it asks for."""
+        normals = vertex_normals(self.vertices, self.faces)
+        normals.flags.writeable = False
+        return normals
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -182,13 +190,12 @@ def _joined(
 
 def vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
     """Return (V, 3) unit normals, the mean of the faces around each vertex weighted by area."""
-    normals: NDArray[np.float32] = normals_of_vertices(vertices, faces)
+    normals: NDArray[np.float32] = _normals_of_vertices(vertices, faces)
     return normals
 
 
 @numba.njit(cache=True, nogil=True)
-def normals_of_vertices(vertices, faces):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return what `vertex_normals` does."""
+def _normals_of_vertices(vertices, faces):  # type: ignore[no-untyped-def] # pragma: no cover
     sums = np.zeros((len(vertices), 3))
     for f in range(len(faces)):
         a, b, c = faces[f]

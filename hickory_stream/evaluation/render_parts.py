@@ -9,10 +9,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from hickory_stream.compiled import numba
 from hickory_stream.evaluation.rasterize import Dots
 from hickory_stream.evaluation.raycast import Surface
+from hickory_stream.geometry.bounds import bounds_of, extent_of
 from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric_surface import display_mesh
@@ -34,6 +35,8 @@ _STEPS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 _AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))
 # What is nearer to one another in the image than this is one for the light, which is computed for every second pixel.
 _COARSE_PX = 3.0
+# With more cells than so many for each vertex, it is quicker to sort the vertices.
+_MOST_CELLS = 8
 # Half the side of a point's square, in spacings of the points: they overlap a little.
 _COVER = 0.6
 # Points of a map are no nearer to one another than about this.
@@ -83,20 +86,64 @@ def coarse(surface: Surface, viewpoint: Viewpoint) -> Surface:
 
     Vertices in one cell of that size become one of them (Rossignac and Borrel 1993).
     """
+    if not len(surface.faces):
+        return surface
     apart_m = _COARSE_PX * viewpoint.pixel_m(surface.vertices)
     while apart_m > _FINEST_M:
-        _, chosen, cell_of = np.unique(
-            keys_of_points(surface.vertices, apart_m), return_index=True, return_inverse=True
-        )
-        faces = cell_of.astype(np.int32)[surface.faces]
-        a, b, c = faces.T
-        faces = faces[(a != b) & (b != c) & (c != a)]
+        chosen, cell_of = _in_cells(surface.vertices, apart_m)
+        faces = _between_cells(surface.faces, cell_of)
         if len(faces):
             vertices, colors = surface.vertices[chosen], surface.colors[chosen]
             return Surface(vertices=vertices, faces=faces, colors=colors, owner=surface.owner)
         # All of it is in a cell or two: still to be seen, by the coarsest cells that leave triangles of it.
         apart_m /= 2
     return surface
+
+
+def _in_cells(vertices: NDArray[np.float32], side_m: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first vertex in each cell that has some, in the order of the cells, and the place of each one's cell.
+
+    It is what np.unique says of their keys; where there are few cells, they are counted instead of sorted.
+    """
+    lowest, highest = np.floor(bounds_of(vertices).astype(np.float64) / side_m).astype(np.int64)
+    shape = highest - lowest + 1
+    if shape.prod() > _MOST_CELLS * len(vertices):
+        _, chosen, cell_of = np.unique(keys_of_points(vertices, side_m), return_index=True, return_inverse=True)
+        return chosen, cell_of
+    firsts, places = _counted_cells(vertices, side_m, lowest, shape)
+    return firsts, places
+
+
+@numba.njit(cache=True, nogil=True)
+def _counted_cells(vertices, side_m, lowest, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+    count = len(vertices)
+    cell_of = np.empty(count, np.int64)
+    first = np.full(shape[0] * shape[1] * shape[2], -1, np.int64)
+    for i in range(count):
+        cell = np.int64(0)
+        for k in range(3):
+            cell = cell * shape[k] + np.int64(np.floor(np.float64(vertices[i, k]) / side_m)) - lowest[k]
+        cell_of[i] = cell
+        if first[cell] < 0:
+            first[cell] = i
+    chosen = first[first >= 0]
+    place_of = np.cumsum(first >= 0) - 1
+    for i in range(count):
+        cell_of[i] = place_of[cell_of[i]]
+    return chosen, cell_of
+
+
+@numba.njit(cache=True, nogil=True)
+def _between_cells(faces, cell_of):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the faces (F, 3) between three different cells, of whose places they are made."""
+    out = np.empty((len(faces), 3), np.int32)
+    count = 0
+    for f in range(len(faces)):
+        a, b, c = cell_of[faces[f, 0]], cell_of[faces[f, 1]], cell_of[faces[f, 2]]
+        if a != b and b != c and c != a:
+            out[count, 0], out[count, 1], out[count, 2] = a, b, c
+            count += 1
+    return out[:count].copy()
 
 
 def superquadric_surfaces(primitives: Superquadrics, object_id: int) -> list[Surface]:
@@ -144,20 +191,23 @@ def _facing(
 
 def _in_a_wall(exposed: NDArray[np.int64], step: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the cells with at least half of their eight neighbours across `step`, to within one cell along `step`."""
-    keys = np.sort(keys_of_cells(exposed))
-    across, along = np.roll(step, 1), np.roll(step, 2)
+    keys = keys_of_cells(exposed)
+    ordered = np.sort(keys)
+    # How far a step of a cell is from one key to the next.
+    origin, *steps = keys_of_cells(np.stack([np.zeros(3), np.roll(step, 1), np.roll(step, 2), step]))
+    across, along, up = (key - origin for key in steps)
     count = np.zeros(len(exposed), dtype=np.int64)
     for i, j in _AROUND:
-        beside = exposed + i * across + j * along
-        count += np.any([contains(keys, keys_of_cells(beside + up * step)) for up in (-1, 0, 1)], axis=0)
+        beside = keys + (i * across + j * along)
+        count += contains(ordered, beside - up) | contains(ordered, beside) | contains(ordered, beside + up)
     return exposed[count >= len(_AROUND) // 2]
 
 
 def _floor_plan(cells: NDArray[np.int64], submap: Submap) -> Surface:
     """Return a square for each column of cells of at least the height of a wall."""
     voxel_m = submap.observed_space.voxel_m
-    columns, counts = np.unique(cells[:, :2], axis=0, return_counts=True)
-    walls = columns[counts * voxel_m >= _MIN_WALL_M]
+    columns, counts = np.unique(keys_of_cells(cells * (1, 1, 0)), return_counts=True)
+    walls = cells_of_keys(columns[counts * voxel_m >= _MIN_WALL_M])[:, :2]
     centers = np.column_stack([(walls + 0.5) * voxel_m, np.full(len(walls), _CUT_M)])
     up = np.broadcast_to([0.0, 0.0, 1.0], centers.shape)
     return _wall_squares(apply(submap.world_from_submap, centers), up, voxel_m)
@@ -194,5 +244,32 @@ def _spacing_m(points: NDArray[np.float32]) -> float:
         return 0.01
     start = max(0, (len(points) - _ENOUGH) // 2)
     some = points[start : start + _ENOUGH]
-    distances, _ = cKDTree(some).query(some, k=2)
-    return float(np.clip(np.median(distances[:, 1]), 0.002, 0.05))
+    axis = int(np.argmax(extent_of(some)))
+    ordered = some[np.argsort(some[:, axis])].astype(np.float64)
+    return float(np.clip(np.median(_nearest_m(ordered, axis)), 0.002, 0.05))
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest_m(ordered, axis):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N,) how far the nearest other one of (N, 3) points is, which ascend along an axis.
+
+    Of the points of a surface few are as near along the longest axis: no tree is as quick for so few of them.
+    """
+    count = len(ordered)
+    out = np.empty(count)
+    for i in range(count):
+        least = np.inf
+        for step in (-1, 1):
+            j = i + step
+            while 0 <= j < count:
+                along = ordered[j, axis] - ordered[i, axis]
+                if along * along >= least:
+                    break
+                squared = 0.0
+                for k in range(3):
+                    away = ordered[j, k] - ordered[i, k]
+                    squared += away * away
+                least = min(least, squared)
+                j += step
+        out[i] = np.sqrt(least)
+    return out

@@ -13,8 +13,8 @@ from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.saved_map import SavedMap, open_map
 from hickory_stream.evaluation.raycast import Scene, Surface
 from hickory_stream.evaluation.render import render_map
-from hickory_stream.evaluation.render_parts import coarse
-from hickory_stream.evaluation.viewpoint import from_above, from_corner
+from hickory_stream.evaluation.render_parts import coarse, dots_of
+from hickory_stream.evaluation.viewpoint import Viewpoint, from_above, from_corner
 from hickory_stream.geometry.voxels import keys_of_cells
 from tests.engine.snapshot_fixtures import make_snapshot
 
@@ -135,6 +135,32 @@ def test_the_light_on_a_mesh_of_less_than_a_pixel_is_still_of_few_triangles() ->
     few = coarse(fine, far)
     assert 0 < len(few.faces) < len(fine.faces) / 10
     assert np.allclose(few.vertices.mean(axis=0), 0.3, atol=0.02)
+
+
+@pytest.mark.parametrize("side_m", [0.003, 0.02, 0.3])
+def test_one_vertex_of_each_cell_stays_whether_cells_are_counted_or_sorted(side_m: float) -> None:
+    vertices = np.random.default_rng(4).uniform(-1, 1, (500, 3)).astype(np.float32)
+    surface = Surface(
+        vertices=vertices, faces=np.arange(498)[:, None] + [0, 1, 2], colors=np.zeros((500, 3), np.uint8), owner=1
+    )
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    of_a_pixel = Viewpoint(
+        world_from_camera=np.eye(4), focal_px=3 / side_m, is_orthographic=True, width=600, height=600
+    )
+    few = coarse(surface, of_a_pixel)
+    cells = np.floor(vertices.astype(np.float64) / of_a_pixel.pixel_m(vertices) / 3)
+    assert (few is surface) == (side_m < 0.004)
+    if few is not surface:
+        assert len(few.vertices) == len(np.unique(cells, axis=0))
+        assert ((few.vertices >= low) & (few.vertices <= high)).all()
+
+
+def test_dots_are_as_large_as_the_spacing_of_the_points(saved: SavedMap) -> None:
+    grid = 0.01 * np.indices((40, 30, 1)).reshape(3, -1).T
+    tracked = replace(
+        saved.snapshot.objects[0], points_world=grid.astype(np.float32), colors=np.zeros((1200, 3), np.uint8)
+    )
+    assert dots_of(tracked).half_m == pytest.approx(0.006, rel=1e-4)
 
 
 def test_the_same_map_gives_the_same_picture(saved: SavedMap) -> None:
