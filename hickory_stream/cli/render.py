@@ -28,7 +28,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     render.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
     )
-    add_floor_argument(render, "draw one storey")
+    add_floor_argument(render, "draw one storey alone")
     add_texture_argument(render, "layer 2 with the pixels of the kept views: the side of an object's texture", 0)
     render.add_argument("--size", default="1600x800", metavar="WxH")
     render.add_argument(

@@ -170,6 +170,13 @@ def draw_title(image: NDArray[np.uint8], text: str) -> None:
     cv2.putText(image, text, (16, image.shape[0] - 15), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (240, 240, 240), 1, cv2.LINE_AA)
 
 
+def draw_caption(image: NDArray[np.uint8], text: str) -> None:
+    """Draw a line into the upper left corner of a view."""
+    import cv2
+
+    cv2.putText(image, text, (12, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (70, 75, 85), 1, cv2.LINE_AA)
+
+
 def draw_scale(image: NDArray[np.uint8], pixels_per_m: float) -> None:
     """Draw a bar of one metre, and the directions of x and y, into the lower left corner of a view from above."""
     import cv2

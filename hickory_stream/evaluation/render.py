@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.labels import draw_labels, draw_scale, draw_title, most_visible, place_labels
+from hickory_stream.evaluation.labels import (
+    draw_caption,
+    draw_labels,
+    draw_scale,
+    draw_title,
+    most_visible,
+    place_labels,
+)
 from hickory_stream.evaluation.rasterize import first_hits
 from hickory_stream.evaluation.render_parts import (
     dots_of,
@@ -17,10 +24,10 @@ from hickory_stream.evaluation.render_parts import (
     mesh_surface,
     superquadric_surfaces,
 )
+from hickory_stream.evaluation.render_storeys import Place, Storey, places_of, storeys_to_draw
 from hickory_stream.evaluation.render_view import Floor, Model, draw_view
 from hickory_stream.evaluation.viewpoint import Viewpoint, from_above, from_corner
-from hickory_stream.records import Phase
-from hickory_stream.storeys import floors_of, on_storey
+from hickory_stream.storeys import floors_of
 
 if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
@@ -34,7 +41,6 @@ if TYPE_CHECKING:
     from hickory_stream.records import TrackedObject
 
 _TITLE_PX = 44
-_MARGIN_PX = 46
 _ELEVATION_RAD = np.deg2rad(38.0)
 _CELL_M = 0.05
 _LABEL_STEP_PX = 3
@@ -49,13 +55,15 @@ def render_map(
 ) -> NDArray[np.uint8]:
     """Return an (H, W, 3) uint8 picture of a map: from above on the left, from a corner on the right.
 
+    Of a map with several storeys they are beside one another, at most `MOST_STOREYS` of them.
+
     Args:
         saved: the map; tracks that are still tentative are not drawn.
         layers: the layers to draw, of 1 to 4; an object without a shape is drawn as its points. Layer 4 is translucent,
         and so is layer 3 if layer 2 is drawn too.
         size: (W, H) in pixels, at least (480, 240).
         texture_px: the largest side of a texture of layer 2, 0 for the colours of its vertices.
-        floor_m: draw the storey of this floor alone; without it all objects, and the walls of the lowest floor.
+        floor_m: draw the storey of this floor alone; without it all storeys, each from above and from a corner.
 
     Raises:
         MapFolderError: a mesh, or a view that a texture is made of, cannot be read.
@@ -66,27 +74,46 @@ def render_map(
         raise ValueError(f"a picture of a map has at least 480 x 240 pixels, found {width} x {height}")
     if not layers or not set(layers) <= {1, 2, 3, 4}:
         raise ValueError(f"layers are among 1, 2, 3 and 4, found {sorted(layers)}")
-    shown = saved.snapshot if floor_m is None else on_storey(saved.snapshot, floor_m)
-    objects = [tracked for tracked in shown.objects if tracked.phase != Phase.TENTATIVE]
-    solid, translucent = _surfaces(saved, objects, layers, texture_px)
-    dots = [dots_of(tracked) for tracked in objects]
-    points = [one for one, tracked in zip(dots, objects, strict=True) if 1 in layers or tracked.shape is None]
-    floor = _floor_of(saved, objects, floor_m)
-    panel_height = height - _TITLE_PX
-    left_width = _left_width(objects, width, panel_height)
-    corners = _corners(objects)
-    model = Model(solid=solid, points=points, translucent=translucent, submaps=saved.snapshot.submaps, floor=floor)
-    above = from_above(corners, left_width, panel_height, _MARGIN_PX)
-    corner = _best_corner(dots, corners, width - left_width - 2, panel_height)
+    storeys = storeys_to_draw(saved.snapshot, floor_m)
     image = np.full((height, width, 3), 255, dtype=np.uint8)
-    image[_TITLE_PX:, :left_width] = _panel(model, above, objects, dots)
-    image[_TITLE_PX:, left_width + 2 :] = _panel(model, corner, objects, dots)
-    draw_scale(image[_TITLE_PX:, :left_width], above.focal_px)
-    draw_title(image[:_TITLE_PX], _title(saved, objects, layers))
+    below = image[_TITLE_PX:]
+    # From above all storeys have one place and one scale, so that stairs and walls are above one another.
+    around = _corners([tracked for storey in storeys for tracked in storey.objects])
+    extent_m = np.maximum(np.ptp(around[:, :2], axis=0), 0.5)
+    places = places_of(len(storeys), width, height - _TITLE_PX, extent_m)
+    azimuth_rad: float | None = None
+    # The fullest one first: from where it is seen best, all are seen.
+    for i in sorted(range(len(storeys)), key=lambda i: (-len(storeys[i].objects), i)):
+        storey, (above, corner) = storeys[i], places[i]
+        dots = [dots_of(tracked) for tracked in storey.objects]
+        corners = _corners(storey.objects)
+        if azimuth_rad is None:
+            azimuth_rad = _best_azimuth(dots, corners, corner)
+        model = _model(saved, storey, dots, layers, texture_px)
+        from_here = from_above(around, above.width, above.height, above.margin_px)
+        from_there = from_corner(corners, azimuth_rad, _ELEVATION_RAD, corner.width, corner.height, corner.margin_px)
+        above.of(below)[:] = _panel(model, from_here, storey.objects, dots)
+        corner.of(below)[:] = _panel(model, from_there, storey.objects, dots)
+        draw_scale(above.of(below), from_here.focal_px)
+        if len(storeys) > 1:
+            draw_caption(above.of(below), f"floor at {storey.floor_m:.2f} m: {len(storey.objects)} objects")
+    draw_title(image[:_TITLE_PX], _title(saved, storeys, layers))
     return image
 
 
 # ---- what to draw ---------------------------------------------------------------------------------------------------
+
+
+def _model(saved: SavedMap, storey: Storey, dots: list[Dots], layers: AbstractSet[int], texture_px: int) -> Model:
+    """Return what is drawn of a storey; `dots` are those of its objects."""
+    solid, translucent = _surfaces(saved, storey.objects, layers, texture_px)
+    return Model(
+        solid=solid,
+        points=[one for one, tracked in zip(dots, storey.objects, strict=True) if 1 in layers or tracked.shape is None],
+        translucent=translucent,
+        submaps=saved.snapshot.submaps,
+        floor=_floor_of(saved, storey.objects, storey.floor_m),
+    )
 
 
 def _surfaces(
@@ -139,17 +166,9 @@ def _floor_of(saved: SavedMap, objects: list[TrackedObject], floor_m: float | No
     return Floor(z_m=z_m, origin_m=origin, cell_m=_CELL_M, weights=cv2.GaussianBlur(weights, (0, 0), 1.2))
 
 
-def _left_width(objects: list[TrackedObject], width: int, height: int) -> int:
-    """Return the width of the view from above: proportional to its content, within limits."""
-    corners = _corners(objects)
-    extent = np.maximum(np.ptp(corners[:, :2], axis=0), 0.5)
-    wanted = (height - 2 * _MARGIN_PX) * extent[0] / extent[1] + 2 * _MARGIN_PX
-    return int(np.clip(wanted, 0.34 * width, 0.46 * width))
-
-
-def _best_corner(dots: list[Dots], corners: NDArray[np.float64], width: int, height: int) -> Viewpoint:
-    """Return the view, of eight directions, in which objects occlude one another least, whichever layers are drawn."""
-    small = (width // 8, height // 8, _MARGIN_PX // 8)
+def _best_azimuth(dots: list[Dots], corners: NDArray[np.float64], place: Place) -> float:
+    """Return the direction, of eight, in which objects occlude one another least, whichever layers are drawn."""
+    small = (place.width // 8, place.height // 8, place.margin_px // 8)
 
     def visibility(azimuth: float) -> float:
         viewpoint = from_corner(corners, azimuth, _ELEVATION_RAD, *small)
@@ -157,11 +176,12 @@ def _best_corner(dots: list[Dots], corners: NDArray[np.float64], width: int, hei
         _, counts = np.unique(owners[owners >= 0], return_counts=True)
         return float(np.log1p(counts).sum())
 
-    best = max(np.deg2rad(np.arange(8) * 45.0 + 25.0), key=visibility)
-    return from_corner(corners, float(best), _ELEVATION_RAD, width, height, _MARGIN_PX)
+    return float(max(np.deg2rad(np.arange(8) * 45.0 + 25.0), key=visibility))
 
 
-def _title(saved: SavedMap, objects: list[TrackedObject], layers: AbstractSet[int]) -> str:
+def _title(saved: SavedMap, storeys: list[Storey], layers: AbstractSet[int]) -> str:
+    # What reaches through a ceiling is in two storeys.
+    objects = list({tracked.id: tracked for storey in storeys for tracked in storey.objects}.values())
     shapes = [tracked.shape for tracked in objects if tracked.shape]
     sketched = sum(tracked.sketch is not None for tracked in objects)
     counts = {
@@ -173,7 +193,10 @@ def _title(saved: SavedMap, objects: list[TrackedObject], layers: AbstractSet[in
     }
     name = str(saved.manifest.source.get("uri", saved.folder.name)).rstrip("/").rsplit("/", maxsplit=1)[-1]
     shown = "  ".join(f"{layer}: {counts[layer]}" for layer in sorted(layers))
-    return f"{name}    {len(objects)} objects    layer {shown}"
+    num_floors = len(floors_of(saved.snapshot))
+    of_all = f" of {num_floors}, --floor draws one" if num_floors > len(storeys) else ""
+    told = f"    {len(storeys)} storeys{of_all}" if len(storeys) > 1 else ""
+    return f"{name}    {len(objects)} objects{told}    layer {shown}"
 
 
 # ---- one panel ------------------------------------------------------------------------------------------------------
