@@ -2,26 +2,28 @@
 
 Beside its machine code numba keeps a kernel's bitcode, for kernels that call it and are compiled later. It parses that
 whenever it loads one, and lists all symbols in it: a third of what loading takes. Here that waits until somebody asks.
+It reaches into numba, so that it is done for the releases that it was tried on, and for no others.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import numba
 from llvmlite import binding
 from numba.core import codegen
 
+_TRIED = "0.68."
 _WAITING = "_hickory_bitcode"
 # The entry point of a kernel, which its machine code has.
 _ENTRY = "_ZN7cpython"
 
 
 def load_lazily() -> None:
-    """Have numba load kernels so, from now on; where it is built otherwise than it was, it loads as it does."""
-    library = getattr(codegen, "JITCodeLibrary", None)
-    needed = ("_unserialize", "_set_compiled_object", "_finalize_final_module", "_get_module_for_linking")
-    if library is None or not all(hasattr(library, name) for name in (*needed, "get_pointer_to_function")):
+    """Have numba load kernels so, from now on; a release that this was not tried on loads as it does."""
+    if not numba.__version__.startswith(_TRIED):
         return
+    library = codegen.JITCodeLibrary
     whole_unserialize = library._unserialize.__func__
     whole_module = library._get_module_for_linking
     whole_pointer = library.get_pointer_to_function
