@@ -9,12 +9,11 @@ from __future__ import annotations
 import os
 import re
 import stat
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, BinaryIO
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from pathlib import Path
 
 _PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]*(?:\.[A-Za-z0-9_-]+)*")
 _LONGEST_NAME = 200
@@ -100,15 +99,18 @@ def read_within(root: Path, name: object) -> bytes:
         return file.read()
 
 
-def open_new(path: Path) -> int:
+def open_new(path: Path | str) -> int:
     """Return the descriptor of a new, empty file to write; what was there, a link above all, is removed, not followed.
 
     Raises:
         OSError: the disk refused.
     """
-    path.unlink(missing_ok=True)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FOLLOW_NO_LINK | getattr(os, "O_BINARY", 0)
-    return os.open(path, flags, 0o666)
+    try:
+        return os.open(path, flags, 0o666)
+    except FileExistsError:
+        Path(path).unlink(missing_ok=True)
+        return os.open(path, flags, 0o666)
 
 
 def refuse_links(root: Path, names: Iterable[str]) -> None:

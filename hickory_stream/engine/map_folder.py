@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from threading import Lock
@@ -236,8 +237,9 @@ class MapFolder:
 
     def _write_missing(self, folders: set[str], name: str, data: bytes) -> None:
         """Write a file unless it is there, and note the folder that it belongs to."""
-        if not (self.path / name).exists():
-            write_atomically(self.path / name, data)
+        path = self.path / name
+        if not path.exists():
+            write_atomically(path, data)
         folders.add(name.partition("/")[0])
 
     def _sync_referenced(self, snapshot: MapSnapshot) -> None:
@@ -246,8 +248,9 @@ class MapFolder:
         files = {name: files_of_name(self.path, name) for name in self._unsynced}
         # The description of a view, the last of its files, is written last.
         whole = {name for name, paths in files.items() if paths[-1].exists()}
-        for path in [path for name in whole for path in files[name] if path.exists()]:
-            sync(path)
+        for path in [path for name in whole for path in files[name]]:
+            with suppress(FileNotFoundError):
+                sync(path)
         if whole:
             sync(self.views)
             sync(self.shapes)

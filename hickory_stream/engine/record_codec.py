@@ -23,7 +23,7 @@ import numpy as np
 
 from hickory_stream.engine.field_types import checked_record, field_checks
 from hickory_stream.geometry.depth_code import packed_depths, unpacked_depths
-from hickory_stream.geometry.lattice import packed_steps, points_of, steps_of, unpacked_steps
+from hickory_stream.geometry.lattice import packed_points, points_of, unpacked_steps
 from hickory_stream.geometry.packing import array_of, color_planes, colors_of, planes_of
 from hickory_stream.geometry.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
 
@@ -221,8 +221,8 @@ def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
         method, data = _COLORS, color_planes(little)
     elif little.dtype.itemsize == 1:
         data = little.tobytes()
-    elif little.dtype == np.float32 and little.shape[1:] == (3,) and (steps := steps_of(little)) is not None:
-        method, data = _STEPS, packed_steps(steps)
+    elif little.dtype == np.float32 and little.shape[1:] == (3,) and (packed := packed_points(little)) is not None:
+        method, data = _STEPS, packed
     elif little.dtype == np.int64 and little.ndim == 1 and is_denser(little):
         heads, words = blocks_of(little)
         method, data = _BLOCKS, planes_of(np.diff(heads, prepend=np.int64(0))) + planes_of(words)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.geometry.packing import array_of, planes_of, signed, unsigned
+from hickory_stream.compiled import numba
+from hickory_stream.geometry.packing import array_of, signed
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -43,18 +44,40 @@ def points_of(steps: NDArray[np.int32], steps_per_m: float = STEPS_PER_M) -> NDA
     return steps.astype(np.float32) / np.float32(steps_per_m)
 
 
-def packed_steps(steps: NDArray[np.int32]) -> bytes:
-    """Return the bytes (12 N) of (N, 3) steps as they compress: how far each is from the one before it."""
-    return planes_of(unsigned(np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.int32))))
+def packed_points(points: NDArray[np.float32], steps_per_m: float = STEPS_PER_M) -> bytes | None:
+    """Return the bytes (12 N) of (N, 3) points as they compress: how many steps each is from the one before it.
+
+    The numbers are told as 0, -1, 1, -2, 2, ... are counted, their first bytes first. None where `steps_of` is.
+    """
+    out = np.empty(12 * len(points), dtype=np.uint8)
+    return out.tobytes() if _pack_points(points, np.float32(steps_per_m), out) else None
 
 
 def unpacked_steps(data: bytes, count: int) -> NDArray[np.int32]:
-    """Return the (N, 3) steps of `packed_steps`; raises ValueError where there are not as many."""
+    """Return the (N, 3) steps of `packed_points`; raises ValueError where there are not as many."""
     return np.cumsum(signed(array_of(data, np.dtype("<u4"), (count, 3))), axis=0, dtype=np.int32)
 
 
 # Beyond it float32 does not tell one step from the next.
 _MOST_STEPS = 1 << 24
+
+
+@numba.njit(cache=True, nogil=True)
+def _pack_points(points, steps_per_m, out):  # type: ignore[no-untyped-def] # pragma: no cover
+    plane = 3 * len(points)
+    for axis in range(3):
+        last = 0
+        for i in range(len(points)):
+            steps = points[i, axis] * steps_per_m
+            if not abs(steps) < _MOST_STEPS or steps != np.rint(steps) or (steps == 0 and np.signbit(steps)):
+                return False
+            change = int(steps) - last
+            last += change
+            code = 2 * change if change >= 0 else -2 * change - 1
+            at = axis * len(points) + i
+            for byte in range(4):
+                out[byte * plane + at] = (code >> (8 * byte)) & 255
+    return True
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

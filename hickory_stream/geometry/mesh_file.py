@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import zstandard
 
-from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, packed_steps, points_of, steps_of, unpacked_steps
+from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, packed_points, points_of, unpacked_steps
 from hickory_stream.geometry.mesh import Mesh, mesh_of_glb
 from hickory_stream.geometry.packing import array_of, color_planes, colors_of, planes_of, signed, unsigned
 
@@ -32,9 +32,9 @@ _FLOAT, _SIGNED, _UNSIGNED = np.dtype("<f4"), np.dtype("<i4"), np.dtype("<u4")
 
 def mesh_file_bytes(mesh: Mesh) -> bytes:
     """Return the file of a mesh; equal meshes give equal bytes."""
-    steps, below = steps_of(mesh.vertices, MESH_STEPS_PER_M), _below_next(mesh.faces.reshape(-1))
+    steps, below = packed_points(mesh.vertices, MESH_STEPS_PER_M), _below_next(mesh.faces.reshape(-1))
     body = (
-        planes_of(mesh.vertices.astype(_FLOAT, copy=False)) if steps is None else packed_steps(steps),
+        planes_of(mesh.vertices.astype(_FLOAT, copy=False)) if steps is None else steps,
         color_planes(mesh.colors),
         planes_of(below.astype(_SIGNED, copy=False) if steps is None else unsigned(below)),
         np.packbits(mesh.is_seen).tobytes(),

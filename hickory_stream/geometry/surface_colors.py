@@ -47,9 +47,9 @@ def _expected(keys, colors, i, beside, behind):  # type: ignore[no-untyped-def] 
         beside += 1
     while behind < i and keys[behind] < key - _STEP_Y:
         behind += 1
-    count, red, green, blue = 0, 0, 0, 0
+    count, red, green, blue = 0, np.int64(0), np.int64(0), np.int64(0)
     if i > 0 and keys[i - 1] == key - 1:
-        count, red, green, blue = 1, int(colors[i - 1, 0]), int(colors[i - 1, 1]), int(colors[i - 1, 2])
+        count, red, green, blue = 1, np.int64(colors[i - 1, 0]), np.int64(colors[i - 1, 1]), np.int64(colors[i - 1, 2])
     for at, wanted in ((beside, key - _STEP_X), (behind, key - _STEP_Y)):
         if at < i and keys[at] <= wanted + 1:
             found = at
@@ -62,7 +62,7 @@ def _expected(keys, colors, i, beside, behind):  # type: ignore[no-untyped-def] 
         green += colors[found, 1]
         blue += colors[found, 2]
     if count == 0 and i > 0:
-        count, red, green, blue = 1, int(colors[i - 1, 0]), int(colors[i - 1, 1]), int(colors[i - 1, 2])
+        count, red, green, blue = 1, np.int64(colors[i - 1, 0]), np.int64(colors[i - 1, 1]), np.int64(colors[i - 1, 2])
     if count == 2:
         red, green, blue = red >> 1, green >> 1, blue >> 1
     elif count == 3:
@@ -75,10 +75,10 @@ def _pack(keys, colors, left):  # type: ignore[no-untyped-def] # pragma: no cove
     beside, behind = 0, 0
     for i in range(len(keys)):
         red, green, blue, beside, behind = _expected(keys, colors, i, beside, behind)
-        off = int(colors[i, 1]) - green
-        left[0, i] = (int(colors[i, 0]) - red - off) & 255
+        off = np.int64(colors[i, 1]) - green
+        left[0, i] = (np.int64(colors[i, 0]) - red - off) & 255
         left[1, i] = off & 255
-        left[2, i] = (int(colors[i, 2]) - blue - off) & 255
+        left[2, i] = (np.int64(colors[i, 2]) - blue - off) & 255
 
 
 @numba.njit(cache=True, nogil=True)
@@ -86,7 +86,7 @@ def _unpack(keys, left, colors):  # type: ignore[no-untyped-def] # pragma: no co
     beside, behind = 0, 0
     for i in range(len(keys)):
         red, green, blue, beside, behind = _expected(keys, colors, i, beside, behind)
-        off = int(left[1, i])
-        colors[i, 0] = (int(left[0, i]) + off + red) & 255
+        off = np.int64(left[1, i])
+        colors[i, 0] = (np.int64(left[0, i]) + off + red) & 255
         colors[i, 1] = (off + green) & 255
-        colors[i, 2] = (int(left[2, i]) + off + blue) & 255
+        colors[i, 2] = (np.int64(left[2, i]) + off + blue) & 255
