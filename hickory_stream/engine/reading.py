@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import time
 from collections import Counter
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
+_FRAMES_AHEAD = 16
+"""More than lie between two keyframes at 30 Hz: with fewer, one is only decoded when that before it is mapped."""
 _DECODED_AHEAD = 3
 _LIVE_FRAMES = 32
 
@@ -87,8 +90,8 @@ class Position:
 class Reader:
     """Takes frames from a source, on a thread of its own, into a channel until it ends or the run stops.
 
-    A playback has few frames on their way, decoded, and waits while they are not taken. A live run has a second of
-    them, still compressed, the newest.
+    A playback has few frames on their way, of which fewer are decoded, and waits while they are not taken. A live run
+    has a second of them, still compressed, the newest.
     """
 
     def __init__(
@@ -100,8 +103,9 @@ class Reader:
         self._stop = stop
         self._mode = mode
         self._channel: Channel[Read] = (
-            Channel(_LIVE_FRAMES, "drop_oldest") if mode == "live" else Channel(_DECODED_AHEAD)
+            Channel(_LIVE_FRAMES, "drop_oldest") if mode == "live" else Channel(_FRAMES_AHEAD)
         )
+        self._room = asyncio.Semaphore(_DECODED_AHEAD)
         self._thread = ThreadPoolExecutor(1, "read")
         self.decode_s = 0.0
         # Since the last frame that was sent.
@@ -124,20 +128,26 @@ class Reader:
     async def take(self) -> list[Read] | None:
         """Return what has come, one frame in a playback, waiting for the first; None when nothing more will."""
         try:
-            return await self._channel.receive_all() if self._mode == "live" else [await self._channel.receive()]
+            if self._mode == "live":
+                return await self._channel.receive_all()
+            read = await self._channel.receive()
         except ChannelClosed:
             return None
+        if read.frame is not None:
+            self._room.release()
+        return [read]
 
     async def end(self) -> None:
         """Take no more."""
         await self._channel.close()
+        self._room.release()  # whoever waits for room finds the channel closed
 
     def close(self) -> None:
         """Wait for the thread to end."""
         self._thread.shutdown(wait=True)
 
     async def _play(self, source: Source, pacer: Pacer, loops: int, start: Position) -> None:
-        """Read `loops` rounds, from a position on, decoding keyframes ahead; waits while the channel is full."""
+        """Read `loops` rounds, from a position on, decoding keyframes ahead; waits while there is no room for more."""
         keyframe, last_ns = start.keyframe, start.last_ns
         offset = start.first_index
         index = start.last_index
@@ -159,8 +169,11 @@ class Reader:
                     await pacer.wait(raw.stamp_ns, self._stop.event)
                     frame, ahead, is_torn = None, Ahead(), False
                     if is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
+                        await self._room.acquire()
                         frame = await self._decoded(raw, index)
                         is_torn = frame is None
+                        if is_torn:
+                            self._room.release()
                     if frame is not None:
                         keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
                         ahead = await self._ahead(frame)

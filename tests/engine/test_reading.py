@@ -57,12 +57,51 @@ def test_a_keyframe_of_a_playback_comes_with_all_that_needs_no_map() -> None:
         np.testing.assert_array_equal(ahead.free_keys, alone.space.free_keys)
 
 
+def test_at_30_hz_the_next_keyframe_is_ready_before_anybody_takes_a_frame() -> None:
+    async def ready() -> list[Read]:
+        reader = _reader()
+        await _reading(reader, SceneSource(16, period_ns=33_333_333))
+        reads = await _taken(reader)
+        reader.close()
+        return reads
+
+    assert [read.raw.index for read in asyncio.run(ready()) if read.frame is not None] == [0, 8]
+
+
+def test_few_keyframes_wait_decoded_and_a_reader_that_waits_for_room_ends_when_nobody_takes_more() -> None:
+    async def left() -> list[Read]:
+        reader = _reader()
+        async with asyncio.TaskGroup() as group:
+            group.create_task(_reading(reader, SceneSource(12)))
+            while reader.num_waiting < 3:  # noqa: ASYNC110 (what is on its way is counted, not told)
+                await asyncio.sleep(0)
+            await reader.end()
+        reads = await _taken(reader)
+        reader.close()
+        return reads
+
+    assert len(asyncio.run(left())) == 3
+
+
 async def _read(source: SceneSource) -> list[Read]:
-    reader = Reader(MapperConfig(), SEGMENTER, ColorTextureDescriptor(), Stop(), mode="playback")
-    taken: list[Read] = []
+    reader = _reader()
     async with asyncio.TaskGroup() as group:
-        group.create_task(reader.read(source, rate=None, loops=1, start=Position(), counts=Counter()))
-        while (some := await reader.take()) is not None:
-            taken += some
+        group.create_task(_reading(reader, source))
+        reads = await _taken(reader)
     reader.close()
+    return reads
+
+
+def _reader() -> Reader:
+    return Reader(MapperConfig(), SEGMENTER, ColorTextureDescriptor(), Stop(), mode="playback")
+
+
+async def _reading(reader: Reader, source: SceneSource) -> None:
+    await reader.read(source, rate=None, loops=1, start=Position(), counts=Counter())
+
+
+async def _taken(reader: Reader) -> list[Read]:
+    taken: list[Read] = []
+    while (some := await reader.take()) is not None:
+        taken += some
     return taken
