@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -38,18 +38,29 @@ class Features(Mapping[str, "NDArray[np.float64]"]):
 
 def joined(*parts: Features) -> Features:
     """Return the columns of all parts, which have the same pairs and no name in common."""
-    return Features(
-        tuple(name for part in parts for name in part.names), np.concatenate([part.rows for part in parts], axis=1)
-    )
+    return Features(_all_names(*(part.names for part in parts)), np.concatenate([part.rows for part in parts], axis=1))
 
 
 def of_both(
-    names: Sequence[str], rows: NDArray[np.float64], large: NDArray[np.int64], small: NDArray[np.int64]
+    names: tuple[str, ...], rows: NDArray[np.float64], large: NDArray[np.int64], small: NDArray[np.int64]
 ) -> Features:
     """Return the features of both regions, `large` and `small` (K,), of pairs, from rows (n, len(names)) of regions."""
     both = np.empty((len(large), 2 * len(names)))
     both[:, ::2], both[:, 1::2] = rows[large], rows[small]
-    return Features(tuple(f"{side}_{name}" for name in names for side in ("large", "small")), both)
+    return Features(_names_of_both(names), both)
+
+
+# The names are the same in every round of every frame.
+
+
+@lru_cache(maxsize=64)
+def _all_names(*parts: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(name for part in parts for name in part)
+
+
+@lru_cache(maxsize=64)
+def _names_of_both(names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{side}_{name}" for name in names for side in ("large", "small"))
 
 
 @lru_cache(maxsize=64)

@@ -118,18 +118,34 @@ class _Grid:
 
 
 def _heights_of(surface: Surface, known: NDArray[np.bool_], highest_m: float, config: GroundConfig) -> _Grid | None:
-    points, up = surface.points_world, surface.normals_world[..., 2]
-    usable = (up > _UPWARD) & (points[..., 2] < highest_m)
-    if not usable.any():
+    at, sigma_m, is_known = _upward(
+        surface.points_world, surface.normals_world, surface.sigma_m, known, np.float32(_UPWARD), np.float32(highest_m)
+    )
+    if not len(at):
         return None
-    at = points[usable]
     cell = np.float32(config.cell_m)
     low = np.floor(at[:, :2].min(axis=0) / cell) * cell
     size = tuple(int(n) for n in np.floor((at[:, :2].max(axis=0) - low) / cell) + 1)
     # Depth noise is along the ray: its vertical part is in proportion to the vertical component of the ray.
     eye = surface.world_from_camera[:3, 3].astype(np.float32)
-    z, slack, share = _lowest(at, surface.sigma_m[usable], known[usable], eye, low, cell, size[0], size[1])
+    z, slack, share = _lowest(at, sigma_m, is_known, eye, low, cell, size[0], size[1])
     return _Grid(z, slack, share, low)
+
+
+@numba.njit(cache=True, nogil=True)
+def _upward(points, normals, sigma, known, least, highest):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N, 3) the points that face upward below a height, (N,) their noise, and whether they are known."""
+    height, width = known.shape
+    at, noise = np.empty((height * width, 3), dtype=np.float32), np.empty(height * width, dtype=np.float32)
+    is_known = np.empty(height * width, dtype=np.bool_)
+    n = 0
+    for y in range(height):
+        for x in range(width):
+            if normals[y, x, 2] > least and points[y, x, 2] < highest:
+                at[n, 0], at[n, 1], at[n, 2] = points[y, x, 0], points[y, x, 1], points[y, x, 2]
+                noise[n], is_known[n] = sigma[y, x], known[y, x]
+                n += 1
+    return at[:n], noise[:n], is_known[:n]
 
 
 @numba.njit(cache=True, nogil=True)

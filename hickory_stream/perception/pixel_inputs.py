@@ -79,23 +79,41 @@ def _byte(value):  # type: ignore[no-untyped-def] # pragma: no cover
     return np.uint8(min(max(scaled, np.float32(0.0)), np.float32(255.0)))
 
 
-@numba.njit(cache=True, nogil=True)
-def _bend(depth, sigma, y, x, dy, dx):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return the second difference of inverse depth in sigmas, squeezed to -2..2; 0 where it cannot be measured."""
-    height, width = depth.shape
-    ya, xa, yb, xb = y - dy, x - dx, y + dy, x + dx
-    if ya < 0 or xa < 0 or yb >= height or xb >= width or np.isnan(depth[ya, xa]) or np.isnan(depth[yb, xb]):
-        return np.float32(0.0)
-    z, one, two = depth[y, x], np.float32(1.0), np.float32(2.0)
-    bend = (one / depth[ya, xa] + one / depth[yb, xb] - two / z) * (z * z / sigma[y, x])
-    return two * bend / (abs(bend) + np.float32(4.0))
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _bends(one, other, own, stiffness, out):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Fill in (W,) the second differences of inverse depth in sigmas, squeezed to -2..2; 0 where not measurable.
+
+    `one` and `other` (W,) are inverse depths on both sides of `own`, NaN where there is no return, and `stiffness` (W,)
+    is the inverse of the standard deviation of `own`. Vectorised.
+    """
+    two, four, zero = np.float32(2.0), np.float32(4.0), np.float32(0.0)
+    for x in range(len(out)):
+        bend = (one[x] + other[x] - two * own[x]) * stiffness[x]
+        # Without a return on one side this is NaN, and no comparison is true of it.
+        bend = bend if abs(bend) >= zero else zero
+        byte = _byte(two * bend / (abs(bend) + four))
+        out[x] = byte if own[x] > zero else np.uint8(ZERO)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _geometry(depth, points, normals, sigma, heading, focal_px, floor_z_m, out):  # type: ignore[no-untyped-def] # pragma: no cover
     height, width = depth.shape
     one = np.float32(1.0)
+    # Beyond the image there is no return either.
+    inverses = np.full((height + 8, width + 8), np.float32(np.nan), dtype=np.float32)
+    stiffness = np.empty((height, width), dtype=np.float32)
     for y in range(height):
+        for x in range(width):
+            z = depth[y, x]
+            inverses[y + 4, x + 4], stiffness[y, x] = one / z, z * z / sigma[y, x]
+    for y in range(height):
+        own, rows = inverses[y + 4, 4 : 4 + width], inverses[y + 4]
+        for channel in range(2):
+            step = 1 if channel == 0 else 4
+            left, right = rows[4 - step : 4 - step + width], rows[4 + step : 4 + step + width]
+            above, below = inverses[y + 4 - step, 4 : 4 + width], inverses[y + 4 + step, 4 : 4 + width]
+            _bends(left, right, own, stiffness[y], out[4 + 2 * channel, y, :width])
+            _bends(above, below, own, stiffness[y], out[5 + 2 * channel, y, :width])
         for x in range(width):
             if np.isnan(depth[y, x]):
                 continue
@@ -105,10 +123,6 @@ def _geometry(depth, points, normals, sigma, heading, focal_px, floor_z_m, out):
                 out[1, y, x] = _byte(nx * heading[0] + ny * heading[1])
                 out[2, y, x] = _byte(nx * heading[1] - ny * heading[0])
                 out[3, y, x] = _byte(normals[y, x, 2])
-            out[4, y, x] = _byte(_bend(depth, sigma, y, x, 0, 1))
-            out[5, y, x] = _byte(_bend(depth, sigma, y, x, 1, 0))
-            out[6, y, x] = _byte(_bend(depth, sigma, y, x, 0, 4))
-            out[7, y, x] = _byte(_bend(depth, sigma, y, x, 4, 0))
             # Metres per pixel: from 1 mm to 5 cm.
             out[8, y, x] = _byte(np.float32(log(depth[y, x] / focal_px)) + np.float32(5.0))
             if not np.isnan(floor_z_m):

@@ -189,7 +189,7 @@ def _without_flying_pixels(depth):  # type: ignore[no-untyped-def] # pragma: no 
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _normals(depth, u, v, radius, noise):  # type: ignore[no-untyped-def] # pragma: no cover
     """Fit 1/z = a du + b dv + c over each window; (a, b, c) gives the plane's normal in the camera frame.
 
@@ -209,31 +209,32 @@ def _normals(depth, u, v, radius, noise):  # type: ignore[no-untyped-def] # prag
     step_u, step_v = u[1] - u[0], v[1] - v[0]
     planes = np.empty((3, width), dtype=np.float32)
     sums = np.empty((9, width), dtype=np.float32)
+    gates, has_plane = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.bool_)
     for y in range(height):
         own = inverses[y + radius, radius : radius + width]
         planes[:] = np.float32(0.0)
         for step in range(2):
             share = np.float32(0.03 if step == 0 else 0.003)
             floor = np.float32(0.0) if step == 0 else np.float32(3.0) * noise
-            _sum_windows(inverses, y, own, planes, sums, radius, step_u, step_v, share, floor)
-            _solve_planes(sums, planes, out[y], step == 0)
+            for x in range(width):
+                gates[x] = floor + share * own[x]
+            _sum_windows(inverses, y, own, gates, planes, sums, radius, step_u, step_v)
+            _solve_planes(sums, planes, has_plane, step == 0)
         for x in range(width):
-            if own[x] < 0 or np.isnan(out[y, x, 0]):
-                out[y, x, :] = np.nan
-                continue
             # The plane in absolute (u, v): 1/z = a U + b V + (c - a u - b v); negated, its normal faces the camera.
             nx, ny = planes[0, x], planes[1, x]
             nz = own[x] + planes[2, x] - nx * u[x] - ny * v[y]
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
-            if length > 0.0:
-                out[y, x, 0], out[y, x, 1], out[y, x, 2] = -nx / length, -ny / length, -nz / length
+            has_normal = has_plane[x] & (own[x] >= np.float32(0.0)) & (length > np.float32(0.0))
+            length = length if has_normal else np.float32(np.nan)
+            out[y, x, 0], out[y, x, 1], out[y, x, 2] = -nx / length, -ny / length, -nz / length
     return out
 
 
 @numba.njit(cache=True, nogil=True)
-def _sum_windows(inverses, y, own, planes, sums, radius, step_u, step_v, share, floor):  # type: ignore[no-untyped-def] # pragma: no cover
+def _sum_windows(inverses, y, own, gates, planes, sums, radius, step_u, step_v):  # type: ignore[no-untyped-def] # pragma: no cover
     """Fill the nine sums of a row's windows: n, u, v, d, uu, uv, vv, ud, vd over the pixels within the gate."""
-    width = len(own)
+    width, one, none = len(own), np.float32(1.0), np.float32(0.0)
     sums[:] = np.float32(0.0)
     for dy in range(-radius, radius + 1):
         dv = np.float32(dy) * step_v
@@ -244,37 +245,35 @@ def _sum_windows(inverses, y, own, planes, sums, radius, step_u, step_v, share, 
             for x in range(width):
                 d = row[x] - own[x]
                 off = abs(d - (planes[2, x] + planes[0, x] * du + planes[1, x] * dv))
-                w = np.float32(1.0) if off <= floor + share * own[x] else np.float32(0.0)
-                wd = w * d
-                sums[0, x] += w
-                sums[1, x] += w * du
-                sums[2, x] += w * dv
-                sums[3, x] += wd
-                sums[4, x] += w * uu
-                sums[5, x] += w * uv
-                sums[6, x] += w * vv
-                sums[7, x] += wd * du
-                sums[8, x] += wd * dv
+                is_in = off <= gates[x]
+                sums[0, x] += one if is_in else none
+                sums[1, x] += du if is_in else none
+                sums[2, x] += dv if is_in else none
+                sums[3, x] += d if is_in else none
+                sums[4, x] += uu if is_in else none
+                sums[5, x] += uv if is_in else none
+                sums[6, x] += vv if is_in else none
+                sums[7, x] += d * du if is_in else none
+                sums[8, x] += d * dv if is_in else none
 
 
-@numba.njit(cache=True, nogil=True)
-def _solve_planes(sums, planes, out, is_first):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Solve the windows of a row for the first or the second fit.
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _solve_planes(sums, planes, has_plane, is_first):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Solve the windows of a row for the first or the second fit, without branches: vectorised.
 
-    `out` stays NaN if the first fit has no solution, and keeps the first fit if the second has none.
+    `has_plane` says whether the first fit has a solution; the plane stays that of the first fit if the second has none.
     """
     for x in range(sums.shape[1]):
         n, su, sv, sd = sums[0, x], sums[1, x], sums[2, x], sums[3, x]
-        if n < 6:
-            continue
         cuu, cuv, cvv = sums[4, x] - su * su / n, sums[5, x] - su * sv / n, sums[6, x] - sv * sv / n
         cud, cvd = sums[7, x] - su * sd / n, sums[8, x] - sv * sd / n
         determinant = cuu * cvv - cuv * cuv
-        if determinant < np.float32(1e-3) * (cuu + cvv) ** 2:
-            continue
-        if not is_first and np.isnan(out[x, 0]):
-            continue
+        is_solved = (n >= np.float32(6.0)) & (determinant >= np.float32(1e-3) * ((cuu + cvv) * (cuu + cvv)))
         a = (cud * cvv - cvd * cuv) / determinant
         b = (cvd * cuu - cud * cuv) / determinant
-        planes[0, x], planes[1, x], planes[2, x] = a, b, (sd - a * su - b * sv) / n
-        out[x, 0] = np.float32(0.0)
+        c = (sd - a * su - b * sv) / n
+        if is_first:
+            has_plane[x] = is_solved
+        planes[0, x] = a if is_solved else planes[0, x]
+        planes[1, x] = b if is_solved else planes[1, x]
+        planes[2, x] = c if is_solved else planes[2, x]
