@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.mapping.cloud import Cloud, cloud_of
-from hickory_stream.mapping.moved import moved_object
+from hickory_stream.mapping.moved import moved_box
 from hickory_stream.mapping.observed_space import known_space
 from hickory_stream.mapping.support_graph import REACH_M, Relation, Support, SupportGraph
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.boxes import OrientedBox
     from hickory_stream.mapping.mapping_config import MappingConfig
     from hickory_stream.records import MapSnapshot, TrackedObject
+
+_SLACK_M = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -47,22 +49,26 @@ def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple
         is_own = np.array([item.submap_id == submap.id for item in objects], dtype=bool)
         if not is_own.any():
             continue
-        own = {item.id for item, is_one in zip(objects, is_own, strict=True) if is_one}
         near = [item for item, is_one in zip(objects, _may_touch(spheres, is_own), strict=True) if is_one]
-        if np.array_equal(submap.world_from_submap, np.eye(4)):
-            in_map.update({item.id: _body(item, config) for item in near if item.id not in in_map})
-            bodies = {item.id: in_map[item.id] for item in near}
-        else:
-            place = invert(submap.world_from_submap)
-            bodies = {item.id: _body(moved_object(item, place), config) for item in near}
-        graph = SupportGraph(
-            bodies=bodies,
-            space=known_space(submap.observed_space),
-            config=config.support,
-            unsupported=config.unsupported,
-        )
-        for edge in graph.edges(own):
-            found[edge.body] += (edge,)
+        is_moved = not np.array_equal(submap.world_from_submap, np.eye(4))
+        if is_moved:
+            submap_from_world = invert(submap.world_from_submap)
+            near = [_bare(item, submap_from_world) for item in near]
+        bodies = {} if is_moved else in_map
+        reaches = np.array([_reach(item) for item in near])
+        space = known_space(submap.observed_space)
+        for k, item in enumerate(near):
+            if item.submap_id != submap.id:
+                continue
+            around = [near[i] for i in np.flatnonzero(_meet(reaches, reaches[k]))]
+            bodies.update({other.id: _body(other, config) for other in around if other.id not in bodies})
+            graph = SupportGraph(
+                bodies={other.id: bodies[other.id] for other in around},
+                space=space,
+                config=config.support,
+                unsupported=config.unsupported,
+            )
+            found[item.id] = graph.edges((item.id,))
     return found
 
 
@@ -78,10 +84,40 @@ def told(supports: tuple[Support, ...]) -> str:
     return "a wall" if Relation.LEANS_ON in held else "-"
 
 
+def _bare(item: TrackedObject, new_from_old: NDArray[np.float64]) -> TrackedObject:
+    """Return the points and the box of an object in another frame: nothing else of it has a say in what it rests on."""
+    return replace(
+        item,
+        points_world=apply(new_from_old, item.points_world),
+        box=moved_box(item.box, new_from_old),
+        views=(),
+        best_view=None,
+        shape=None,
+        sketch=None,
+    )
+
+
+def _reach(item: TrackedObject) -> NDArray[np.float64]:
+    """Return the bounds (2, 3) of an object's points and its box."""
+    (low, high), corners = bounds_of(item.points_world).astype(np.float64), item.box.corners_world()
+    return np.array([np.minimum(low, corners.min(axis=0)), np.maximum(high, corners.max(axis=0))])
+
+
+def _meet(reaches: NDArray[np.float64], own: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which of (N, 2, 3) bounds are near enough to others (2, 3) for a relation.
+
+    Means of points in a voxel, of which bodies are made, may be rounded out of the bounds, by less than the slack.
+    """
+    reach_m = REACH_M + _SLACK_M
+    is_near = (reaches[:, 0] <= own[1] + reach_m) & (own[0] <= reaches[:, 1] + reach_m)
+    return np.asarray(is_near.all(axis=1))
+
+
 def _sphere(item: TrackedObject) -> tuple[float, float, float, float]:
-    """Return the centre and the radius of a sphere around an object's points and its box, in metres."""
-    reach = np.concatenate((item.points_world, item.box.corners_world())).astype(np.float64) - item.box.center
-    return (*item.box.center, float(np.sqrt((reach**2).sum(axis=1).max())))
+    """Return the centre and the radius of a sphere around the bounds of an object, in metres."""
+    low, high = _reach(item)
+    middle = (low + high) / 2
+    return (*middle, float(np.linalg.norm(high - middle)))
 
 
 def _may_touch(spheres: NDArray[np.float64], is_own: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 # A faced box is looked for in such steps, among rectangles this much larger than the smallest, with so many points.
 _FACE_STEP_DEG = 2.0
 _FACE_SLACK = 1.25
@@ -60,8 +61,7 @@ class OrientedBox:
 
     def corners_world(self) -> NDArray[np.float64]:
         """Return the (8, 3) corners in the world."""
-        signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-        return apply(self.world_from_box, signs * self.half_extents_m)
+        return apply(self.world_from_box, _CORNERS * self.half_extents_m)
 
     def contains(self, points_world: NDArray[Any], margin_m: float = 0.0) -> NDArray[np.bool_]:
         """Return for each of (N, 3) points whether it lies in the box grown by `margin_m`."""

@@ -46,12 +46,17 @@ def top_map(points: NDArray[np.float32], box: OrientedBox) -> TopMap:
     local = (points.astype(np.float64) - box.center) @ box.world_from_box[:3, :3]
     cell_m = float(np.clip(2 * half_m[:2].max() / _CELLS_ACROSS, *_CELL_M))
     cells = np.floor(local[:, :2] / cell_m).astype(np.int64)
-    order = np.lexsort((-local[:, 2], cells[:, 1], cells[:, 0]))
-    cells, heights_m = cells[order], local[order, 2] + half_m[2]
-    is_first = np.ones(len(cells), bool)
-    is_first[1:] = (np.diff(cells, axis=0) != 0).any(axis=1)
-    places = np.clip((cells[is_first] + 0.5) * cell_m / half_m[:2], -1.0, 1.0)
-    return TopMap(places=places, heights_m=heights_m[is_first], cell_m2=cell_m * cell_m)
+    # One number for each column, in the order of x and then y: the rows themselves take far longer to sort.
+    x, y = cells.T
+    lowest, highest = y.min(initial=0), y.max(initial=0)
+    keys = x * (highest - lowest + 1) + y - lowest
+    order = np.argsort(keys)
+    is_first = np.ones(len(keys), bool)
+    is_first[1:] = np.diff(keys[order]) != 0
+    starts = np.flatnonzero(is_first)
+    heights_m = np.maximum.reduceat(local[order, 2], starts) + half_m[2] if len(starts) else np.empty(0)
+    places = np.clip((cells[order[starts]] + 0.5) * cell_m / half_m[:2], -1.0, 1.0)
+    return TopMap(places=places, heights_m=heights_m, cell_m2=cell_m * cell_m)
 
 
 def level_areas_m2(top: TopMap, bottom_m: float) -> NDArray[np.float64]:
