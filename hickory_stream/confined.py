@@ -100,17 +100,32 @@ def read_within(root: Path, name: object) -> bytes:
 
 
 def open_new(path: Path | str) -> int:
-    """Return the descriptor of a new, empty file to write; what was there, a link above all, is removed, not followed.
+    """Return the descriptor of a new, empty file to write and read; a link that was there is removed, not followed.
 
     Raises:
         OSError: the disk refused.
     """
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FOLLOW_NO_LINK | getattr(os, "O_BINARY", 0)
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _FOLLOW_NO_LINK | getattr(os, "O_BINARY", 0)
     try:
         return os.open(path, flags, 0o666)
     except FileExistsError:
         Path(path).unlink(missing_ok=True)
         return os.open(path, flags, 0o666)
+
+
+def open_to_change(path: Path) -> BinaryIO:
+    """Return a regular file to read and to write, as it is; a link is not followed.
+
+    Raises:
+        OutsideError: it is a pipe, a device or a folder.
+        OSError: there is no such file, it is a link, or the disk refused.
+    """
+    flags = os.O_RDWR | _FOLLOW_NO_LINK | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    descriptor = os.open(path, flags)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OutsideError(f"{path} is no regular file")
+    return os.fdopen(descriptor, "r+b")
 
 
 def refuse_links(root: Path, names: Iterable[str]) -> None:

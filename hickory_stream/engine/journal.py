@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from mcap.records import Message
     from numpy.typing import NDArray
 
     from hickory_stream.engine.known_records import Known
@@ -53,6 +52,7 @@ class Journal:
         self._places = self._chunks.places
         self._steps = [i for i, place in enumerate(self._places) if place.is_step]
         self._known_parts: dict[tuple[int, int], Any] = {}
+        self._is_checked = False
         self.parts: list[StoredPart] = []
         """Those of the checkpoint that was read last, of which arrays are read later."""
 
@@ -98,11 +98,13 @@ class Journal:
         step: Step = self._decoded(self._chunks.messages(self._steps[index])[0].data, "Step")
         return step
 
-    def events(self, index: int, kind: str) -> list[Event]:
-        """Return the events of one kind in a step."""
+    def events(self, index: int, kind: str, *, has_points: bool = True) -> list[Event]:
+        """Return the events of one kind in a step; unless it `has_points`, its observations may lack theirs."""
         channel = CHANNELS[kind]
         return [
-            self._decoded(m.data, kind) for m in self._chunks.messages(self._steps[index]) if m.channel_id == channel
+            self._decoded(m.data, kind, has_points=has_points)
+            for m in self._chunks.messages(self._steps[index])
+            if m.channel_id == channel
         ]
 
     def color(self, index: int) -> bytes | None:
@@ -176,26 +178,36 @@ class Journal:
 
     def cut_to_resumable(self) -> None:
         """Leave out the steps that a run cannot be continued from: after the first damage, or committed at a stop."""
-        for position, chunk in enumerate(self._steps):
+        if self._is_checked:
+            return
+        for chunk, place in enumerate(self._places):
             try:
-                kind = self.step(position).kind
+                first = self._chunks.contents(chunk, keeps=False)[0]
+                is_last = place.is_step and self._decoded(bytes(first), "Step").kind is StepKind.CLOSING
             except MapFolderError:
-                kind = StepKind.CLOSING
-            if kind is StepKind.CLOSING:
+                is_last = True
+            if is_last:
                 self._cut(chunk)
                 break
-        for chunk, place in enumerate(self._places):
-            if not place.is_step:
-                try:
-                    self._chunks.messages(chunk)
-                except MapFolderError:
-                    self._cut(chunk)
-                    break
+        self._is_checked = True
 
-    def chunks(self) -> Iterator[list[Message]]:
-        """Yield the messages of each chunk."""
-        for chunk in range(len(self._places)):
-            yield self._chunks.messages(chunk)
+    @property
+    def is_whole(self) -> bool:
+        """Whether no chunk of the file is left out."""
+        return len(self._places) == len(self._chunks.places)
+
+    @property
+    def num_chunks(self) -> int:
+        """How many chunks it has."""
+        return len(self._places)
+
+    def last_records(self) -> bytes:
+        """Return the records of the last chunk as they are in the file.
+
+        Raises:
+            MapFolderError: it is damaged.
+        """
+        return self._chunks.records(len(self._places) - 1)
 
     def read_copy(self) -> None:
         """Read what is still to be read from the file that is in the folder now, a copy of this one."""
@@ -282,12 +294,14 @@ class Journal:
         kind: str,
         part: Callable[[int, int], Any] | None = None,
         later: UnreadRecords | None = None,
+        *,
+        has_points: bool = True,
     ) -> Any:
         """Return a record of this kind, by the name of its type."""
         try:
             record = decode(data, part, later)
             if isinstance(record, PackedFrame):
-                record = unpacked_frame(record)
+                record = unpacked_frame(record) if has_points else record.event
         except ValueError as error:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
         if type(record).__name__ != kind:

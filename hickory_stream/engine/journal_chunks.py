@@ -22,14 +22,13 @@ from mcap.records import Chunk, Message
 from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
 from hickory_stream.confined import OutsideError, open_within
-from hickory_stream.engine.journal_format import JOURNAL, STEP
+from hickory_stream.engine.journal_format import JOURNAL, MAGIC, STEP
 from hickory_stream.errors import MapFolderError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 _Kept = TypeVar("_Kept")
-_MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_OPCODE, _INDEX_OPCODE = 0x06, 0x07
 _CACHED_CHUNKS, _CACHED_BYTES = 64, 64 << 20
 # A chunk that claims to unpack to more is none of ours: the state of a large map takes some tens of megabytes.
@@ -136,6 +135,19 @@ class JournalChunks:
                 self._contents.keep(chunk, contents, length)
             return contents
 
+    def records(self, chunk: int) -> bytes:
+        """Return the records of a chunk as they are, one after another.
+
+        Raises:
+            MapFolderError: it is damaged.
+        """
+        place = self.places[chunk]
+        try:
+            stream, length = get_chunk_data_stream(self._record(place), validate_crc=True)
+            return bytes(stream.read(length))
+        except _DAMAGE as error:
+            raise self._damage(place, error) from error
+
     def read_copy(self) -> None:
         """Read from the file that is in the folder now, which begins with as many of these chunks as it has."""
         copy = JournalChunks(self.path.parent)
@@ -219,12 +231,12 @@ def _contents_of(data: memoryview) -> list[memoryview]:
 
 def _scan(data: Any, path: Path) -> list[ChunkPlace]:
     """Return the chunks that are whole: the record is there, and the index after it, which says what is in it."""
-    if len(data) < len(_MAGIC):
+    if len(data) < len(MAGIC):
         return []
-    if data[: len(_MAGIC)] != _MAGIC:
+    if data[: len(MAGIC)] != MAGIC:
         raise MapFolderError(f"{path} is no MCAP file; play the log again")
     places: list[ChunkPlace] = []
-    at, chunk = len(_MAGIC), None
+    at, chunk = len(MAGIC), None
     while at + 9 <= len(data):
         opcode, length = _HEADER.unpack_from(data, at)
         start, end = at + 9, at + 9 + length

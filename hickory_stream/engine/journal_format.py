@@ -23,6 +23,7 @@ disk (fsync) at most `flush_s` later, which is what a lost power supply may cost
 from __future__ import annotations
 
 JOURNAL = "journal.mcap"
+MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "hickory-stream/1"
 STEP, OLD_CHECKPOINT, COLOR, TOLD, CHECKPOINT, ARRAYS, KNOWN = 1, 2, 3, 4, 5, 6, 7
 """Checkpoints of older journals have records of another form: they are not read, the events are all that is needed."""

@@ -10,26 +10,22 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
 
-from hickory_stream.confined import open_new
+from hickory_stream.confined import open_new, open_to_change, open_within
 from hickory_stream.engine.atomic import PARTIAL_SUFFIX, disk_errors, sync
 from hickory_stream.engine.checkpoints import KEPT_RECORDS, Packer
 from hickory_stream.engine.heap import give_back_free
 from hickory_stream.engine.journal_chunks import packed_array
-from hickory_stream.engine.journal_format import (
-    ARRAYS,
-    CHANNELS,
-    CHECKPOINT,
-    COLOR,
-    ENCODINGS,
-    JOURNAL,
-    KNOWN,
-    PROFILE,
-    STEP,
-    TOLD,
-    TOPICS,
+from hickory_stream.engine.journal_file import (
+    FileMessage,
+    begin_file,
+    copy_start,
+    end_file,
+    go_on_in,
+    index_of,
+    write_chunk,
 )
+from hickory_stream.engine.journal_format import ARRAYS, CHANNELS, CHECKPOINT, COLOR, JOURNAL, KNOWN, STEP, TOLD
 from hickory_stream.engine.known_records import KnownRecords
 from hickory_stream.engine.packed_frames import packed_frame
 from hickory_stream.engine.record_codec import encode
@@ -39,23 +35,21 @@ from hickory_stream.mapping.track import Track
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
+    from typing import BinaryIO
 
-    from mcap.records import Message
     from numpy.typing import NDArray
 
     from hickory_stream.engine.journal import Journal, StoredPart
     from hickory_stream.engine.step import Checkpoint, JournalEntry
     from hickory_stream.records import MapSnapshot
 
-_NO_LIMIT = 1 << 60
-
 
 class JournalWriter:
     """Appends to the journal of a map folder. Not to be called from two threads at a time.
 
-    `continued` holds the steps to begin with: they are copied, so that the file is one whole MCAP file at the end, and
-    the old file is replaced only when that is done, and what it has still to read is read from the copy. What the
-    checkpoint has that was read last of it is not written again.
+    `continued` holds the steps to begin with. Where that is all that the file has, it is gone on with as it is; else
+    they are copied, the old file is replaced only when that is done, and what it has still to read is read from the
+    copy. What the checkpoint has that was read last of it is not written again.
 
     Raises:
         MapFolderError: the disk refused; also from each method.
@@ -69,25 +63,12 @@ class JournalWriter:
         self._packer = Packer(part.part for part in parts if isinstance(part.part, Track))
         self._known = KnownRecords()
         self._num_chunks = 0
+        self._messages: list[FileMessage] = []
         self._synced_s = time.monotonic()
-        partial = folder / f".{JOURNAL}{PARTIAL_SUFFIX}"
         with disk_errors(self._path):
-            self._file = os.fdopen(open_new(partial), "wb")
-            try:
-                self._writer = Writer(self._file, chunk_size=_NO_LIMIT, compression=CompressionType.ZSTD)
-                self._writer.start(profile=PROFILE, library="hickory-stream")
-                self._register()
-                for chunk in continued.chunks() if continued is not None else ():
-                    self._copy(chunk)
-                self._file.flush()
-                os.fsync(self._file.fileno())
-                partial.replace(self._path)
-                if continued is not None:
-                    continued.read_copy()
-            except BaseException:
-                self._file.close()
-                partial.unlink(missing_ok=True)
-                raise
+            self._file = self._opened(None if continued is None or continued.num_chunks == 0 else continued)
+        if continued is not None:
+            self._num_chunks = continued.num_chunks
 
     def append(self, entry: JournalEntry, color: bytes | None = None, known: MapSnapshot | None = None) -> None:
         """Add a step; `color` is the compressed image of its keyframe, `known` the map after it."""
@@ -134,7 +115,7 @@ class JournalWriter:
             return
         with disk_errors(self._path):
             try:
-                self._writer.finish()
+                end_file(self._file)
                 self.sync()
                 sync(self._path.parent)
             finally:
@@ -147,24 +128,45 @@ class JournalWriter:
         except OSError:
             pass  # the disk refused before: what is not there is not there
 
-    def _register(self) -> None:
-        """Register every channel; ids that follow from the order are part of the format."""
-        names = {**TOPICS, **{number: f"event/{name}" for name, number in CHANNELS.items()}}
-        for number in range(1, max(names) + 1):
-            topic = names.get(number, f"reserved/{number}")
-            encoding = ENCODINGS.get(number, "cbor")
-            assert self._writer.register_channel(topic, encoding, schema_id=0) == number
-
-    def _copy(self, chunk: list[Message]) -> None:
-        for message in chunk:
-            self._add(message.channel_id, message.log_time, message.data)
-        self._end_chunk()
+    def _opened(self, continued: Journal | None) -> BinaryIO:
+        """Return the file to write to, at its end: the one that is there, or a new one with what is to be continued."""
+        index = b"" if continued is None else index_of(continued.last_records())
+        if continued is not None and continued.is_whole:
+            file = open_to_change(self._path)
+            try:
+                if go_on_in(file, continued.num_bytes, index):
+                    os.fsync(file.fileno())
+                    return file
+            except BaseException:
+                file.close()
+                raise
+            file.close()
+        partial = self._path.with_name(f".{JOURNAL}{PARTIAL_SUFFIX}")
+        file = os.fdopen(open_new(partial), "w+b")
+        try:
+            if continued is None:
+                begin_file(file)
+            else:
+                with open_within(self._path.parent, JOURNAL) as before:
+                    copy_start(before, file, continued.num_bytes, index)
+            file.flush()
+            os.fsync(file.fileno())
+            partial.replace(self._path)
+            if continued is not None:
+                continued.read_copy()
+        except BaseException:
+            file.close()
+            partial.unlink(missing_ok=True)
+            raise
+        return file
 
     def _add(self, channel: int, stamp_ns: int, data: bytes) -> None:
-        self._writer.add_message(channel, max(0, stamp_ns), data, max(0, stamp_ns), sequence=self._num_chunks)
+        self._messages.append(FileMessage(channel, max(0, stamp_ns), data))
 
     def _end_chunk(self) -> None:
-        self._writer.flush()
+        messages, self._messages = self._messages, []
+        write_chunk(self._file, messages, self._num_chunks)
+        self._file.flush()
         self._num_chunks += 1
         if time.monotonic() - self._synced_s >= self._flush_s:
             self.sync()

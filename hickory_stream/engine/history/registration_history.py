@@ -52,7 +52,7 @@ def registration_history(journal: Journal, num_steps: int, *, num_recent: int) -
     for number, (index, event) in enumerate(found):
         if number < begun or not (event.is_anchor or number >= len(found) - num_recent):
             continue
-        for observed in journal.events(index, "FrameObserved"):
+        for observed in journal.events(index, "FrameObserved", has_points=False):
             assert isinstance(observed, FrameObserved)
             if observed.frame_index == event.frame_index and observed.coarse is not None:
                 camera = journal.step(index).camera

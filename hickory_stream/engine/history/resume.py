@@ -6,6 +6,7 @@ run, whose frames are gone, everything up to the last step is saved; so it is of
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from hickory_stream.confined import OutsideError, whole_number
@@ -88,6 +89,10 @@ def was_sought(path: Path) -> bool:
         MapFolderError: there is no journal, or it is damaged.
     """
     with Journal(path) as journal:
+        # They are counted up: where the last step has none, no earlier one has.
+        with suppress(MapFolderError):
+            if len(journal) == 0 or journal.step(len(journal) - 1).num_seeks == 0:
+                return False
         journal.cut_to_resumable()
         return len(journal) > 0 and journal.step(len(journal) - 1).num_seeks > 0
 
