@@ -3,8 +3,9 @@
 A record is a map of its fields under a tag with its name; only records of our own packages are ever made from it, by
 their constructors, and only where every field holds what it is declared to hold (`field_types`): who wrote the bytes is
 not known. Arrays are stored so that they compress: keys of voxels as blocks of bits or as differences, colours as
-differences from those before them and from their green, points at multiples of a step as differences, images of depth
-as differences from what is beside (older journals have none), other numbers byte by byte.
+differences from those before them and from their green, points at multiples of a step as differences, mean colours
+as sums and their numbers, images of depth as differences from what is beside (older journals have neither), other
+numbers byte by byte.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import numpy as np
 from hickory_stream.engine.field_types import checked_record, field_checks
 from hickory_stream.geometry.depth_code import packed_depths, unpacked_depths
 from hickory_stream.geometry.lattice import packed_points, points_of, unpacked_steps
+from hickory_stream.geometry.mean_colors import packed_means, unpacked_means
 from hickory_stream.geometry.packing import array_of, color_planes, colors_of, planes_of
 from hickory_stream.geometry.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
 
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
 # Of the range that is free for everybody's use ("first come, first served", RFC 8949, 9.2).
 _RECORD, _ARRAY, _PART, _MAP, _SET, _ENUM = 39_100, 39_101, 39_102, 39_103, 39_104, 39_105
 _PART_BYTES = 1024
-_PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS, _STEPS, _DEPTHS = range(8)
+_PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS, _STEPS, _DEPTHS, _MEANS = range(9)
 _SMALL_BYTES = 64
 _BLOCK_BYTES = 16
 _MOST_DIMENSIONS = 8
@@ -223,6 +225,8 @@ def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
         data = little.tobytes()
     elif little.dtype == np.float32 and little.shape[1:] == (3,) and (packed := packed_points(little)) is not None:
         method, data = _STEPS, packed
+    elif little.dtype == np.float32 and little.shape[1:] == (3,) and (packed := packed_means(little)) is not None:
+        method, data = _MEANS, packed
     elif little.dtype == np.int64 and little.ndim == 1 and is_denser(little):
         heads, words = blocks_of(little)
         method, data = _BLOCKS, planes_of(np.diff(heads, prepend=np.int64(0))) + planes_of(words)
@@ -326,7 +330,9 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
     if method == _DEPTHS:
         if len(shape) != 2 or dtype != np.uint16 or len(data) < -(-count // 8):
             raise ValueError(f"depths of shape {shape} in {len(data)} bytes")
-    elif method != _BLOCKS and len(data) != (-(-count // 8) if method == _BITS else count * dtype.itemsize):
+    elif method not in (_BLOCKS, _MEANS) and len(data) != (
+        -(-count // 8) if method == _BITS else count * dtype.itemsize
+    ):
         raise ValueError(f"an array of shape {shape} in {len(data)} bytes")
     if method == _BLOCKS:
         array = _keys(data, count).astype(dtype)
@@ -337,6 +343,8 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
     elif method == _DEPTHS:
         is_there = np.unpackbits(np.frombuffer(data, np.uint8, -(-count // 8)), count=count).astype(bool)
         (array,) = unpacked_depths(data[-(-count // 8) :], [is_there.reshape(shape)])
+    elif method == _MEANS and dtype == np.float32 and tuple(shape[1:]) == (3,):
+        array = unpacked_means(data, shape[0])
     elif method == _BITS:
         array = np.unpackbits(np.frombuffer(data, np.uint8), count=count).astype(bool)
     elif method == _PLAIN:
