@@ -194,13 +194,32 @@ def _parts(cells: NDArray[np.float64], half: float, margin_m: float) -> NDArray[
 
 
 @numba.njit(cache=True, nogil=True)
-def _ball_in(point, k, exponents, axes, poses, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return an upper bound of ln G over a ball in primitive k; infinity if the ball may protrude from it."""
-    dx, dy, dz = point[0] - poses[k, 0, 3], point[1] - poses[k, 1, 3], point[2] - poses[k, 2, 3]
-    x = abs(poses[k, 0, 0] * dx + poses[k, 1, 0] * dy + poses[k, 2, 0] * dz)
-    y = abs(poses[k, 0, 1] * dx + poses[k, 1, 1] * dy + poses[k, 2, 1] * dz)
-    z = abs(poses[k, 0, 2] * dx + poses[k, 1, 2] * dy + poses[k, 2, 2] * dz)
-    return _local_ball_in(x, y, z, axes[k], exponents[k], radius, log_g, net, factor)
+def _body(exponents, axes, pose):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return a primitive as numbers: an array is counted whenever it is passed on, which takes longer than the rest.
+
+    They are its centre, rotation, semi-axes and exponents.
+    """
+    return (
+        (pose[0, 3], pose[1, 3], pose[2, 3]),
+        (pose[0, 0], pose[0, 1], pose[0, 2], pose[1, 0], pose[1, 1], pose[1, 2], pose[2, 0], pose[2, 1], pose[2, 2]),
+        (axes[0], axes[1], axes[2]),
+        (exponents[0], exponents[1]),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _local(body, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the local coordinates of a point."""
+    center, r, _, _ = body
+    dx, dy, dz = x - center[0], y - center[1], z - center[2]
+    return r[0] * dx + r[3] * dy + r[6] * dz, r[1] * dx + r[4] * dy + r[7] * dz, r[2] * dx + r[5] * dy + r[8] * dz
+
+
+@numba.njit(cache=True, nogil=True)
+def _ball_in(x, y, z, body, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return an upper bound of ln G over a ball in a primitive; infinity if the ball may protrude from it."""
+    x, y, z = _local(body, x, y, z)
+    return _local_ball_in(abs(x), abs(y), abs(z), body[2], body[3], radius, log_g, net, factor)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -221,6 +240,7 @@ def _balls_in(points, exponents, axes, pose, radius, log_g, net, factor):  # typ
     A point that another one dominates is in where that is, with its bound.
     """
     local = local_abs(points, pose)
+    sizes, powers = (axes[0], axes[1], axes[2]), (exponents[0], exponents[1])
     out = np.empty(len(points))
     stairs, count = new_stairs(len(points)), 0
     for n in np.argsort(-local[:, 0], kind="mergesort"):
@@ -229,7 +249,7 @@ def _balls_in(points, exponents, axes, pose, radius, log_g, net, factor):  # typ
         if at < count and stairs[at, 1] >= z:
             out[n] = stairs[at, 2]
             continue
-        out[n] = _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor)
+        out[n] = _local_ball_in(x, y, z, sizes, powers, radius, log_g, net, factor)
         if out[n] < np.inf:
             count = put(stairs, count, at, y, z, out[n])
     return out
@@ -242,7 +262,8 @@ def _balls(points, exponents, axes, poses, radius, log_g, net, factor):  # type:
         best = np.inf
         for i in range(len(axes)):
             k = (last + i) % len(axes)
-            best = _ball_in(points[n], k, exponents, axes, poses, radius, log_g, net, factor)
+            body = _body(exponents[k], axes[k], poses[k])
+            best = _ball_in(points[n, 0], points[n, 1], points[n, 2], body, radius, log_g, net, factor)
             if best < np.inf:
                 last = k
                 break
@@ -265,6 +286,14 @@ def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, fact
     depths = np.empty(_MAX_BISECTIONS + 2, np.int64)
     pieces, uncovered, worst = 0, 0, -700.0
     for f in range(len(faces)):
+        # Most triangles are covered as they are.
+        best = np.inf
+        for k in range(count):
+            best = min(best, max(bounds[faces[f, 0], k], bounds[faces[f, 1], k], bounds[faces[f, 2], k]))
+        if best < np.inf:
+            pieces += 1
+            worst = max(worst, best)
+            continue
         size = 1
         for c in range(3):
             corners[0, c] = vertices[faces[f, c]]
@@ -292,7 +321,8 @@ def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, fact
             corners[size + 1], values[size + 1] = corners[size], values[size]
             corners[size, second], corners[size + 1, first] = middle, middle
             for k in range(count):
-                bound = _ball_in(middle, k, exponents, axes, poses, radius, log_g, net, factor)
+                body = _body(exponents[k], axes[k], poses[k])
+                bound = _ball_in(middle[0], middle[1], middle[2], body, radius, log_g, net, factor)
                 values[size, second, k], values[size + 1, first, k] = bound, bound
             depths[size] += 1
             depths[size + 1] = depths[size]
@@ -325,16 +355,17 @@ def _cells(centers, row_ends, half, exponents, axes, poses, log_g):  # type: ign
         end = n
         for step in range(len(axes)):
             k = (last + step) % len(axes)
-            shape = (exponents[k], axes[k], poses[k], log_g)
-            if not _holds(centers[n], half, reach[k], *shape):
+            body, around = _body(exponents[k], axes[k], poses[k]), (reach[k, 0], reach[k, 1], reach[k, 2])
+            if not _holds(centers[n, 0], centers[n, 1], centers[n, 2], half, around, body, log_g):
                 continue
             # The farthest cell of the row that it contains too.
             end, beyond = row_ends[n], row_ends[n] + 1
-            if not _holds(centers[end], half, reach[k], *shape):
+            if not _holds(centers[end, 0], centers[end, 1], centers[end, 2], half, around, body, log_g):
                 end, beyond = n, end
                 while beyond - end > 1:
                     middle = (end + beyond) // 2
-                    if _holds(centers[middle], half, reach[k], *shape):
+                    x, y, z = centers[middle, 0], centers[middle, 1], centers[middle, 2]
+                    if _holds(x, y, z, half, around, body, log_g):
                         end = middle
                     else:
                         beyond = middle
@@ -346,33 +377,31 @@ def _cells(centers, row_ends, half, exponents, axes, poses, log_g):  # type: ign
 
 
 @numba.njit(cache=True, nogil=True)
-def _holds(cell, half, reach, exponents, axes, pose, log_g):  # type: ignore[no-untyped-def] # pragma: no cover
+def _holds(x, y, z, half, reach, body, log_g):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return whether a primitive contains the cell around a centre."""
-    center = np.empty(3)
-    for i in range(3):
-        center[i] = 0.0
-        for j in range(3):
-            center[i] += pose[j, i] * (cell[j] - pose[j, 3])
+    center = _local(body, x, y, z)
     x, y, z = abs(center[0]), abs(center[1]), abs(center[2])
+    axes, exponents = body[2], body[3]
     if x > axes[0] or y > axes[1] or z > axes[2]:
         return False
     e1, e2 = exponents[0], exponents[1]
     limit = 0.5 * e1 * log_g
     # Cheap test first, sufficient for most cells: the axis-aligned box around the rotated cell.
     around = log_gauge(x + reach[0], y + reach[1], z + reach[2], axes, e1, e2)
-    return around <= limit or _holds_corners(center, half, axes, e1, e2, pose, limit)
+    return around <= limit or _holds_corners(center, half, body, limit)
 
 
 @numba.njit(cache=True, nogil=True)
-def _holds_corners(center, half, axes, e1, e2, pose, limit):  # type: ignore[no-untyped-def] # pragma: no cover
+def _holds_corners(center, half, body, limit):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return whether a primitive contains the eight corners of a cell, and so, being convex, all of the cell."""
+    _, r, axes, exponents = body
     for corner in range(8):
         dx = half if corner & 1 else -half
         dy = half if corner & 2 else -half
         dz = half if corner & 4 else -half
-        x = abs(center[0] + pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz)
-        y = abs(center[1] + pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz)
-        z = abs(center[2] + pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz)
-        if log_gauge(x, y, z, axes, e1, e2) > limit:
+        x = abs(center[0] + r[0] * dx + r[3] * dy + r[6] * dz)
+        y = abs(center[1] + r[1] * dx + r[4] * dy + r[7] * dz)
+        z = abs(center[2] + r[2] * dx + r[5] * dy + r[8] * dz)
+        if log_gauge(x, y, z, axes, exponents[0], exponents[1]) > limit:
             return False
     return True

@@ -46,7 +46,7 @@ NET_FACTOR = _factor * (1 + 1e-12)
 
 @numba.njit(cache=True, nogil=True)
 def log_gauge(x, y, z, axes, e1, e2):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return ln h at a local point with coordinates of at least 0; `axes` are semi-axes."""
+    """Return ln h at a local point with coordinates of at least 0; `axes` are semi-axes, three numbers."""
     u, v, w = log(max(x / axes[0], 1e-200)), log(max(y / axes[1], 1e-200)), log(max(z / axes[2], 1e-200))
     high = max(u, v)
     log_rho = high + 0.5 * e2 * log1p(exp(2.0 / e2 * (min(u, v) - high)))
@@ -63,9 +63,13 @@ def log_gauge_of_ball(x, y, z, radius, axes, e1, e2, limit, net, factor):  # typ
     corner = log_gauge(x + radius, y + radius, z + radius, axes, e1, e2)
     if corner <= limit or radius == 0.0:
         return corner
+    return _worst_over_net(x, y, z, radius * factor, axes, e1, e2, limit, net)
+
+
+@numba.njit(cache=True, nogil=True)
+def _worst_over_net(x, y, z, r, axes, e1, e2, limit, net):  # type: ignore[no-untyped-def] # pragma: no cover
     worst = -1e300
     for m in range(len(net)):
-        r = radius * factor
         value = log_gauge(x + r * net[m, 0], y + r * net[m, 1], z + r * net[m, 2], axes, e1, e2)
         if value > worst:
             worst = value
@@ -189,6 +193,7 @@ def worst_balls(points, radii, axes, e1, e2, limit, net, factor, most):  # type:
     """Return up to `most` of the balls that protrude, evenly spread over all of these, and their number."""
     out = np.empty(len(points), np.int64)
     count = 0
+    sizes = (axes[0], axes[1], axes[2])
     # Most balls need no logarithm: h lies between the largest share of a semi-axis and 2^((e1 + e2) / 2) times that.
     out_from = exp(limit) * (1.0 + 1e-9)
     in_up_to = exp(limit - 0.5 * (e1 + e2) * _LOG_2) * (1.0 - 1e-9)
@@ -198,7 +203,7 @@ def worst_balls(points, radii, axes, e1, e2, limit, net, factor, most):  # type:
         if max((x + r) / axes[0], (y + r) / axes[1], (z + r) / axes[2]) <= in_up_to:
             continue
         is_out = max(x / axes[0], y / axes[1], z / axes[2]) > out_from
-        if is_out or log_gauge_of_ball(x, y, z, radii[n], axes, e1, e2, limit, net, factor) > limit:
+        if is_out or log_gauge_of_ball(x, y, z, radii[n], sizes, e1, e2, limit, net, factor) > limit:
             out[count] = n
             count += 1
     step = max(count // most, 1)

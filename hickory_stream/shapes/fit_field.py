@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
-from hickory_stream.geometry.portable_kernels import exp, exp_each, log
-from hickory_stream.shapes.occupancy import distance_bound, inscribed, occupancies, occupancy
+from hickory_stream.geometry.portable_kernels import exp, log
+from hickory_stream.shapes.occupancy import body_of, distance_bound, occupancies, occupancy
 from hickory_stream.shapes.pieces import piece_around
 from hickory_stream.shapes.quadric_lm import lm_fit
 from hickory_stream.shapes.seeds import chessboard_depth
@@ -156,7 +156,7 @@ def _window(row, margin, shape):  # type: ignore[no-untyped-def] # pragma: no co
 def _gain(inside, covered, row, max_samples, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
     low, high = _window(row, 1.0, inside.shape)
     stride = max((high[0] - low[0]) * (high[1] - low[1]) * (high[2] - low[2]) // max_samples, 1) | 1
-    axes, within = exp_each(row[2:5]), inscribed(row)
+    body = body_of(row)
     block = new_block()
     shares, befores = np.empty(BLOCK), np.empty(BLOCK)
     total, count = 0.0, 0
@@ -185,7 +185,7 @@ def _gain(inside, covered, row, max_samples, waste_weight):  # type: ignore[no-u
             own[num_cells], known[num_cells] = inside[i, j, k], covered[i, j, k]
             num_cells += 1
         for n in range(num_cells):
-            bounds[n] = distance_bound(row, cells[0, n], cells[1, n], cells[2, n], axes, within)
+            bounds[n] = distance_bound(body, cells[0, n], cells[1, n], cells[2, n])
         for n in range(num_cells):
             if abs(bounds[n]) > 0.5:
                 total += _gain_of(bounds[n], own[n], known[n], waste_weight)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hickory_stream.compiled import numba
-from hickory_stream.geometry.portable_kernels import exp, exp_each, log, log1p, power
+from hickory_stream.geometry.portable_kernels import exp, log, log1p, power
 
 _ROOM = 64
 # The columns of a block: cells, and their distances.
@@ -24,14 +24,14 @@ _HALF = 0.5
 def occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the shares that a primitive (`quadric_lm.ROW`) fills of the cells from `low` up to `high`, float32."""
     size_y, size_z = high[1] - low[1], high[2] - low[2]
-    axes, within = exp_each(row[2:5]), inscribed(row)
+    body = body_of(row)
     distances = np.empty((high[0] - low[0]) * size_y * size_z)
     block, where, count = np.ones(_COLUMNS * _ROOM), np.empty(_ROOM, np.int64), 0
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
             first = ((i - low[0]) * size_y + j - low[1]) * size_z
             for n in range(size_z):
-                distances[first + n] = distance_bound(row, i, j, low[2] + n, axes, within)
+                distances[first + n] = distance_bound(body, i, j, low[2] + n)
             for n in range(size_z):
                 if abs(distances[first + n]) > _HALF:
                     continue
@@ -61,23 +61,35 @@ def occupancy(d):  # type: ignore[no-untyped-def] # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def distance_bound(row, x, y, z, axes, within):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Return a bound of a cell's distance without logarithms: beyond half a cell, in or out; 0 if there is none."""
-    dx, dy, dz = x - row[5], y - row[6], z - row[7]
-    u = abs(row[8] * dx + row[11] * dy + row[14] * dz)
-    v = abs(row[9] * dx + row[12] * dy + row[15] * dz)
-    w = abs(row[10] * dx + row[13] * dy + row[16] * dz)
+def distance_bound(body, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return a bound of a cell's distance to a `body_of` a primitive, without logarithms.
+
+    It is beyond half a cell, in or out; 0 if there is none.
+    """
+    cx, cy, cz, r0, r1, r2, r3, r4, r5, r6, r7, r8, ax, ay, az, within, is_round = body
+    dx, dy, dz = x - cx, y - cy, z - cz
+    u, v, w = abs(r0 * dx + r3 * dy + r6 * dz), abs(r1 * dx + r4 * dy + r7 * dz), abs(r2 * dx + r5 * dy + r8 * dz)
     # Outside the box is outside; deep in the inscribed box or octahedron (exponents up to 1, ellipsoid) is inside. A
     # gauge changes by at most 1 / inradius per cell.
-    outside = max(u - axes[0], v - axes[1], w - axes[2])
-    boxed = min(within * axes[0] - u, within * axes[1] - v, within * axes[2] - w)
-    u, v, w = u / axes[0], v / axes[1], w / axes[2]
-    smallest = min(axes[0], axes[1], axes[2])
-    if row[0] <= 1.0 and row[1] <= 1.0:
+    outside = max(u - ax, v - ay, w - az)
+    boxed = min(within * ax - u, within * ay - v, within * az - w)
+    u, v, w = u / ax, v / ay, w / az
+    smallest = min(ax, ay, az)
+    if is_round > 0.0:
         inside = max(boxed, (1.0 - np.sqrt(u * u + v * v + w * w)) * smallest)
     else:
         inside = max(boxed, (1.0 - u - v - w) * smallest / 1.7320508)
     return outside if outside > 0.5 else (-inside if inside > 0.5 else 0.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def body_of(row):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return what `distance_bound` needs of a primitive, as numbers: an array is counted whenever it is passed on."""
+    return (
+        row[5], row[6], row[7],
+        row[8], row[9], row[10], row[11], row[12], row[13], row[14], row[15], row[16],
+        exp(row[2]), exp(row[3]), exp(row[4]), inscribed(row), 1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.0,
+    )  # fmt: skip
 
 
 @numba.njit(cache=True, nogil=True)

@@ -14,56 +14,64 @@ def pieces_of(cells):  # type: ignore[no-untyped-def] # pragma: no cover
     They are int32 labels of the cells, 0 for what is not set, (N + 1,) sizes, and (N + 1, 2, 3) first cells and ends of
     the pieces' bounds; what is not set has size 0.
     """
-    labels = np.zeros(cells.shape, np.int32)
-    stack = np.empty(cells.size, np.int64)
-    most = 16
-    sizes, bounds = np.zeros(most, np.int64), np.zeros((most, 2, 3), np.int64)
+    nx, ny, nz = cells.shape
+    labels, stack = np.zeros(cells.shape, np.int32), np.empty(cells.size, np.int64)
     count = 0
-    for i in range(cells.shape[0]):
-        for j in range(cells.shape[1]):
-            for k in range(cells.shape[2]):
-                if not cells[i, j, k] or labels[i, j, k] != 0:
-                    continue
-                count += 1
-                if count == most:
-                    sizes = np.concatenate((sizes, np.zeros(most, np.int64)))
-                    bounds = np.concatenate((bounds, np.zeros((most, 2, 3), np.int64)))
-                    most *= 2
-                sizes[count] = _flood(cells, labels, stack, (i, j, k), count, bounds[count])
-    return labels, sizes[: count + 1].copy(), bounds[: count + 1].copy()
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if cells[i, j, k] and labels[i, j, k] == 0:
+                    count += 1
+                    _flood(cells, labels, stack, i, j, k, count)
+    sizes, bounds = np.zeros(count + 1, np.int64), np.zeros((count + 1, 2, 3), np.int64)
+    bounds[:, 0] = max(nx, ny, nz)
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                n = labels[i, j, k]
+                if n > 0:
+                    sizes[n] += 1
+                    bounds[n, 0, 0], bounds[n, 1, 0] = min(bounds[n, 0, 0], i), i + 1
+                    bounds[n, 0, 1], bounds[n, 1, 1] = min(bounds[n, 0, 1], j), max(bounds[n, 1, 1], j + 1)
+                    bounds[n, 0, 2], bounds[n, 1, 2] = min(bounds[n, 0, 2], k), max(bounds[n, 1, 2], k + 1)
+    return labels, sizes, bounds
 
 
 @numba.njit(cache=True, nogil=True)
 def piece_around(cells, i, j, k):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return whether each of (nx, ny, nz) cells is in the piece of a set one."""
     labels = np.zeros(cells.shape, np.int32)
-    _flood(cells, labels, np.empty(cells.size, np.int64), (i, j, k), 1, np.empty((2, 3), np.int64))
+    _flood(cells, labels, np.empty(cells.size, np.int64), i, j, k, 1)
     return labels == 1
 
 
 @numba.njit(cache=True, nogil=True)
-def _flood(cells, labels, stack, seed, label, bounds):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Label the piece of a set cell, and fill in its bounds; return its size."""
+def _flood(cells, labels, stack, i, j, k, label):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Label the piece of a set cell; the stack has room for all cells."""
     nx, ny, nz = cells.shape
-    labels[seed] = label
-    stack[0] = (seed[0] * ny + seed[1]) * nz + seed[2]
-    waiting, size = 1, 0
-    for axis in range(3):
-        bounds[0, axis], bounds[1, axis] = seed[axis], seed[axis] + 1
+    labels[i, j, k] = label
+    stack[0] = (i * ny + j) * nz + k
+    waiting = 1
     while waiting > 0:
         waiting -= 1
-        line, k = stack[waiting] // nz, stack[waiting] % nz
-        i, j = line // ny, line % ny
-        size += 1
-        bounds[0, 0], bounds[1, 0] = min(bounds[0, 0], i), max(bounds[1, 0], i + 1)
-        bounds[0, 1], bounds[1, 1] = min(bounds[0, 1], j), max(bounds[1, 1], j + 1)
-        bounds[0, 2], bounds[1, 2] = min(bounds[0, 2], k), max(bounds[1, 2], k + 1)
-        for u, v, w in ((i - 1, j, k), (i + 1, j, k), (i, j - 1, k), (i, j + 1, k), (i, j, k - 1), (i, j, k + 1)):
-            if 0 <= u < nx and 0 <= v < ny and 0 <= w < nz and cells[u, v, w] and labels[u, v, w] == 0:
+        line = stack[waiting] // nz
+        k = stack[waiting] - line * nz
+        i = line // ny
+        j = line - i * ny
+        for way in range(6):
+            u, v, w = i, j, k
+            if way < 2:
+                u += 2 * way - 1
+            elif way < 4:
+                v += 2 * way - 5
+            else:
+                w += 2 * way - 9
+            if u < 0 or v < 0 or w < 0 or u >= nx or v >= ny or w >= nz:
+                continue
+            if cells[u, v, w] and labels[u, v, w] == 0:
                 labels[u, v, w] = label
                 stack[waiting] = (u * ny + v) * nz + w
                 waiting += 1
-    return size
 
 
 @numba.njit(cache=True, nogil=True)

@@ -207,13 +207,15 @@ def _cost(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # 
 @numba.njit(cache=True, nogil=True)
 def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
     a, b = np.zeros((11, _PADDED)), np.zeros(11)
-    block, jacobian = new_block(), np.zeros(_PADDED)
+    block, which = new_block(), np.empty(BLOCK, np.int64)
+    own, residuals = np.empty(BLOCK), np.empty(BLOCK)
     for first in range(0, len(points), BLOCK):
         count = min(BLOCK, len(points) - first)
         for n in range(count):
             block[X + n], block[Y + n], block[Z + n] = points[first + n, 0], points[first + n, 1], points[first + n, 2]
         fill_distances(block, count, row, band)
         fill_jacobian(block)
+        num_added = 0
         for n in range(count):
             d = block[DISTANCE + n]
             if d > OUTER_BAND or d < -band:
@@ -223,20 +225,24 @@ def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ign
             if r > 0.0:
                 gauss = exp(-0.5 * r * r / sigma2)
                 w *= gauss / (gauss + OUTLIER)
-            _add(a, b, block, n, jacobian, w, r)
+            which[num_added], own[num_added], residuals[num_added] = n, w, r
+            num_added += 1
+        _add(a, b, block, which, own, residuals, num_added)
     return a[:, :11].copy(), b
 
 
 @numba.njit(cache=True, nogil=True)
-def _add(a, b, block, n, jacobian, weight, residual):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Add the n-th point of a block to the normal equations; rows are padded to a length that fits registers."""
-    for p in range(11):
-        jacobian[p] = block[JACOBIAN + p * BLOCK + n]
-    for p in range(11):
-        wj = weight * jacobian[p]
-        b[p] -= wj * residual
-        for q in range(_PADDED):
-            a[p, q] += wj * jacobian[q]
+def _add(a, b, block, which, weights, residuals, count):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Add points of a block to the normal equations; rows are padded to a length that fits registers."""
+    jacobian = np.zeros(_PADDED)
+    for m in range(count):
+        for p in range(11):
+            jacobian[p] = block[JACOBIAN + p * BLOCK + which[m]]
+        for p in range(11):
+            wj = weights[m] * jacobian[p]
+            b[p] -= wj * residuals[m]
+            for q in range(_PADDED):
+                a[p, q] += wj * jacobian[q]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -349,7 +355,8 @@ def normal_step(  # type: ignore[no-untyped-def] # pragma: no cover
     `others` (N,) are the distances to the union of the others, `found` (N,) those to this one; `damping[k]` is updated.
     """
     padded, b = np.zeros((11, _PADDED)), np.zeros(11)
-    block, which, jacobian = new_block(), np.empty(BLOCK, np.int64), np.zeros(_PADDED)
+    block, which, in_order = new_block(), np.empty(BLOCK, np.int64), np.arange(BLOCK)
+    weights, residuals = np.empty(BLOCK), np.empty(BLOCK)
     cost = 0.0
     count = 0
     for n in range(len(points)):
@@ -365,7 +372,8 @@ def normal_step(  # type: ignore[no-untyped-def] # pragma: no cover
                 block[JACOBIAN : JACOBIAN + 2 * BLOCK] = 0.0
             for m in range(count):
                 r = found[which[m]] - targets[which[m]]
-                _add(padded, b, block, m, jacobian, 1.0 if r <= _HUBER else _HUBER / r, r)
+                weights[m], residuals[m] = 1.0 if r <= _HUBER else _HUBER / r, r
+            _add(padded, b, block, in_order, weights, residuals, count)
             count = 0
     a = padded[:, :11].copy()
     for _ in range(4):

@@ -34,12 +34,19 @@ def owned_pieces(vertices, faces, rows, tolerance, min_edge):  # type: ignore[no
     count = 0
     stack = np.empty((64, 3), np.int64)
     for f in range(len(faces)):
+        # Most triangles are not outside.
+        owner, outside = _owner(distances, faces[f, 0], faces[f, 1], faces[f, 2])
+        if outside <= tolerance:
+            pieces[count, 0], pieces[count, 1], pieces[count, 2] = faces[f, 0], faces[f, 1], faces[f, 2]
+            owners[count], outsides[count] = owner, outside
+            count += 1
+            continue
         depth = 1
         stack[0] = faces[f]
         while depth > 0:
             depth -= 1
             corners = stack[depth].copy()
-            owner, outside = _owner(distances, corners)
+            owner, outside = _owner(distances, corners[0], corners[1], corners[2])
             longest, length = _longest_edge(points, corners)
             has_room = depth < 60 and count + depth + len(faces) - f + 2 < most
             if outside <= tolerance or length <= min_edge or not has_room:
@@ -77,11 +84,11 @@ def _distances(point, rows, out):  # type: ignore[no-untyped-def] # pragma: no c
 
 
 @numba.njit(cache=True, nogil=True)
-def _owner(distances, corners):  # type: ignore[no-untyped-def] # pragma: no cover
+def _owner(distances, a, b, c):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the primitive whose farthest corner is the nearest, and how far outside that one is."""
     best, least = 0, 1e300
     for k in range(distances.shape[1]):
-        farthest = max(distances[corners[0], k], distances[corners[1], k], distances[corners[2], k])
+        farthest = max(distances[a, k], distances[b, k], distances[c, k])
         if farthest < least:
             best, least = k, farthest
     return best, least
