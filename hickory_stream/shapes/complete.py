@@ -134,9 +134,7 @@ def look_around(states: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray
     for direction in np.ndindex(3, 3, 3):
         step = np.array(direction) - 1
         if step.any():
-            _first_known(states, step, first)
-            hits += first == SOLID
-            frees += first == FREE
+            _add_first_known(states, step, first, hits, frees)
     return (hits / 26).astype(np.float32), (frees / 26).astype(np.float32)
 
 
@@ -168,8 +166,11 @@ def _large_pieces(solid: NDArray[np.bool_], min_share: float) -> NDArray[np.bool
 
 
 @numba.njit(cache=True, nogil=True)
-def _first_known(states, step, first):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Fill `first` with the first known state met from each voxel along `step`; UNKNOWN where the block ends first."""
+def _add_first_known(states, step, first, hits, frees):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Count for each voxel whether the first known state met along `step` is SOLID, or FREE.
+
+    `first` is room for these states; they are UNKNOWN where the block ends first.
+    """
     nx, ny, nz = states.shape
     for a in range(nx):
         i = nx - 1 - a if step[0] > 0 else a
@@ -179,8 +180,11 @@ def _first_known(states, step, first):  # type: ignore[no-untyped-def] # pragma:
                 k = nz - 1 - c if step[2] > 0 else c
                 u, v, w = i + step[0], j + step[1], k + step[2]
                 if u < 0 or v < 0 or w < 0 or u >= nx or v >= ny or w >= nz:
-                    first[i, j, k] = 0
-                elif states[u, v, w] != 0:
-                    first[i, j, k] = states[u, v, w]
+                    state = np.uint8(UNKNOWN)
+                elif states[u, v, w] != UNKNOWN:
+                    state = states[u, v, w]
                 else:
-                    first[i, j, k] = first[u, v, w]
+                    state = first[u, v, w]
+                first[i, j, k] = state
+                hits[i, j, k] += state == SOLID
+                frees[i, j, k] += state == FREE
