@@ -107,12 +107,10 @@ def union(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def exchanged(a: NDArray[np.int64], gone: NDArray[np.int64], new: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the union of `new` and the difference of `a` and `gone`, all sorted, in one walk; `a` where it is that."""
-    gone = gone[contains(a, gone)]
-    # What goes and comes stays, as in a difference and a union after it.
-    fresh = new[~contains(a, new) | contains(gone, new)]
-    if len(gone) + len(fresh) == 0:
+    at_gone, at_new, fresh = _changes(a, gone, new)
+    if len(at_gone) + len(fresh) == 0:
         return a
-    return np.asarray(_exchanged(a, places(a, gone), places(a, fresh), fresh))
+    return np.asarray(_exchanged(a, at_gone, at_new, fresh))
 
 
 def inserted(values: NDArray[Any], at: NDArray[np.int64], new: NDArray[Any]) -> NDArray[Any]:
@@ -189,6 +187,32 @@ def _contains(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: n
         at = first_not_below(sorted_keys, queries[i], at)
         out[i] = at < len(sorted_keys) and sorted_keys[at] == queries[i]
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _changes(a, gone, new):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the places of what is `gone` in `a`, and which of `new` come in, before which places.
+
+    What goes and comes stays, as in a difference and a union after it.
+    """
+    at_gone, num_gone, at = np.empty(len(gone), dtype=np.int64), 0, 0
+    for i in range(len(gone)):
+        at = first_not_below(a, gone[i], at)
+        if at < len(a) and a[at] == gone[i]:
+            at_gone[num_gone] = at
+            num_gone += 1
+    at_new, fresh = np.empty(len(new), dtype=np.int64), np.empty(len(new), dtype=np.int64)
+    num_fresh, at, g = 0, 0, 0
+    for i in range(len(new)):
+        at = first_not_below(a, new[i], at)
+        if at < len(a) and a[at] == new[i]:
+            while g < num_gone and at_gone[g] < at:
+                g += 1
+            if g == num_gone or at_gone[g] != at:
+                continue
+        at_new[num_fresh], fresh[num_fresh] = at, new[i]
+        num_fresh += 1
+    return at_gone[:num_gone], at_new[:num_fresh], fresh[:num_fresh]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.made_arrays import GivesUpArrays
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import contains, inserted, keys_of_points, places
+from hickory_stream.geometry.voxels import groups_of, keys_of_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -71,22 +72,40 @@ def no_surface() -> SubmapSurface:
 def with_points(surface: SubmapSurface, seen: SurfacePoints, voxel_m: float) -> SubmapSurface:
     """Return the surface with one keyframe's points: each voxel's mean is that of the means of keyframes."""
     seen_keys, means = _voxel_means(seen, voxel_m)
-    is_known = contains(surface.keys, seen_keys)
-    new_keys = seen_keys[~is_known]
-    at = np.searchsorted(surface.keys, new_keys)
-    keys = inserted(surface.keys, at, new_keys)
-    hits = inserted(surface.hits, at, np.ones(len(new_keys), np.uint8))
-    known = np.concatenate([surface.points, surface.normals], axis=1)
-    values = np.empty((len(keys), 6), np.float32)
-    for column in range(6):
-        values[:, column] = inserted(np.ascontiguousarray(known[:, column]), at, means[~is_known, column])
-    again = places(keys, seen_keys[is_known])
-    weight = hits[again].astype(np.float32)[:, None]
-    values[again] = (values[again] * weight + means[is_known]) / (weight + np.float32(1.0))
-    hits[again] = np.minimum(hits[again].astype(np.int64) + 1, _MOST_HITS).astype(np.uint8)
-    return SubmapSurface(
-        keys=keys, points=np.ascontiguousarray(values[:, :3]), normals=np.ascontiguousarray(values[:, 3:]), hits=hits
+    keys, points, normals, hits = _with_means(
+        surface.keys, surface.points, surface.normals, surface.hits, seen_keys, means
     )
+    return SubmapSurface(keys=keys, points=points, normals=normals, hits=hits)
+
+
+@numba.njit(cache=True, nogil=True)
+def _with_means(keys, points, normals, hits, seen_keys, means):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Merge the sorted voxels of a surface and of a keyframe in one pass; `means` (M, 6) are the keyframe's."""
+    most = len(keys) + len(seen_keys)
+    out_keys, out_hits = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.uint8)
+    out_points, out_normals = np.empty((most, 3), dtype=np.float32), np.empty((most, 3), dtype=np.float32)
+    i, j, n = 0, 0, 0
+    while i < len(keys) or j < len(seen_keys):
+        is_known = i < len(keys) and (j == len(seen_keys) or keys[i] <= seen_keys[j])
+        is_seen = j < len(seen_keys) and (i == len(keys) or seen_keys[j] <= keys[i])
+        out_keys[n] = keys[i] if is_known else seen_keys[j]
+        out_hits[n] = hits[i] if is_known else 1
+        weight = np.float32(hits[i]) if is_known else np.float32(0.0)
+        for k in range(3):
+            if is_known and is_seen:
+                point = (points[i, k] * weight + means[j, k]) / (weight + np.float32(1.0))
+                normal = (normals[i, k] * weight + means[j, 3 + k]) / (weight + np.float32(1.0))
+            elif is_known:
+                point, normal = points[i, k], normals[i, k]
+            else:
+                point, normal = means[j, k], means[j, 3 + k]
+            out_points[n, k], out_normals[n, k] = point, normal
+        if is_known and is_seen and hits[i] < _MOST_HITS:
+            out_hits[n] += 1
+        i += is_known
+        j += is_seen
+        n += 1
+    return out_keys[:n].copy(), out_points[:n].copy(), out_normals[:n].copy(), out_hits[:n].copy()
 
 
 def surface_points(coarse: CoarseFrame, world_from_camera: NDArray[np.float64], range_m: float) -> SurfacePoints:
@@ -99,37 +118,81 @@ def surface_points(coarse: CoarseFrame, world_from_camera: NDArray[np.float64], 
     if camera is None:
         none = np.empty((0, 3), dtype=np.float32)
         return SurfacePoints(points=none, normals=none)
-    z = coarse.depth_mm / 1000.0
-    rows, columns = np.indices(z.shape)
     left, top = (min(coarse.stride_px // 2, side - 1) for side in (camera.width, camera.height))
-    x = (columns * coarse.stride_px + left - camera.cx) / camera.fx * z
-    y = (rows * coarse.stride_px + top - camera.cy) / camera.fy * z
-    places_camera = np.stack([x, y, z], axis=2)
-    step = _STEP_CELLS
-    here, right, below = places_camera[:-step, :-step], places_camera[:-step, step:], places_camera[step:, :-step]
-    normals = np.cross(below - here, right - here)
-    length = np.sqrt((normals * normals).sum(axis=2))
-    distance = np.sqrt((here * here).sum(axis=2))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        cosine = -(normals * here).sum(axis=2) / (length * distance)
-        is_level = (np.abs(right[..., 2] - here[..., 2]) < _MAX_SLOPE * here[..., 2]) & (
-            np.abs(below[..., 2] - here[..., 2]) < _MAX_SLOPE * here[..., 2]
-        )
-        is_surface = is_level & (here[..., 2] > _NEAREST_M) & (here[..., 2] < range_m) & (cosine > _LEAST_COSINE)
-    unit = normals[is_surface] / length[is_surface][:, None]
+    here, unit = _facets(
+        coarse.depth_mm,
+        (coarse.stride_px, left, top),
+        (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)),
+        float(range_m),
+    )
     return SurfacePoints(
-        points=np.asarray(apply(world_from_camera, here[is_surface]), dtype=np.float32),
+        points=np.asarray(apply(world_from_camera, here), dtype=np.float32),
         normals=np.asarray(portable.matmul(unit, world_from_camera[:3, :3].T), dtype=np.float32),
     )
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _facets(depth_mm, cells, lens, range_m):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (N, 3) points and (N, 3) unit normals in the camera; `cells`: their stride, and the pixel of the first."""
+    (stride, left, top), (fx, fy, cx, cy) = cells, lens
+    height, width = depth_mm.shape
+    places = np.empty((height, width, 3))
+    for row in range(height):
+        for column in range(width):
+            z = depth_mm[row, column] / 1000.0
+            places[row, column, 0] = (column * stride + left - cx) / fx * z
+            places[row, column, 1] = (row * stride + top - cy) / fy * z
+            places[row, column, 2] = z
+    step = _STEP_CELLS
+    points, normals = np.empty((height * width, 3)), np.empty((height * width, 3))
+    n = 0
+    for row in range(height - step):
+        for column in range(width - step):
+            x, y, z = places[row, column, 0], places[row, column, 1], places[row, column, 2]
+            right, below = places[row, column + step], places[row + step, column]
+            if not (abs(right[2] - z) < _MAX_SLOPE * z and abs(below[2] - z) < _MAX_SLOPE * z):
+                continue
+            if not (z > _NEAREST_M and z < range_m):
+                continue
+            ax, ay, az = below[0] - x, below[1] - y, below[2] - z
+            bx, by, bz = right[0] - x, right[1] - y, right[2] - z
+            nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            distance = np.sqrt(x * x + y * y + z * z)
+            if not -(nx * x + ny * y + nz * z) / (length * distance) > _LEAST_COSINE:
+                continue
+            points[n, 0], points[n, 1], points[n, 2] = x, y, z
+            normals[n, 0], normals[n, 1], normals[n, 2] = nx / length, ny / length, nz / length
+            n += 1
+    return points[:n].copy(), normals[:n].copy()
+
+
 def _voxel_means(seen: SurfacePoints, voxel_m: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Return the voxels of points, and the mean point and normal (M, 6) in each."""
-    keys = keys_of_points(seen.points, voxel_m)
-    order = np.argsort(keys, kind="stable")
-    unique, starts = np.unique(keys[order], return_index=True)
-    if len(unique) == 0:
-        return unique, np.empty((0, 6), np.float32)
-    counts = np.diff(np.append(starts, len(keys)))[:, None]
-    values = np.concatenate([seen.points[order], seen.normals[order]], axis=1).astype(np.float64)
-    return unique, (np.add.reduceat(values, starts) / counts).astype(np.float32)
+    groups, keys = groups_of(keys_of_points(seen.points, voxel_m))
+    if len(keys) == 0:
+        return keys, np.empty((0, 6), np.float32)
+    by_key = np.argsort(keys)
+    values, starts = _by_group(groups, by_key, seen.points, seen.normals)
+    counts = np.diff(np.append(starts, len(values)))[:, None]
+    return keys[by_key], (np.add.reduceat(values, starts) / counts).astype(np.float32)
+
+
+@numba.njit(cache=True, nogil=True)
+def _by_group(groups, by_key, points, normals):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return points and normals (N, 6), group by group in an order of groups, and where each of these starts."""
+    counts = np.zeros(len(by_key), dtype=np.int64)
+    for i in range(len(groups)):
+        counts[groups[i]] += 1
+    starts, next_places = np.empty(len(by_key), dtype=np.int64), np.empty(len(by_key), dtype=np.int64)
+    total = 0
+    for rank in range(len(by_key)):
+        starts[rank] = next_places[by_key[rank]] = total
+        total += counts[by_key[rank]]
+    values = np.empty((len(groups), 6))
+    for i in range(len(groups)):
+        place = next_places[groups[i]]
+        next_places[groups[i]] += 1
+        for k in range(3):
+            values[place, k], values[place, 3 + k] = points[i, k], normals[i, k]
+    return values, starts
