@@ -106,10 +106,17 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _json(saved: SavedMap, _options: argparse.Namespace) -> bytes:
+def _json(saved: SavedMap, options: argparse.Namespace) -> bytes:
+    from hickory_stream.engine.folder_layout import OBJECTS
+    from hickory_stream.engine.manifest import json_of, read_file
     from hickory_stream.engine.map_codec import encode_snapshot
 
-    return dumps_exactly(encode_snapshot(saved.snapshot)[0], indent=1).encode()
+    if saved.is_sealed and options.at is None:
+        # The document as it was saved: it names points and voxels by their content, which need not be read for that.
+        document = json_of(saved.folder, OBJECTS, read_file(saved.folder, OBJECTS))
+    else:
+        document, _ = encode_snapshot(saved.snapshot)
+    return dumps_exactly(document, indent=1).encode()
 
 
 def _ply(saved: SavedMap, _options: argparse.Namespace) -> bytes:

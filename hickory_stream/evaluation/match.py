@@ -35,6 +35,8 @@ LOOSE_IOU, STRICT_IOU = 0.25, 0.5
 SURFACE_REACH_M = 0.03
 _MIN_HALF_EXTENT_M = 0.005
 _MAX_POINTS = 3000
+# More than rounding takes off the bounds of a box.
+_SLACK_M = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,7 +92,27 @@ def match_boxes(
     truth_boxes: Sequence[OrientedBox], map_boxes: Sequence[OrientedBox], min_iou: float = LOOSE_IOU
 ) -> tuple[BoxMatch, ...]:
     """Return one-to-one pairs, each of at least `min_iou`, whose IoUs have the largest sum, in the order of truth."""
-    ious = np.array([[box_iou(truth, found) for found in map_boxes] for truth in truth_boxes])
+    return _matches(box_ious(truth_boxes, map_boxes), min_iou)
+
+
+def box_ious(truth_boxes: Sequence[OrientedBox], map_boxes: Sequence[OrientedBox]) -> NDArray[np.float64]:
+    """Return the (N, M) IoUs of boxes; only those are computed whose bounds meet: of a building's, hardly any do."""
+    ious = np.zeros((len(truth_boxes), len(map_boxes)))
+    if ious.size == 0:
+        return ious
+    lows, highs = _bounds(map_boxes)
+    for i, (truth, low, high) in enumerate(zip(truth_boxes, *_bounds(truth_boxes), strict=True)):
+        for j in np.flatnonzero(((lows <= high) & (low <= highs)).all(axis=1)).tolist():
+            ious[i, j] = box_iou(truth, map_boxes[j])
+    return ious
+
+
+def _bounds(boxes: Sequence[OrientedBox]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    corners = np.array([box.corners_world() for box in boxes])
+    return corners.min(axis=1) - _SLACK_M, corners.max(axis=1) + _SLACK_M
+
+
+def _matches(ious: NDArray[np.float64], min_iou: float) -> tuple[BoxMatch, ...]:
     if ious.size == 0:
         return ()
     ious = np.where(ious >= min_iou, ious, 0.0)
@@ -126,8 +148,8 @@ class TrueSurfaces:
         owners = _owners(objects, self._scene)
 
         counting_boxes = [self._boxes[item.id] for item in counting]
-        loose = match_boxes(counting_boxes, boxes, LOOSE_IOU)
-        strict = match_boxes(counting_boxes, boxes, STRICT_IOU)
+        ious = box_ious(counting_boxes, boxes)
+        loose, strict = _matches(ious, LOOSE_IOU), _matches(ious, STRICT_IOU)
         ignored_ids = {item.id for item in ignored}
         aside = {i for i, owner in enumerate(owners) if owner in ignored_ids}
         aside |= {match.map_index for match in match_boxes([self._boxes[item.id] for item in ignored], boxes)}

@@ -70,7 +70,8 @@ def _placed(box: OrientedBox, layer: int, volume_m3: float, color: str) -> Place
 def _enclosed_m3(mesh: Mesh) -> float:
     """Return the volume inside a closed mesh, by the divergence theorem; its centre is the origin, for precision."""
     vertices = mesh.vertices.astype(np.float64)
-    a, b, c = (vertices[mesh.faces[:, i]] - vertices.mean(axis=0) for i in range(3))
+    vertices -= vertices.mean(axis=0)
+    a, b, c = (vertices[mesh.faces[:, i]] for i in range(3))
     return abs(float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())) / 6
 
 

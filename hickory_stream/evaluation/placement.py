@@ -115,11 +115,11 @@ def _views_with_frames(saved: SavedMap, truth: Truth) -> tuple[ViewFrame, ...]:
 def _placement(found: NDArray[np.float64], true: NDArray[np.float64], difference: float) -> Placement | None:
     """Return the rigid transform between (N, 4, 4) poses, None if none fits; `difference` is in metres plus radians."""
     spread_m = float(np.linalg.norm(np.ptp(true[:, :3, 3], axis=0)))
-    if len(found) < _MIN_POSES or spread_m < _MIN_SPREAD_M:
+    if len(found) < _MIN_POSES or spread_m < _MIN_SPREAD_M or difference < 1e-3:
         return None
     map_from_world = _consensus(found, true)
     rest_m, rest_rad = (float(np.median(values)) for values in _differences(found, map_from_world @ true))
-    if rest_m > _MAX_REST_M or rest_m + rest_rad > _EXPLAINED * difference or difference < 1e-3:
+    if rest_m > _MAX_REST_M or rest_m + rest_rad > _EXPLAINED * difference:
         return None
     return Placement(
         map_from_world=tuple(tuple(float(value) for value in row) for row in map_from_world),

@@ -74,5 +74,5 @@ def _mark(
         length = np.linalg.norm(towards, axis=1)
         towards = towards / length[:, None]
         # No surface between the camera and the sample; samples that face away are occluded by their own object.
-        hit = scene.cast(surface.samples[open_] + _OFF_SURFACE_M * towards, towards)
-        seen[i][open_[hit.distance_m > length - 2 * _OFF_SURFACE_M]] = True
+        free_m = scene.distances_m(surface.samples[open_] + _OFF_SURFACE_M * towards, towards)
+        seen[i][open_[free_m > length - 2 * _OFF_SURFACE_M]] = True

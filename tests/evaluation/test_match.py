@@ -10,11 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.match import match_boxes, score_map
+from hickory_stream.evaluation.match import box_ious, match_boxes, score_map
 from hickory_stream.evaluation.truth import Truth, TruthObject
 from hickory_stream.geometry.boxes import OrientedBox, box_iou
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import Mesh, write_glb
+from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.records import MapSnapshot, Phase, TrackedObject
 from tests.engine.snapshot_fixtures import box_mesh, make_object, make_shape, placed
 
@@ -87,6 +88,20 @@ def test_the_sum_of_ious_is_that_of_the_best_of_all_assignments(
     places = range(len(map_boxes) + len(truth_boxes))
     best = max(sum(value(i, j) for i, j in enumerate(order)) for order in permutations(places, len(truth_boxes)))
     assert sum(match.iou for match in matches) == pytest.approx(best)
+
+
+@given(seed=st.integers(0, 1000), turned=st.booleans())
+def test_no_overlap_is_missed_though_only_boxes_whose_bounds_meet_are_compared(seed: int, turned: bool) -> None:
+    rng = np.random.default_rng(seed)
+    boxes = [
+        OrientedBox(
+            world_from_box=from_rotation_translation(yaw_rotation(turned * rng.uniform(0, 3)), rng.uniform(0, 3, 3)),
+            half_extents_m=rng.uniform(0.1, 1.0, 3),
+        )
+        for _ in range(10)
+    ]
+    ours, theirs = boxes[:5], boxes[5:]
+    assert np.array_equal(box_ious(ours, theirs), [[box_iou(a, b) for b in theirs] for a in ours])
 
 
 # ---- maps -----------------------------------------------------------------------------------------------------------
