@@ -185,8 +185,6 @@ def _nav2(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path,
 
 
 def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path, bytes]:
-    import numpy as np
-
     from hickory_stream.navigation.free_space import layer_four_of, obstacles_of
     from hickory_stream.navigation.observed import Band
     from hickory_stream.navigation.simulators import SimulatedObject, mjcf_files, urdf_files
@@ -208,9 +206,9 @@ def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[
     ]
     band = Band(low_m=floor, high_m=floor + _WALL_HEIGHT_M)
     bodies = [item.inflated for item in objects]
-    walls = [np.empty((0, 8, 3)), *(wall_boxes(submap, band, floor, bodies) for submap in snapshot.submaps)]
+    walls = wall_boxes(snapshot.submaps, band, floor, bodies)
     files = mjcf_files if options.format == "mjcf" else urdf_files
-    made = files(objects, np.concatenate(walls), floor, out.stem)
+    made = files(objects, walls, floor, out.stem)
     return {out / name: data for name, data in made.items()}
 
 

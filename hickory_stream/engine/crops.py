@@ -107,6 +107,21 @@ def read_crop(views: Path, name: str) -> Crop:
         raise MapFolderError(f"view {name} in {views} is damaged: {error}; play the log again") from error
 
 
+def read_mask(views: Path, name: str) -> NDArray[np.bool_]:
+    """Return the mask of a view alone, as `read_crop` has it.
+
+    Raises:
+        MapFolderError: its file is missing or damaged.
+    """
+    color_file, _, *mask_file, _ = crop_files(views, name)
+    try:
+        if mask_file:
+            return np.asarray(read_image(mask_file[0], np.dtype(np.uint8), 2) > 127)
+        return np.asarray(read_image(color_file, np.dtype(np.uint8), 3)[..., 3] > 127)
+    except (OSError, ValueError, IndexError) as error:
+        raise MapFolderError(f"view {name} in {views} is damaged: {error}; play the log again") from error
+
+
 def _millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
     """Return a depth image in whole millimetres, 0 = no return."""
     millimetres = np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) * np.float32(1000))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine.crops import read_crop
+from hickory_stream.engine.crops import read_mask
 from hickory_stream.evaluation.exposed import exposed_samples
 from hickory_stream.evaluation.match import Score, meshes_of, score_map
 from hickory_stream.evaluation.placement import placed_truth
@@ -232,6 +232,6 @@ def _mask_purity(saved: SavedMap, truth: Truth, views: Sequence[ViewFrame]) -> f
     shares = []
     for index, names in by_frame.items():
         instances = instances_of(truth, true_frames[index])
-        shares += [purity(read_crop(saved.views, name).mask, boxes[name], instances) for name in names]
+        shares += [purity(read_mask(saved.views, name), boxes[name], instances) for name in names]
     known = [share for share in shares if share is not None]
     return float(np.mean(known)) if known else None

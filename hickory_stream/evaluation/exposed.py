@@ -32,7 +32,7 @@ def exposed_samples(
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     directions = rng.standard_normal((_DIRECTIONS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    outward = directions[None] * np.sign(normals @ directions.T)[..., None]
+    side = np.sign(normals @ directions.T)
     start = points + 1e-4 * normals
     caster = ray_caster()
     caster.add(mesh.vertices, mesh.faces)
@@ -42,7 +42,7 @@ def exposed_samples(
         hidden = np.flatnonzero(~is_exposed)
         if len(hidden) == 0:
             break
-        towards = outward[hidden, first:last]
+        towards = directions[first:last] * side[hidden, first:last, None]
         rays = np.concatenate([np.broadcast_to(start[hidden, None], towards.shape), towards], axis=2)
         is_hit = caster.is_occluded(rays.astype(np.float32).reshape(-1, 6)).reshape(towards.shape[:2])
         is_exposed[hidden] = ~is_hit.all(axis=1)

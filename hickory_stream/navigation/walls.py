@@ -20,7 +20,7 @@ from hickory_stream.geometry.voxels import cells_of_keys
 from hickory_stream.navigation.observed import box_corners, is_upright
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -34,18 +34,40 @@ _ORDERS = np.array([[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1
 
 
 def wall_boxes(
-    submap: Submap, band: Band, floor_z_m: float, objects: Sequence[Superquadrics] = ()
+    submaps: Sequence[Submap], band: Band, floor_z_m: float, objects: Sequence[Superquadrics] = ()
 ) -> NDArray[np.float64]:
     """Return the corners (N, 8, 3), in the world, of boxes whose union is the walls within the band.
 
     Structure inside `objects` is left out. Boxes may overlap one another.
     """
+    # Once for all submaps: each is compared with every object.
+    bounds = [world_bounds(primitives).reshape(-1, 3) for primitives in objects]
+    lows = np.array([bound.min(axis=0) for bound in bounds]).reshape(-1, 3)
+    highs = np.array([bound.max(axis=0) for bound in bounds]).reshape(-1, 3)
+
+    def is_within(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return (N,) whether each of (N, 3) points lies in a primitive of an object."""
+        found = np.zeros(len(points), bool)
+        least, most = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
+        for k in np.flatnonzero(((lows <= most) & (highs >= least)).all(axis=1)).tolist():
+            near = np.flatnonzero(((points >= lows[k]) & (points <= highs[k])).all(axis=1))
+            for i in range(len(objects[k])):
+                found[near] |= implicit_value(objects[k], i, points[near]) <= 1
+        return found
+
+    boxes = [_boxes_in(submap, band, floor_z_m, is_within) for submap in submaps]
+    return np.concatenate([np.empty((0, 8, 3)), *boxes])
+
+
+def _boxes_in(
+    submap: Submap, band: Band, floor_z_m: float, is_within: Callable[[NDArray[np.float64]], NDArray[np.bool_]]
+) -> NDArray[np.float64]:
     space = submap.observed_space
     cells = cells_of_keys(space.structure)
     centers = apply(submap.world_from_submap, (cells + 0.5) * space.voxel_m)
     is_floor = np.abs(centers[:, 2] - floor_z_m) <= space.voxel_m
     is_wanted = (centers[:, 2] > band.low_m) & (centers[:, 2] < band.high_m) & ~is_floor
-    cells = cells[is_wanted][~_is_within(centers[is_wanted], objects)]
+    cells = cells[is_wanted][~is_within(centers[is_wanted])]
     if len(cells) == 0:
         return np.empty((0, 8, 3))
     first = cells.min(axis=0)
@@ -78,18 +100,6 @@ def _mask_of(cells: NDArray[np.int64], first: NDArray[np.int64], shape: NDArray[
     local = cells - first
     mask[tuple(local[((local >= 0) & (local < shape)).all(axis=1)].T)] = True
     return mask
-
-
-def _is_within(points: NDArray[np.float64], objects: Sequence[Superquadrics]) -> NDArray[np.bool_]:
-    """Return (N,) whether each of (N, 3) points lies in a primitive of an object."""
-    is_within = np.zeros(len(points), bool)
-    for primitives in objects:
-        bounds = world_bounds(primitives).reshape(-1, 3)
-        low, high = bounds.min(axis=0), bounds.max(axis=0)
-        near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-        for i in range(len(primitives)):
-            is_within[near] |= implicit_value(primitives, i, points[near]) <= 1
-    return is_within
 
 
 def _cleaned(mask: NDArray[np.bool_], free: NDArray[np.bool_], is_wall: NDArray[np.bool_]) -> NDArray[np.bool_]:

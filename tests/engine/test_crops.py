@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.config import RunConfig
-from hickory_stream.engine.crops import crop_files, read_crop, write_crop
+from hickory_stream.engine.crops import crop_files, read_crop, read_mask, write_crop
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
@@ -101,6 +101,8 @@ def test_lossy_colours_leave_the_mask_and_the_depth_as_exact_as_ever(
     assert sorted(file.name for file in tmp_path.glob("v.*")) == sorted(f"v.{ending}" for ending in endings)
     exact, back = read_crop(tmp_path, "exact"), read_crop(tmp_path, "v")
     assert np.array_equal(back.mask, exact.mask)
+    for name in ("exact", "v"):
+        assert np.array_equal(read_mask(tmp_path, name), exact.mask)
     assert np.array_equal(back.depth_m, exact.depth_m, equal_nan=True)
     assert np.array_equal(back.world_from_camera, exact.world_from_camera)
     assert (back.camera, back.sensor) == (exact.camera, exact.sensor)

@@ -90,7 +90,7 @@ def scene() -> tuple[list[SimulatedObject], np.ndarray]:
             inflated=boxes(((4.5, 1.0, 0.3), (0.4, 0.3, 0.3))),
         ),
     ]
-    return objects, wall_boxes(snapshot().submaps[0], Band(low_m=0.0, high_m=2.0), 0.0)
+    return objects, wall_boxes(snapshot().submaps[:1], Band(low_m=0.0, high_m=2.0), 0.0)
 
 
 def write(files: dict[str, bytes], folder: Path) -> None:

@@ -64,7 +64,7 @@ def test_a_solid_is_one_box_and_a_room_of_four_walls_is_four() -> None:
 
 def test_the_walls_of_a_room_are_all_their_cells_in_a_handful_of_boxes() -> None:
     submap = room_with(np.empty((0, 3), int))
-    hulls = wall_boxes(submap, BAND, 0.0)
+    hulls = wall_boxes([submap], BAND, 0.0)
     cells = cells_of_keys(submap.observed_space.structure)
     # The lowest two layers are the floor's.
     assert cells_in(hulls) == {tuple(cell) for cell in cells[cells[:, 2] >= 1].tolist()}
@@ -76,14 +76,14 @@ def test_voxels_of_noise_before_a_wall_are_posts_to_a_planner_and_nothing_to_a_s
     noise = np.column_stack([rng.permutation(np.arange(5, 115, 2))[:30], np.full(30, 2), rng.integers(3, 38, 30)])
     submap = room_with(noise)
     assert num_posts(wall_hulls(submap, BAND, 0.0)) >= 30
-    hulls = wall_boxes(submap, BAND, 0.0)
+    hulls = wall_boxes([submap], BAND, 0.0)
     assert num_posts(hulls) == 0
     assert len(hulls) == 6
 
 
 def test_a_wall_that_a_sofa_hides_reaches_the_floor_and_a_counter_keeps_its_height() -> None:
     hidden, counter = block((20, -1, 0), (60, 0, 18)), block((70, 60, 0), (100, 72, 18))
-    found = cells_in(wall_boxes(room_with(counter, without=hidden), BAND, 0.0))
+    found = cells_in(wall_boxes([room_with(counter, without=hidden)], BAND, 0.0))
     assert {tuple(cell) for cell in hidden.tolist() if cell[2] >= 1} <= found
     assert {tuple(cell) for cell in counter.tolist() if cell[2] >= 1} <= found
     assert not {tuple(cell) for cell in block((70, 60, 18), (100, 72, 39)).tolist()} & found
@@ -93,8 +93,8 @@ def test_structure_within_an_object_is_no_wall() -> None:
     shelf = block((60, 70, 2), (80, 76, 34))
     body = boxes(((70 * VOXEL_M, 73 * VOXEL_M, 0.9), (0.6, 0.25, 0.95)))
     with_shelf = room_with(shelf)
-    assert {tuple(cell) for cell in shelf.tolist()} <= cells_in(wall_boxes(with_shelf, BAND, 0.0))
-    assert not {tuple(cell) for cell in shelf.tolist()} & cells_in(wall_boxes(with_shelf, BAND, 0.0, [body]))
+    assert {tuple(cell) for cell in shelf.tolist()} <= cells_in(wall_boxes([with_shelf], BAND, 0.0))
+    assert not {tuple(cell) for cell in shelf.tolist()} & cells_in(wall_boxes([with_shelf], BAND, 0.0, [body]))
 
 
 def test_a_crack_that_nobody_looked_into_is_filled_and_one_that_is_free_stays_open() -> None:
@@ -103,8 +103,8 @@ def test_a_crack_that_nobody_looked_into_is_filled_and_one_that_is_free_stays_op
     submap = room_with(counter)
     dark = replace(submap.observed_space, free=np.setdiff1d(submap.observed_space.free, keys_of_cells(crack)))
     middle = {tuple(cell) for cell in block((75, 65, 3), (95, 66, 15)).tolist()}
-    assert not middle & cells_in(wall_boxes(submap, BAND, 0.0))
-    assert middle <= cells_in(wall_boxes(replace(submap, observed_space=dark), BAND, 0.0))
+    assert not middle & cells_in(wall_boxes([submap], BAND, 0.0))
+    assert middle <= cells_in(wall_boxes([replace(submap, observed_space=dark)], BAND, 0.0))
 
 
 def test_the_walls_of_a_tilted_submap_lie_where_its_voxels_are() -> None:
@@ -114,7 +114,7 @@ def test_the_walls_of_a_tilted_submap_lie_where_its_voxels_are() -> None:
     )
     c, s = np.cos(0.1), np.sin(0.1)
     tilt = from_rotation_translation(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]), np.array([1.0, 2.0, 0.0]))
-    (hull,) = wall_boxes(Submap(id=0, world_from_submap=tilt, observed_space=space), BAND, -1.0)
+    (hull,) = wall_boxes([Submap(id=0, world_from_submap=tilt, observed_space=space)], BAND, -1.0)
     local = (hull - tilt[:3, 3]) @ tilt[:3, :3] / VOXEL_M
     assert local.min(axis=0) == pytest.approx([0, 0, 4])
     assert local.max(axis=0) == pytest.approx([40, 2, 30])
@@ -122,4 +122,22 @@ def test_the_walls_of_a_tilted_submap_lie_where_its_voxels_are() -> None:
 
 def test_a_map_without_structure_has_no_walls() -> None:
     space = ObservedSpace(voxel_m=VOXEL_M, free=np.empty(0, np.int64), structure=np.empty(0, np.int64), floor_z_m=0.0)
-    assert wall_boxes(Submap(id=0, world_from_submap=np.eye(4), observed_space=space), BAND, 0.0).shape == (0, 8, 3)
+    assert wall_boxes([Submap(id=0, world_from_submap=np.eye(4), observed_space=space)], BAND, 0.0).shape == (0, 8, 3)
+
+
+def test_the_walls_of_several_submaps_are_those_of_each() -> None:
+    grid = np.stack(np.meshgrid(np.arange(40), np.arange(2), np.arange(30), indexing="ij"), axis=-1).reshape(-1, 3)
+    first = Submap(
+        id=0,
+        world_from_submap=np.eye(4),
+        observed_space=ObservedSpace(
+            voxel_m=0.05, free=keys_of_cells(grid[:0]), structure=np.sort(keys_of_cells(grid)), floor_z_m=0.0
+        ),
+    )
+    there = np.eye(4)
+    there[0, 3] = 7.0
+    second = replace(first, id=1, world_from_submap=there)
+    apart = [wall_boxes([submap], BAND, 0.0) for submap in (first, second)]
+    assert min(len(boxes) for boxes in apart) > 0
+    assert np.array_equal(wall_boxes([first, second], BAND, 0.0), np.concatenate(apart))
+    assert wall_boxes([], BAND, 0.0).shape == (0, 8, 3)
