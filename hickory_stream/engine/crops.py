@@ -74,7 +74,9 @@ def write_crop(views: Path, name: str, crop: Crop, how: RunConfig | None = None)
         files |= {"mask.png": png_bytes(mask, is_bilevel=True), f"color{suffix}": color}
         description["color_crc32"] = zlib.crc32(color)
     else:
-        files["color.png"] = png_bytes(np.dstack([bgr, mask]))
+        with_mask = np.empty((*mask.shape, 4), dtype=np.uint8)
+        with_mask[..., :3], with_mask[..., 3] = bgr, mask
+        files["color.png"] = png_bytes(with_mask)
     with disk_errors(views):
         for ending, data in files.items():
             write_atomically(views / f"{name}.{ending}", data, sync=False)
@@ -124,5 +126,7 @@ def read_mask(views: Path, name: str) -> NDArray[np.bool_]:
 
 def _millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
     """Return a depth image in whole millimetres, 0 = no return."""
-    millimetres = np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) * np.float32(1000))
-    return np.where((millimetres > 0) & (millimetres <= _MAX_MM), millimetres, 0).astype(np.uint16)
+    with np.errstate(invalid="ignore", over="ignore"):
+        millimetres = np.rint(depth_m * np.float32(1000))
+        # What is no number is neither.
+        return np.where((millimetres > 0) & (millimetres <= _MAX_MM), millimetres, 0).astype(np.uint16)
