@@ -272,4 +272,5 @@ class _Parts:
 def _content_of(array: NDArray[Any]) -> bytes:
     """Return what tells an array from every other one."""
     kind = f"{array.dtype.str} {array.shape} ".encode()
-    return hashlib.blake2b(kind + array.tobytes(), digest_size=16).digest()
+    # Processors have instructions for it: it takes half the time of BLAKE2.
+    return hashlib.sha256(kind + array.tobytes()).digest()

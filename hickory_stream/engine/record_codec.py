@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 _RECORD, _ARRAY, _PART, _MAP, _SET, _ENUM = 39_100, 39_101, 39_102, 39_103, 39_104, 39_105
 _PART_BYTES = 1024
 _PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS, _STEPS, _DEPTHS, _MEANS = range(9)
-_SMALL_BYTES = 64
+# A pose or less: dividing it into planes takes longer than all else of it, and leaves nothing to be found.
+_SMALL_BYTES = 192
 _BLOCK_BYTES = 16
 _MOST_DIMENSIONS = 8
 _LEAST, _MOST = int(np.iinfo(np.int64).min), int(np.iinfo(np.int64).max)
