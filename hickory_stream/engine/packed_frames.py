@@ -77,6 +77,8 @@ def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
         returns = one.returns
         if returns is None or returns.checksum != checksum_of(one.points_world, event.world_from_camera):
             continue
+        if returns.depth_mm.shape != one.mask.shape or returns.depth_mm[~one.mask].any():
+            continue
         packed.append(PackedPoints(place=place, voxel_m=returns.voxel_m, checksum=returns.checksum))
         masks.append(one.mask)
         images.append(returns.depth_mm)

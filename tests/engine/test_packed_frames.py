@@ -107,6 +107,18 @@ def test_points_or_a_pose_that_somebody_has_changed_are_stored_as_points() -> No
     assert encode(unpacked_frame(decode(encode(stored)))) == encode(changed)
 
 
+def test_returns_outside_of_a_mask_that_somebody_has_changed_are_stored_as_points() -> None:
+    event = seen()
+    first, second = event.observations
+    assert first.returns is not None
+    mask = first.mask.copy()
+    mask[tuple(np.argwhere(first.returns.depth_mm)[0])] = False
+    changed = replace(event, observations=(replace(first, mask=mask), second))
+    stored = packed(changed)
+    assert [part.place for part in stored.packed] == [1]
+    assert encode(unpacked_frame(decode(encode(stored)))) == encode(changed)
+
+
 def test_a_frame_without_its_camera_is_stored_as_points() -> None:
     event = replace(seen(), coarse=None)
     assert packed_frame(event) is event
