@@ -29,7 +29,7 @@ from hickory_stream.shapes.panels import panels, sheet_thickness
 from hickory_stream.shapes.pieces import pieces_of
 from hickory_stream.shapes.quadric_lm import ROW, row_of
 from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
-from hickory_stream.shapes.seeds import chessboard_depth, grown_box, principal_axes
+from hickory_stream.shapes.seeds import bounds_along, chessboard_depth, grown_box, principal_axes
 from hickory_stream.shapes.thin_parts import with_thin_parts
 from hickory_stream.shapes.usable import usable
 
@@ -393,11 +393,10 @@ _ORDERS = ([0, 1, 2], [2, 0, 1], [1, 2, 0])
 
 def _component_starts(cells: NDArray[np.int64]) -> list[NDArray[np.float64]]:
     """Return ellipsoid-like starts over the bounds of a component, along the grid and along its principal axes."""
-    cells = cells[:: len(cells) // 5000 + 1]
+    cells = np.ascontiguousarray(cells[:: len(cells) // 5000 + 1])
     starts = []
     for axes in (np.eye(3), principal_axes(cells)):
-        local = portable.matmul(cells, axes)
-        low, high = local.min(axis=0) - 0.5, local.max(axis=0) + 0.5
+        low, high = bounds_along(cells, axes) + np.array([[-0.5], [0.5]])
         center = portable.matmul(axes, (low + high) / 2)
         half = (high - low) / 2
         starts += [row_of((0.6, 0.9), half[order], center, axes[:, order]) for order in _ORDERS]

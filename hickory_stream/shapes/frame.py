@@ -80,7 +80,10 @@ def _raised(
 ) -> NDArray[np.float64]:
     """Return (S, 3, 3) frames after one step of the fixed point."""
     # Frames last: what is done for one of them is done for all at once.
-    raised = _raised_sums(np.ascontiguousarray(axes.transpose(1, 2, 0)), normals, normals * weights[:, None])
+    weighted = normals * weights[:, None]
+    if len(axes) == 1:
+        return portable.nearest_orthogonal(_raised_sum(np.ascontiguousarray(axes[0]), normals, weighted)[None])
+    raised = _raised_sums(np.ascontiguousarray(axes.transpose(1, 2, 0)), normals, weighted)
     return portable.nearest_orthogonal(raised.transpose(2, 0, 1))
 
 
@@ -102,6 +105,20 @@ def _raised_sums(axes, normals, weighted):  # type: ignore[no-untyped-def] # pra
                 share = weighted[n, row]
                 for s in range(axes.shape[2]):
                     raised[row, column, s] += share * cubes[s]
+    return raised
+
+
+@numba.njit(cache=True, nogil=True)
+def _raised_sum(axes, normals, weighted):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return the same (3, 3) sum for one frame (3, 3)."""
+    raised = np.zeros((3, 3))
+    for n in range(len(normals)):
+        x, y, z = normals[n, 0], normals[n, 1], normals[n, 2]
+        for column in range(3):
+            along = x * axes[0, column] + y * axes[1, column] + z * axes[2, column]
+            cube = along * along * along
+            for row in range(3):
+                raised[row, column] += weighted[n, row] * cube
     return raised
 
 

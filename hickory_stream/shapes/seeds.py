@@ -12,6 +12,7 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import diagonalise
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,11 +31,41 @@ def chessboard_depth(solid: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 def principal_axes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return (3, 3) right-handed columns, the principal axes of (N, 3) cells."""
-    centered = cells - cells.mean(axis=0)
-    _, axes = portable.eigh(portable.matmul(centered.T, centered) / len(cells))
+    axes = np.asarray(_principal_axes(np.ascontiguousarray(cells, np.int64)))
     if portable.det3(axes) < 0:
         axes[:, 0] = -axes[:, 0]
-    return np.asarray(axes)
+    return axes
+
+
+@numba.njit(cache=True, nogil=True)
+def _principal_axes(cells):  # type: ignore[no-untyped-def] # pragma: no cover
+    middle, products, axes = np.zeros(3), np.zeros((3, 3)), np.empty((3, 3))
+    for n in range(len(cells)):
+        for i in range(3):
+            middle[i] += cells[n, i]
+    middle /= len(cells)
+    for n in range(len(cells)):
+        x, y, z = cells[n, 0] - middle[0], cells[n, 1] - middle[1], cells[n, 2] - middle[2]
+        off = (x, y, z)
+        for i in range(3):
+            for j in range(3):
+                products[i, j] += off[i] * off[j]
+    products /= len(cells)
+    diagonalise(products, axes)
+    return axes
+
+
+@numba.njit(cache=True, nogil=True)
+def bounds_along(cells, axes):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return (2, 3) the least and the greatest coordinates of (N, 3) cells along the columns of `axes` (3, 3)."""
+    bounds = np.empty((2, 3))
+    bounds[0], bounds[1] = np.inf, -np.inf
+    for n in range(len(cells)):
+        x, y, z = np.float64(cells[n, 0]), np.float64(cells[n, 1]), np.float64(cells[n, 2])
+        for i in range(3):
+            along = x * axes[0, i] + y * axes[1, i] + z * axes[2, i]
+            bounds[0, i], bounds[1, i] = min(bounds[0, i], along), max(bounds[1, i], along)
+    return bounds
 
 
 @numba.njit(cache=True, nogil=True)
