@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,10 @@ from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, SceneBox, SceneS
 from hickory_stream.compiled import kernels_folder
 from hickory_stream.compiling import tell_when_compiling
 from hickory_stream.config import MapperConfig
+from hickory_stream.engine.checkpoints import Packer
 from hickory_stream.engine.keyframe_places import KeyframePlaces
+from hickory_stream.engine.packed_frames import PackedFrame, packed_frame, unpacked_frame
+from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.events import ComputeFeatures, FeaturesReady
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
@@ -26,6 +30,7 @@ from hickory_stream.json_text import dumps
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
+from hickory_stream.perception.observe import MILLIMETRE
 from hickory_stream.perception.perceive import features_of, perceive
 from hickory_stream.ports import Crop, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape
@@ -37,6 +42,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.events import Effect
     from hickory_stream.ports import FeatureExtractor, Segmenter
+    from hickory_stream.records import Frame
 
 # A stool with a back: several primitives, some of them thin.
 _STOOL = (
@@ -65,7 +71,7 @@ def warm_up() -> None:
 
 
 def warm_up_mapping() -> None:
-    """Map a few frames, for the kernels of perception and of the core, as `warm_up` does for those of shapes."""
+    """Map a few frames, for the kernels of perception, core and journal, as `warm_up` does for those of shapes."""
     config = MapperConfig()
     with _one_at_a_time("mapping"):
         rehearse(make_segmenter(config.perception), ColorTextureDescriptor(), config, num_frames=_NUM_MAPPED)
@@ -80,16 +86,26 @@ def rehearse(
     """
     core, places = MapperCore(config.mapping), KeyframePlaces(config.registration)
     for raw in SceneSource(num_frames, (*SCENE_BOXES, _WALL)).frames():
-        frame = raw.decode()
+        frame = _in_millimetres(raw.decode())
         places.place(frame)
         prepared, prior = segmenter.prepare(frame), core.prior()
         perceived = perceive(frame, prior, prepared, segmenter, config.perception, lattice=config.mapping.lattice)
-        waiting: list[Effect] = core.handle(perceived.event(frame))
+        event = perceived.event(frame)
+        waiting: list[Effect] = core.handle(event)
         while waiting:
             effect = waiting.pop(0)
             if isinstance(effect, ComputeFeatures):
                 features, _ = features_of(frame, perceived.observations, effect.observation_indices, extractor)
                 waiting += core.handle(FeaturesReady(frame_index=effect.frame_index, features=features))
+        stored = decode(encode(packed_frame(event)))
+        if isinstance(stored, PackedFrame):
+            unpacked_frame(stored)
+    encode(Packer().packed(core.state()))
+
+
+def _in_millimetres(frame: Frame) -> Frame:
+    """Return a frame with depth as cameras give it, of which the journal has the returns."""
+    return replace(frame, depth_m=np.rint(frame.depth_m * np.float32(1000)) * MILLIMETRE)
 
 
 PARTS: dict[str, Callable[[], None]] = {"mapping": warm_up_mapping, "shapes": warm_up}

@@ -39,3 +39,24 @@ def test_the_jobs_after_it_compile_nothing() -> None:
     made = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr
     assert made.stdout.strip() == "[]"
+
+
+WRITING = """
+import gc
+from numba.core.dispatcher import Dispatcher
+from hickory_stream.engine.warm_up import warm_up_mapping
+
+warm_up_mapping()
+print(sorted({
+    made.py_func.__module__.rpartition(".")[2]
+    for made in gc.get_objects()
+    if isinstance(made, Dispatcher) and ".geometry." in made.py_func.__module__ and made.signatures
+}))
+"""
+
+
+def test_it_writes_and_reads_what_a_journal_has_of_a_keyframe() -> None:
+    made = subprocess.run([sys.executable, "-c", WRITING], capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
+    for name in ("depth_code", "surface_colors", "mean_colors", "lattice", "voxel_blocks"):
+        assert f"'{name}'" in made.stdout
