@@ -20,8 +20,9 @@ def frozen_array(values: Any, dtype: DTypeLike, shape: tuple[int | None, ...], n
         ValueError: the shape does not fit, or `dtype` cannot hold the values; losing digits of a float is no reason.
     """
     array = _converted(values, dtype, name)
-    if array.ndim != len(shape) or any(
-        want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
+    if array.shape != shape and (
+        array.ndim != len(shape)
+        or any(want is not None and have != want for have, want in zip(array.shape, shape, strict=True))
     ):
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
         raise ValueError(f"{name} has shape {array.shape}; expected ({wanted})")

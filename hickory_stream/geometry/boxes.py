@@ -29,6 +29,8 @@ _FACE_SLACK = 1.25
 _FACE_POINTS = 800
 # More than rounding takes off the reach of a box.
 _SLACK_M = 1e-4
+_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+"""The corners of a box, in half extents."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -19,10 +19,8 @@ from hickory_stream.geometry.voxels import (
     difference,
     exchanged,
     first_not_below,
-    inserted,
     key_of_point,
     keys_of_cells,
-    places,
     rows_of_keys,
     sorted_unique,
     union,
@@ -167,14 +165,9 @@ def added(state: SpaceState, seen: SpaceObservation, false_m: float | None) -> S
     if false_m is not None:
         state = without_level(state, false_m)
     voters = union(seen.structure_keys, seen.surface_keys)
-    state = _with_surface(state, voters)
-    at, is_hit = places(state.surface, voters), contains(seen.structure_keys, voters)
-    before = _is_structure(state.hits[at], state.misses[at])
-    hits, misses = state.hits.copy(), state.misses.copy()
-    hits[at], misses[at] = _voted(hits[at], misses[at], is_hit)
-    now = _is_structure(hits[at], misses[at])
-    gained, lost = voters[now & ~before], voters[before & ~now]
-    state = replace(state, hits=hits, misses=misses, floor_z_m=_floor(state.floor_z_m, seen.floor_z_m))
+    surface, hits, misses, change = _voted(state.surface, state.hits, state.misses, voters, seen.structure_keys)
+    gained, lost = voters[change > 0], voters[change < 0]
+    state = replace(state, surface=surface, hits=hits, misses=misses, floor_z_m=_floor(state.floor_z_m, seen.floor_z_m))
     is_hidden = _structure_at(state, seen.free_keys)
     # Voxels that have just become structure are no longer free, and rays that graze structure do not make it free.
     bared = lost[contains(state.hidden_free, lost)]
@@ -310,25 +303,42 @@ def _is_level_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
     return out
 
 
-def _voted(
-    hits: NDArray[np.uint8], misses: NDArray[np.uint8], is_hit: NDArray[np.bool_]
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the votes with one more for each of these voxels."""
-    hits, misses = hits + is_hit, misses + ~is_hit
-    full = np.maximum(hits, misses) >= _MOST_VOTES
-    return np.where(full, hits // 2, hits).astype(np.uint8), np.where(full, misses // 2, misses).astype(np.uint8)
+@numba.njit(cache=True, nogil=True)
+def _voted(surface, hits, misses, voters, structure):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Return surface, hits and misses with one vote more for each of the voters, all sorted, in one walk.
 
-
-def _with_surface(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:
-    """Return the space with (N,) sorted voxels added to its surface; new voxels have no votes yet."""
-    new = keys[~contains(state.surface, keys)]
-    at, none = places(state.surface, new), np.zeros(len(new), dtype=np.uint8)
-    return replace(
-        state,
-        surface=inserted(state.surface, at, new),
-        hits=inserted(state.hits, at, none),
-        misses=inserted(state.misses, at, none),
-    )
+    Those that are in `structure` are hit, the others missed; new voxels have no votes yet. Also returned: 1 for each
+    voter that has become structure, -1 for one that is it no more.
+    """
+    most = len(surface) + len(voters)
+    keys, change = np.empty(most, dtype=np.int64), np.zeros(len(voters), dtype=np.int8)
+    all_hits, all_misses = np.empty(most, dtype=np.uint8), np.empty(most, dtype=np.uint8)
+    i, n, at = 0, 0, 0
+    for j in range(len(voters)):
+        place = first_not_below(surface, voters[j], i)
+        for k in range(place - i):
+            keys[n + k], all_hits[n + k], all_misses[n + k] = surface[i + k], hits[i + k], misses[i + k]
+        n += place - i
+        i = place
+        is_known = i < len(surface) and surface[i] == voters[j]
+        num_hits, num_misses = (np.int64(hits[i]), np.int64(misses[i])) if is_known else (np.int64(0), np.int64(0))
+        i += is_known
+        before = num_hits >= _SURE_HITS and num_hits > num_misses
+        at = first_not_below(structure, voters[j], at)
+        if at < len(structure) and structure[at] == voters[j]:
+            num_hits += 1
+        else:
+            num_misses += 1
+        if max(num_hits, num_misses) >= _MOST_VOTES:
+            num_hits, num_misses = num_hits // 2, num_misses // 2
+        now = num_hits >= _SURE_HITS and num_hits > num_misses
+        change[j] = np.int8(now) - np.int8(before)
+        keys[n], all_hits[n], all_misses[n] = voters[j], num_hits, num_misses
+        n += 1
+    for k in range(len(surface) - i):
+        keys[n + k], all_hits[n + k], all_misses[n + k] = surface[i + k], hits[i + k], misses[i + k]
+    n += len(surface) - i
+    return keys[:n].copy(), all_hits[:n].copy(), all_misses[:n].copy(), change
 
 
 def with_room(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:

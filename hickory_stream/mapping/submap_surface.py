@@ -75,6 +75,8 @@ def with_points(surface: SubmapSurface, seen: SurfacePoints, voxel_m: float) -> 
     keys, points, normals, hits = _with_means(
         surface.keys, surface.points, surface.normals, surface.hits, seen_keys, means
     )
+    for made in (keys, points, normals, hits):
+        made.flags.writeable = False  # nobody else has them: they need not be copied
     return SubmapSurface(keys=keys, points=points, normals=normals, hits=hits)
 
 
@@ -172,7 +174,7 @@ def _voxel_means(seen: SurfacePoints, voxel_m: float) -> tuple[NDArray[np.int64]
     groups, keys = groups_of(keys_of_points(seen.points, voxel_m))
     if len(keys) == 0:
         return keys, np.empty((0, 6), np.float32)
-    by_key = np.argsort(keys)
+    by_key = np.argsort(keys, kind="stable")
     values, starts = _by_group(groups, by_key, seen.points, seen.normals)
     counts = np.diff(np.append(starts, len(values)))[:, None]
     return keys[by_key], (np.add.reduceat(values, starts) / counts).astype(np.float32)
