@@ -109,8 +109,12 @@ def _on_objects(
 ) -> NDArray[np.bool_]:
     if places.tree is None or not len(points):
         return np.zeros(len(points), dtype=bool)
-    found = places.tree.query_ball_point(points, near_m)
-    return np.array([bool((places.owners[hits] != apart_from).any()) if hits else False for hits in found])
+    num_near = places.tree.query_ball_point(points, near_m, return_length=True)
+    if apart_from >= 0:
+        first, last = np.searchsorted(places.owners, [apart_from, apart_from + 1])
+        own = cKDTree(places.tree.data[first:last])
+        num_near = num_near - own.query_ball_point(points, near_m, return_length=True)
+    return np.asarray(num_near > 0)
 
 
 def _on_structure(places: SeenPlaces, points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -76,10 +76,12 @@ def contains(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDAr
 
 def contains_near(sorted_keys: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return for each of (N, 3) cells whether it is among the sorted keys, or next to one of them."""
-    found = np.zeros(len(cells), dtype=bool)
-    for step in np.ndindex(3, 3, 3):
-        left = np.flatnonzero(~found)
-        found[left] = contains(sorted_keys, keys_of_cells(cells[left] + np.array(step) - 1))
+    return are_near(sorted_keys, keys_of_cells(cells))
+
+
+def are_near(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return for each query whether its voxel, or one of the 26 around it, is among the sorted keys, as `contains`."""
+    found: NDArray[np.bool_] = _are_near(sorted_keys, queries)
     return found
 
 
@@ -213,6 +215,25 @@ def _changes(a, gone, new):  # type: ignore[no-untyped-def] # pragma: no cover
         at_new[num_fresh], fresh[num_fresh] = at, new[i]
         num_fresh += 1
     return at_gone[:num_gone], at_new[:num_fresh], fresh[:num_fresh]
+
+
+@numba.njit(cache=True, nogil=True)
+def _are_near(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: no cover
+    # A step of one cell along an axis adds a constant to the packed key, and along z neighbours are next to each other
+    # in the sorted keys: nine searches cover 27 cells. Each search starts where its last one ended.
+    found = np.zeros(len(queries), dtype=np.bool_)
+    ends = np.zeros(9, dtype=np.int64)
+    for i in range(len(queries)):
+        for side in range(9):
+            # The cell's own column first: it usually decides.
+            dx, dy = (side + 1) % 3 - 1, (side // 3 + 1) % 3 - 1
+            low = queries[i] + (dx << (2 * _BITS)) + (dy << _BITS) - 1
+            at = first_not_below(sorted_keys, low, ends[side])
+            ends[side] = at
+            if at < len(sorted_keys) and sorted_keys[at] <= low + 2:
+                found[i] = True
+                break
+    return found
 
 
 @numba.njit(cache=True, nogil=True)

@@ -15,7 +15,7 @@ from hickory_stream.compiled import numba
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import coarse_keys, contains, first_not_below, keys_of_points, places, sorted_unique
+from hickory_stream.geometry.voxels import are_near, coarse_keys, contains, keys_of_points, places, sorted_unique
 from hickory_stream.mapping.cold_clouds import count_of, unpacked
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def _volume(points: NDArray[np.float32]) -> float:
 
 def is_near(keys: NDArray[np.int64], cloud: Cloud) -> NDArray[np.bool_]:
     """Return (N,) for each voxel key whether the voxel or one of its 26 neighbours is in the cloud."""
-    return np.asarray(_is_near(keys, cloud.keys))
+    return are_near(cloud.keys, keys)
 
 
 def share_near(keys: NDArray[np.int64], cloud: Cloud, sample: int = 400) -> float:
@@ -203,23 +203,3 @@ def _without(keys, points, colors, hits, drop):  # type: ignore[no-untyped-def] 
                 kept_points[n, k], kept_colors[n, k] = points[i, k], colors[i, k]
             n += 1
     return kept_keys, kept_points, kept_colors, kept_hits
-
-
-@numba.njit(cache=True, nogil=True)
-def _is_near(keys, cloud_keys):  # type: ignore[no-untyped-def] # pragma: no cover
-    # A step of one cell along an axis adds a constant to the packed key, and along z neighbours are next to each other
-    # in the sorted keys: nine searches cover 27 cells. Each search starts where its last one ended, since the queried
-    # keys are sorted.
-    near = np.zeros(len(keys), dtype=np.bool_)
-    ends = np.zeros(9, dtype=np.int64)
-    for i in range(len(keys)):
-        for side in range(9):
-            # The cell's own column first: it usually decides.
-            dx, dy = (side + 1) % 3 - 1, (side // 3 + 1) % 3 - 1
-            low = keys[i] + (dx << 42) + (dy << 21) - 1
-            at = first_not_below(cloud_keys, low, ends[side])
-            ends[side] = at
-            if at < len(cloud_keys) and cloud_keys[at] <= low + 2:
-                near[i] = True
-                break
-    return near
