@@ -325,21 +325,29 @@ def _monotone_chain(points):  # type: ignore[no-untyped-def] # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
-def _clip(polygon, count, normal, offset, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Keep the part of a convex polygon with normal . p <= offset + tolerance; in place, returns the new count."""
-    out = np.empty_like(polygon)
+def _clip(polygon, out, count, n0, n1, n2, height, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+    """Keep the part of a convex polygon with n . p <= height + tolerance; in place, returns the new count.
+
+    `out` is room for as many corners.
+    """
     kept = 0
     for i in range(count):
-        p, q = polygon[i], polygon[(i + 1) % count]
-        dp = normal[0] * p[0] + normal[1] * p[1] + normal[2] * p[2] - offset - tolerance
-        dq = normal[0] * q[0] + normal[1] * q[1] + normal[2] * q[2] - offset - tolerance
+        after = (i + 1) % count
+        px, py, pz = polygon[i, 0], polygon[i, 1], polygon[i, 2]
+        qx, qy, qz = polygon[after, 0], polygon[after, 1], polygon[after, 2]
+        dp = n0 * px + n1 * py + n2 * pz - height - tolerance
+        dq = n0 * qx + n1 * qy + n2 * qz - height - tolerance
         if dp <= 0.0:
-            out[kept] = p
+            out[kept, 0], out[kept, 1], out[kept, 2] = px, py, pz
             kept += 1
         if (dp < 0.0 < dq) or (dq < 0.0 < dp):
-            out[kept] = p + (q - p) * (dp / (dp - dq))
+            share = dp / (dp - dq)
+            out[kept, 0], out[kept, 1] = px + (qx - px) * share, py + (qy - py) * share
+            out[kept, 2] = pz + (qz - pz) * share
             kept += 1
-    polygon[:kept] = out[:kept]
+    for i in range(kept):
+        for axis in range(3):
+            polygon[i, axis] = out[i, axis]
     return kept
 
 
@@ -347,26 +355,42 @@ def _clip(polygon, count, normal, offset, tolerance):  # type: ignore[no-untyped
 def _cones(rotation, offset, half, other_rotation, other_offset, other_half, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
     """Sum the cones, seen from the origin, of the faces of one box that lie inside the other."""
     total = 0.0
-    polygon = np.empty((16, 3))
+    polygon, room = np.empty((16, 3)), np.empty((16, 3))
+    normal, middle, area = np.empty(3), np.empty(3), np.empty(3)
     for axis in range(3):
         u, v = (axis + 1) % 3, (axis + 2) % 3
         for sign in (-1.0, 1.0):
-            normal = sign * np.ascontiguousarray(rotation[:, axis])
-            middle = offset + normal * half[axis]
+            for i in range(3):
+                normal[i] = sign * rotation[i, axis]
+                middle[i] = offset[i] + normal[i] * half[axis]
             for corner in range(4):
                 du = half[u] if corner in (1, 2) else -half[u]
                 dv = half[v] if corner in (2, 3) else -half[v]
-                polygon[corner] = middle + rotation[:, u] * du + rotation[:, v] * dv
+                for i in range(3):
+                    polygon[corner, i] = middle[i] + rotation[i, u] * du + rotation[i, v] * dv
             count = 4
             for other_axis in range(3):
                 for other_sign in (-1.0, 1.0):
-                    plane = other_sign * np.ascontiguousarray(other_rotation[:, other_axis])
-                    height = _dot(plane, other_offset) + other_half[other_axis]
+                    n0, n1 = other_sign * other_rotation[0, other_axis], other_sign * other_rotation[1, other_axis]
+                    n2 = other_sign * other_rotation[2, other_axis]
+                    height = n0 * other_offset[0] + n1 * other_offset[1] + n2 * other_offset[2] + other_half[other_axis]
                     if count:
-                        count = _clip(polygon, count, plane, height, tolerance)
-            area = np.zeros(3)
+                        count = _clip(polygon, room, count, n0, n1, n2, height, tolerance)
+            area[:] = 0.0
             for i in range(1, count - 1):
-                area += 0.5 * np.cross(polygon[i] - polygon[0], polygon[i + 1] - polygon[0])
+                ax, ay, az = (
+                    polygon[i, 0] - polygon[0, 0],
+                    polygon[i, 1] - polygon[0, 1],
+                    polygon[i, 2] - polygon[0, 2],
+                )
+                bx, by, bz = (
+                    polygon[i + 1, 0] - polygon[0, 0],
+                    polygon[i + 1, 1] - polygon[0, 1],
+                    polygon[i + 1, 2] - polygon[0, 2],
+                )
+                area[0] += 0.5 * (ay * bz - az * by)
+                area[1] += 0.5 * (az * bx - ax * bz)
+                area[2] += 0.5 * (ax * by - ay * bx)
             total += abs(_dot(area, normal)) * _dot(normal, middle) / 3.0
     return total
 
