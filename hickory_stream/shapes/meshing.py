@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 _GREY = (150, 150, 150)
 # The surface depends on the cells beside it, and their blurred values on those up to four cells away along each axis:
-# none of them is farther from the solid's boundary than 5 sqrt 3 cells.
+# none of them is farther from the solid's boundary than 5 sqrt 3 cells. Where the solid meets the side of its block,
+# the surface lies beside cells of any depth.
 _REACH = 9
 
 
@@ -34,7 +35,7 @@ def surface_field(solid: NDArray[np.bool_], evidence: Evidence) -> NDArray[np.fl
     Where the surface was measured the field is the measured distance; elsewhere it is the distance to the completed
     solid, smoothed. It is never exactly zero on a voxel, so that its level set is a closed manifold.
     """
-    rough = rough_distance(solid, _REACH)
+    rough = rough_distance(solid, sum(solid.shape) if _meets_a_side(solid) else _REACH)
     smooth = gaussian_blurred(rough, 1.0, mode="nearest")
     measured = (evidence.near > evidence.free) & (np.abs(evidence.distance) < 1.0) & ((evidence.distance <= 0) == solid)
     # Where both are known, the nearer surface counts: a measured front must not move the completed back.
@@ -42,6 +43,10 @@ def surface_field(solid: NDArray[np.bool_], evidence: Evidence) -> NDArray[np.fl
     # The sign is that of the solid everywhere: smoothing must not open a hole in a plate of one voxel.
     magnitude = np.where(~measured & ((smooth < 0) != solid), 0.1, np.maximum(magnitude, 1e-3))
     return np.where(solid, -magnitude, magnitude).astype(np.float32)
+
+
+def _meets_a_side(solid: NDArray[np.bool_]) -> bool:
+    return any(bool(np.take(solid, (0, -1), axis=axis).any()) for axis in range(solid.ndim))
 
 
 def extract(field: NDArray[np.float32], grid: VoxelGrid) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
