@@ -57,7 +57,8 @@ def load_lazily() -> None:
 
 def _parse(library: Any) -> None:
     """Do for a library what was left out when it was loaded."""
-    bitcode = library.__dict__.pop(_WAITING, None)
+    bitcode = library.__dict__.get(_WAITING)
     if bitcode is not None:
         library._shared_module = binding.parse_bitcode(bitcode)
         library._codegen._engine._load_defined_symbols(library._shared_module)
+        library.__dict__.pop(_WAITING, None)

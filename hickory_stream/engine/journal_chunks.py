@@ -123,16 +123,15 @@ class JournalChunks:
             known = self._contents.get(chunk)
             if known is not None:
                 return known
-            place = self.places[chunk]
+            records = self.records(chunk)
             try:
-                stream, length = get_chunk_data_stream(self._record(place), validate_crc=True)
-                contents = _contents_of(memoryview(stream.read(length)))
+                contents = _contents_of(memoryview(records))
                 if not contents:
                     raise ValueError("a chunk without messages")
             except _DAMAGE as error:
-                raise self._damage(place, error) from error
+                raise self._damage(self.places[chunk], error) from error
             if keeps:
-                self._contents.keep(chunk, contents, length)
+                self._contents.keep(chunk, contents, len(records))
             return contents
 
     def records(self, chunk: int) -> bytes:
@@ -244,6 +243,9 @@ def _scan(data: Any, path: Path) -> list[ChunkPlace]:
             break
         if opcode == _CHUNK_OPCODE and length >= 16:
             chunk = (start, end, struct.unpack_from("<Q", data, start)[0])
+        elif opcode == Opcode.DATA_END:
+            # After it is what a run that goes on cuts off: nobody reads there while it does.
+            break
         elif opcode == _INDEX_OPCODE and chunk is not None and length >= 2:
             channel = struct.unpack_from("<H", data, start)[0]
             places.append(ChunkPlace(chunk[0], chunk[1], channel, chunk[2]))

@@ -28,7 +28,10 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_BYTES = _MESSAGE.size - _RECORD.size
 _INDEX = struct.Struct("<BQHI")
 _INDEX_ENTRY = struct.Struct("<QQ")
-# Start and end time, size and checksum of what is in it, how it is compressed (a text and its length), its length.
+# The channel of an index, and how many bytes of entries follow.
+_CHANNEL = struct.Struct("<HI")
+# Of a chunk: start and end time, size and checksum of what is in it. Then come the name of the compression and what is
+# compressed, each after its length.
 _CHUNK = struct.Struct("<QQQI")
 _SIZE = struct.Struct("<I"), struct.Struct("<Q")
 _COMPRESSION = b"zstd"
@@ -181,31 +184,43 @@ def _contents(file: BinaryIO) -> tuple[list[ChunkIndex], dict[int, int]]:
     """Return what a summary says of each chunk, and the number of messages of each channel."""
     indices: list[ChunkIndex] = []
     counts: dict[int, int] = {}
+    chunk: ChunkIndex | None = None
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         for opcode, at, end in _records(data):
             if opcode == Opcode.CHUNK:
-                start_ns, end_ns, size, _ = _CHUNK.unpack_from(data, at)
-                (told,) = _SIZE[0].unpack_from(data, at + _CHUNK.size)
-                name_at = at + _CHUNK.size + _SIZE[0].size
-                (packed,) = _SIZE[1].unpack_from(data, name_at + told)
-                index = ChunkIndex(
-                    chunk_length=end - at + _RECORD.size,
-                    chunk_start_offset=at - _RECORD.size,
-                    compression=data[name_at : name_at + told].decode(),
-                    compressed_size=packed,
-                    message_end_time=end_ns,
-                    message_index_length=0,
-                    message_index_offsets={},
-                    message_start_time=start_ns,
-                    uncompressed_size=size,
-                )
-                indices.append(index)
-            elif opcode == Opcode.MESSAGE_INDEX and indices:
-                channel, length = struct.unpack_from("<HI", data, at)
-                indices[-1].message_index_offsets[channel] = at - _RECORD.size
-                indices[-1].message_index_length += end - at + _RECORD.size
+                chunk = _index_of_chunk(data, at, end)
+            elif opcode == Opcode.MESSAGE_INDEX and chunk is not None and at + _CHANNEL.size <= min(end, len(data)):
+                # Without an index a chunk is not whole, and nobody reads it.
+                if not chunk.message_index_offsets:
+                    indices.append(chunk)
+                channel, length = _CHANNEL.unpack_from(data, at)
+                chunk.message_index_offsets[channel] = at - _RECORD.size
+                chunk.message_index_length += end - at + _RECORD.size
                 counts[channel] = counts.get(channel, 0) + length // _INDEX_ENTRY.size
     return indices, counts
+
+
+def _index_of_chunk(data: mmap.mmap, at: int, end: int) -> ChunkIndex | None:
+    """Return what a summary says of a chunk, before the places of its index; None where it is damaged."""
+    name_at = at + _CHUNK.size + _SIZE[0].size
+    if name_at > min(end, len(data)):
+        return None
+    start_ns, end_ns, size, _ = _CHUNK.unpack_from(data, at)
+    (told,) = _SIZE[0].unpack_from(data, at + _CHUNK.size)
+    if name_at + told + _SIZE[1].size > min(end, len(data)):
+        return None
+    (packed,) = _SIZE[1].unpack_from(data, name_at + told)
+    return ChunkIndex(
+        chunk_length=end - at + _RECORD.size,
+        chunk_start_offset=at - _RECORD.size,
+        compression=data[name_at : name_at + told].decode(errors="replace"),
+        compressed_size=packed,
+        message_end_time=end_ns,
+        message_index_length=0,
+        message_index_offsets={},
+        message_start_time=start_ns,
+        uncompressed_size=size,
+    )
 
 
 def _records(data: mmap.mmap) -> Iterator[tuple[int, int, int]]:

@@ -58,16 +58,22 @@ class PackedFrame:
         freeze(self, "is_used", np.bool_, (None,))
 
 
+# Masks do not overlap, but their boxes do.
+_MOST_IMAGES = 64
 # There is next to nothing in them that repeats: higher levels take longer, and find it where it is none.
 _LEVEL = 1
 _NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
 
 
 def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
-    """Return an event as it is stored: as it is, where no points can be made of returns."""
-    if event.coarse is None or event.coarse.camera is None:
-        return event
-    observations = list(event.observations)
+    """Return an event as it is stored: with its points, without returns, where these cannot be made of those."""
+    # Returns are of use to the journal alone: what is stored with its points has none.
+    observations = [one if one.returns is None else replace(one, returns=None) for one in event.observations]
+    has_returns = any(one.returns is not None for one in event.observations)
+    plain = replace(event, observations=tuple(observations)) if has_returns else event
+    camera = None if event.coarse is None else event.coarse.camera
+    if camera is None or not _are_within(event.observations, camera):
+        return plain
     packed: list[PackedPoints] = []
     masks: list[NDArray[np.bool_]] = []
     images: list[NDArray[np.uint16]] = []
@@ -85,7 +91,7 @@ def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
         colors.append(packed_colors(keys_of_points(one.points_world, returns.voxel_m), one.colors))
         observations[place] = replace(one, points_world=_NO_POINTS, colors=_NO_COLORS, returns=None)
     if not packed:
-        return event
+        return plain
     return PackedFrame(
         event=replace(event, observations=tuple(observations)),
         packed=tuple(packed),
@@ -104,10 +110,13 @@ def unpacked_frame(frame: PackedFrame) -> FrameObserved:
     event = frame.event
     if event.coarse is None or event.coarse.camera is None:
         raise ValueError("returns of a frame without a camera")
-    if any(not 0 <= part.place < len(event.observations) for part in frame.packed):
-        raise ValueError(f"returns of more than {len(event.observations)} observations")
+    places = [part.place for part in frame.packed]
+    if any(a >= b for a, b in pairwise([-1, *places, len(event.observations)])):
+        raise ValueError(f"returns of observations {places} of {len(event.observations)}")
+    if not _are_within([event.observations[place] for place in places], event.coarse.camera):
+        raise ValueError("returns of masks that do not lie in the image, or in more than it has room for")
     observations = list(event.observations)
-    used = _used(frame, [event.observations[part.place].mask for part in frame.packed])
+    used = _used(frame, [event.observations[place].mask for place in places])
     # A return takes a byte, or three; a point takes three bytes and comes of one return at least.
     most_bytes = 3 * sum(int(np.count_nonzero(marks)) for marks in used)
     images = unpacked_depths(_unpacked(frame.depths, most_bytes), used)
@@ -126,6 +135,14 @@ def unpacked_frame(frame: PackedFrame) -> FrameObserved:
     if at != colors_left.shape[1]:
         raise ValueError(f"{colors_left.shape[1]} colours of {at} points")
     return replace(event, observations=tuple(observations))
+
+
+def _are_within(observations: Sequence[Observation], camera: Camera) -> bool:
+    """Return whether all masks lie in the image, and memory for their boxes is that for so many images at most."""
+    boxes = [one.box_px for one in observations]
+    area_px = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes)
+    is_within = all(x0 >= 0 and y0 >= 0 and x1 <= camera.width and y1 <= camera.height for x0, y0, x1, y1 in boxes)
+    return is_within and area_px <= _MOST_IMAGES * camera.width * camera.height
 
 
 def _used(frame: PackedFrame, masks: Sequence[NDArray[np.bool_]]) -> list[NDArray[np.bool_]]:

@@ -373,7 +373,8 @@ def _dtypes(name: str) -> tuple[np.dtype[Any], np.dtype[Any]]:
 def _keys(data: bytes, count: int) -> NDArray[np.int64]:
     """Return the keys of blocks; raises ValueError where they are not as many as is claimed."""
     half = len(data) // 2
-    if len(data) % _BLOCK_BYTES or count > MOST_KEYS:
+    # Each block has a key at least, and memory is taken for 64 of each.
+    if len(data) % _BLOCK_BYTES or half // 8 > count or count > MOST_KEYS:
         raise ValueError(f"{count} keys in blocks of {len(data)} bytes")
     heads, words = (
         array_of(part, np.dtype(kind), (half // 8,)) for part, kind in ((data[:half], "<i8"), (data[half:], "<u8"))

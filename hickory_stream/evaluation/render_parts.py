@@ -105,12 +105,13 @@ def _in_cells(vertices: NDArray[np.float32], side_m: float) -> tuple[NDArray[np.
 
     It is what np.unique says of their keys; where there are few cells, they are counted instead of sorted.
     """
-    lowest, highest = np.floor(bounds_of(vertices).astype(np.float64) / side_m).astype(np.int64)
+    lowest, highest = np.floor(bounds_of(vertices).astype(np.float64) / side_m)
     shape = highest - lowest + 1
+    # In floats, which do not overflow: a mesh may be of any size.
     if shape.prod() > _MOST_CELLS * len(vertices):
         _, chosen, cell_of = np.unique(keys_of_points(vertices, side_m), return_index=True, return_inverse=True)
         return chosen, cell_of
-    firsts, places = _counted_cells(vertices, side_m, lowest, shape)
+    firsts, places = _counted_cells(vertices, side_m, lowest.astype(np.int64), shape.astype(np.int64))
     return firsts, places
 
 

@@ -20,12 +20,7 @@ def frozen_array(values: Any, dtype: DTypeLike, shape: tuple[int | None, ...], n
         ValueError: the shape does not fit, or `dtype` cannot hold the values; losing digits of a float is no reason.
     """
     array = _converted(values, dtype, name)
-    if array.shape != shape and (
-        array.ndim != len(shape)
-        or any(want is not None and have != want for have, want in zip(array.shape, shape, strict=True))
-    ):
-        wanted = ", ".join("any" if n is None else str(n) for n in shape)
-        raise ValueError(f"{name} has shape {array.shape}; expected ({wanted})")
+    _check_shape(array, shape, name)
     if not array.flags.writeable and array.flags.c_contiguous:
         return array
     array = np.array(array, dtype=dtype, order="C")
@@ -37,6 +32,27 @@ def freeze(record: object, name: str, dtype: DTypeLike, shape: tuple[int | None,
     """Replace an array field of a frozen dataclass by its checked read-only form (for `__post_init__`)."""
     label = f"{type(record).__name__}.{name}"
     object.__setattr__(record, name, frozen_array(getattr(record, name), dtype, shape, label))
+
+
+def check_array(record: object, name: str, dtype: DTypeLike, shape: tuple[int | None, ...]) -> None:
+    """Refuse a record with an array of another type or shape, and leave the array as it is (for `__post_init__`).
+
+    Raises:
+        ValueError: the array is of another type or shape.
+    """
+    label, array = f"{type(record).__name__}.{name}", getattr(record, name)
+    if not isinstance(array, np.ndarray) or array.dtype != dtype:
+        raise ValueError(f"{label} is of {getattr(array, 'dtype', type(array).__name__)}; expected {np.dtype(dtype)}")
+    _check_shape(array, shape, label)
+
+
+def _check_shape(array: NDArray[Any], shape: tuple[int | None, ...], name: str) -> None:
+    if array.shape != shape and (
+        array.ndim != len(shape)
+        or any(want is not None and have != want for have, want in zip(array.shape, shape, strict=True))
+    ):
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise ValueError(f"{name} has shape {array.shape}; expected ({wanted})")
 
 
 def _converted(values: Any, dtype: DTypeLike, name: str) -> NDArray[Any]:

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 # A faced box is looked for in such steps, among rectangles this much larger than the smallest, with so many points.
 _FACE_STEP_DEG = 2.0
 _FACE_SLACK = 1.25

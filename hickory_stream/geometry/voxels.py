@@ -115,11 +115,6 @@ def exchanged(a: NDArray[np.int64], gone: NDArray[np.int64], new: NDArray[np.int
     return np.asarray(_exchanged(a, at_gone, at_new, fresh))
 
 
-def inserted(values: NDArray[Any], at: NDArray[np.int64], new: NDArray[Any]) -> NDArray[Any]:
-    """Return (N,) values with (M,) new ones of the same type, each put before the value at its place; places ascend."""
-    return np.asarray(_exchanged(values, _NONE, at, new))
-
-
 def sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return what np.unique does; a sort of integers takes a fraction of the time of its hash table."""
     ordered = np.sort(keys)
@@ -195,12 +190,13 @@ def _contains(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: n
 def _changes(a, gone, new):  # type: ignore[no-untyped-def] # pragma: no cover
     """Return the places of what is `gone` in `a`, and which of `new` come in, before which places.
 
-    What goes and comes stays, as in a difference and a union after it.
+    What goes and comes stays, as in a difference and a union after it. Both kinds of places ascend, also where the keys
+    do not, as in a journal that somebody altered: `_exchanged` writes by them.
     """
     at_gone, num_gone, at = np.empty(len(gone), dtype=np.int64), 0, 0
     for i in range(len(gone)):
         at = first_not_below(a, gone[i], at)
-        if at < len(a) and a[at] == gone[i]:
+        if at < len(a) and a[at] == gone[i] and (num_gone == 0 or at > at_gone[num_gone - 1]):
             at_gone[num_gone] = at
             num_gone += 1
     at_new, fresh = np.empty(len(new), dtype=np.int64), np.empty(len(new), dtype=np.int64)
@@ -212,8 +208,9 @@ def _changes(a, gone, new):  # type: ignore[no-untyped-def] # pragma: no cover
                 g += 1
             if g == num_gone or at_gone[g] != at:
                 continue
-        at_new[num_fresh], fresh[num_fresh] = at, new[i]
-        num_fresh += 1
+        if num_fresh == 0 or at >= at_new[num_fresh - 1]:
+            at_new[num_fresh], fresh[num_fresh] = at, new[i]
+            num_fresh += 1
     return at_gone[:num_gone], at_new[:num_fresh], fresh[:num_fresh]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.compiled import numba
+from hickory_stream.geometry.arrays import check_array
 from hickory_stream.geometry.made_arrays import GivesUpArrays, read_briefly
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import (
@@ -132,6 +133,13 @@ class SpaceState(GivesUpArrays):
     misses: NDArray[np.uint8]
     room: NDArray[np.int64]
     floor_z_m: float | None = None
+
+    def __post_init__(self) -> None:
+        # Looked at, not copied: a keyframe makes many of them. Kernels walk the votes beside the surface.
+        for name in ("free", "hidden_free", "surface", "room"):
+            check_array(self, name, np.int64, (None,))
+        for name in ("hits", "misses"):
+            check_array(self, name, np.uint8, (len(self.surface),))
 
     @property
     def is_structure(self) -> NDArray[np.bool_]:

@@ -183,7 +183,8 @@ def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> Tr
     if np.array_equal(world_from_submap, np.eye(4)):
         return item
     moved = moved_object(item, world_from_submap)
-    of = (*made_of(item), world_from_submap)
+    known = made_of(item)
+    of = (*known, world_from_submap) if known else ()
     give_up(moved, lambda name: _moved_array(item, world_from_submap, name), "points_world", "colors", of=of)
     return moved
 

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.journal_file import index_of
-from hickory_stream.engine.journal_format import JOURNAL
+from hickory_stream.engine.journal_format import JOURNAL, MAGIC
 from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.step import StepKind
 from tests.engine.test_journal import NUM_STEPS, checkpoint, entry, read_numbers, write
@@ -103,6 +104,28 @@ def test_one_with_another_index_after_its_last_chunk_is_written_anew(tmp_path: P
     assert (tmp_path / JOURNAL).stat().st_ino != before
     assert read_numbers(tmp_path) == list(range(1, NUM_STEPS + 2))
     assert topics_of(tmp_path).count("step") == NUM_STEPS + 1
+
+
+@pytest.mark.parametrize("content", [b"", bytes(5), bytes(28) + b"\xff" * 40])
+def test_a_damaged_chunk_before_the_others_is_left_out_of_the_summary(tmp_path: Path, content: bytes) -> None:
+    whole = write(tmp_path, closes=False)
+    first = first_chunk(whole)
+    damaged = bytes([Opcode.CHUNK]) + len(content).to_bytes(8, "little") + content
+    (tmp_path / JOURNAL).write_bytes(whole[:first] + damaged + whole[first:])
+    go_on(tmp_path)
+    assert read_numbers(tmp_path) == list(range(1, NUM_STEPS + 2))
+    with (tmp_path / JOURNAL).open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert first not in [index.chunk_start_offset for index in summary.chunk_indexes]
+
+
+def first_chunk(whole: bytes) -> int:
+    """Return where the first chunk of a journal begins."""
+    at = len(MAGIC)
+    while whole[at] != Opcode.CHUNK:
+        at += 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+    return at
 
 
 def test_an_empty_journal_is_whole_mcap_too(tmp_path: Path) -> None:

@@ -140,6 +140,7 @@ HOSTILE = {
     "more_zeros_than_memory": tagged(39_101, ["|b1", [10**12], 1, b""]),
     "more_numbers_than_bytes": tagged(39_101, ["<f8", [10**9], 0, b"\0" * 8]),
     "negative_shape": tagged(39_101, ["<f8", [-1, 1], 0, b"\0" * 8]),
+    "blocks_without_keys": tagged(39_101, ["<i8", [1], 4, b"\0" * 16 + b"\1" + b"\0" * 15]),
     "more_keys_than_blocks": tagged(39_101, ["<i8", [65], 4, b"\0" * 8 + b"\xff" * 8]),
     "keys_by_the_billion": tagged(39_101, ["<i8", [10**9], 4, b"\xff" * 16]),
     "half_a_block": tagged(39_101, ["<i8", [0], 4, b"\0" * 8]),

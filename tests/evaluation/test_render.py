@@ -155,6 +155,17 @@ def test_one_vertex_of_each_cell_stays_whether_cells_are_counted_or_sorted(side_
         assert ((few.vertices >= low) & (few.vertices <= high)).all()
 
 
+def test_the_light_on_a_mesh_of_any_size_is_made_within_memory() -> None:
+    # Of so many cells along two axes that their product, in whole numbers of 64 bits, is 0.
+    huge = np.float32(2.0**32)
+    vertices = np.array([[0, 0, 0], [huge, 0, 0], [huge, huge, 0], [0, huge, 1]], np.float32)
+    surface = Surface(
+        vertices=vertices, faces=np.array([[0, 1, 2], [0, 2, 3]]), colors=np.zeros((4, 3), np.uint8), owner=1
+    )
+    of_a_metre = Viewpoint(world_from_camera=np.eye(4), focal_px=3.0, is_orthographic=True, width=600, height=600)
+    assert 1 <= len(coarse(surface, of_a_metre).faces) <= 2
+
+
 def test_dots_are_as_large_as_the_spacing_of_the_points(saved: SavedMap) -> None:
     grid = 0.01 * np.indices((40, 30, 1)).reshape(3, -1).T
     tracked = replace(

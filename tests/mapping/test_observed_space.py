@@ -1,5 +1,6 @@
 """What is known of space: free, structure, and the floor."""
 
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -203,3 +204,12 @@ def test_a_floor_a_storey_higher_is_the_floor_at_once_and_a_little_higher_one_sl
     state = after(space(floor_z_m=0.0))
     assert add(state, space(floor_z_m=3.0)).floor_z_m == 3.0
     assert add(state, space(floor_z_m=0.1)).floor_z_m == pytest.approx(0.02)
+
+
+def test_a_space_whose_votes_are_not_those_of_its_surface_is_refused() -> None:
+    state = after(space(structure=level(0.0, 0.5)))
+    for name in ("hits", "misses"):
+        with pytest.raises(ValueError, match=rf"SpaceState.{name} has shape"):
+            replace(state, **{name: np.zeros(len(state.surface) - 1, np.uint8)})
+    with pytest.raises(ValueError, match=r"SpaceState.surface is of float64"):
+        replace(state, surface=state.surface.astype(np.float64))
