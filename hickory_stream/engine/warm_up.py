@@ -34,6 +34,7 @@ from hickory_stream.perception.observe import MILLIMETRE
 from hickory_stream.perception.perceive import features_of, perceive
 from hickory_stream.ports import Crop, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape
+from hickory_stream.shapes.connected import piece_around
 from hickory_stream.shapes.fit import FitConfig, fitted_shape
 from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor, VolumeConfig
 
@@ -68,6 +69,8 @@ def warm_up() -> None:
     with _one_at_a_time("shapes"):
         build_shape(_inputs(), FusedReconstructor(_COARSE.fused), _COARSE)
         fitted_shape(_pipe(), _COARSE.fit)
+        # Of a part that protrudes far from all primitives, which neither of them has.
+        piece_around(np.ones((2, 2, 2), dtype=bool), 0, 0, 0)
 
 
 def warm_up_mapping() -> None:

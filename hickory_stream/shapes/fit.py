@@ -21,12 +21,12 @@ from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, moved, volumes_m3
 from hickory_stream.ranges import Ranged, number
 from hickory_stream.shapes.around import around_all
+from hickory_stream.shapes.connected import pieces_of
 from hickory_stream.shapes.envelope import filled
 from hickory_stream.shapes.fit_field import FitField
 from hickory_stream.shapes.frame import object_axes
 from hickory_stream.shapes.joint import jointly_refined, refined_beside, simplified
 from hickory_stream.shapes.panels import panels, sheet_thickness
-from hickory_stream.shapes.pieces import pieces_of
 from hickory_stream.shapes.quadric_lm import ROW, row_of
 from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
 from hickory_stream.shapes.seeds import bounds_along, chessboard_depth, grown_box, principal_axes

@@ -8,8 +8,8 @@ import numpy as np
 
 from hickory_stream.compiled import numba
 from hickory_stream.geometry.portable_kernels import exp, log
-from hickory_stream.shapes.occupancy import body_of, distance_bound, occupancies, occupancy
-from hickory_stream.shapes.pieces import piece_around
+from hickory_stream.shapes.cell_shares import body_of, distance_bound, occupancies, occupancy
+from hickory_stream.shapes.connected import piece_around
 from hickory_stream.shapes.quadric_lm import lm_fit
 from hickory_stream.shapes.seeds import chessboard_depth
 from hickory_stream.shapes.tangent_planes import BLOCK, DISTANCE, X, Y, Z, distances_of, fill_distances, new_block

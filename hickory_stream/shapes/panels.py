@@ -20,8 +20,8 @@ from hickory_stream.geometry.portable_kernels import diagonalise
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, joined, moved, volumes_m3
 from hickory_stream.shapes.around import around_all, surface_samples
+from hickory_stream.shapes.connected import joined_faces
 from hickory_stream.shapes.frame import object_axes
-from hickory_stream.shapes.pieces import joined_faces
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

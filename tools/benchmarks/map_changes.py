@@ -20,9 +20,9 @@ import cbor2
 import zstandard
 
 from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.journal import Journal
+from hickory_stream.engine.journal_chunks import JournalChunks
+from hickory_stream.engine.journal_file import FileMessage, begin_file, end_file, write_chunk
 from hickory_stream.engine.journal_format import JOURNAL
-from hickory_stream.engine.journal_writer import JournalWriter
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import HickoryError
 
@@ -179,40 +179,35 @@ def _change_png(file: Path, rng: np.random.Generator) -> str:
     return f"{file.name}: {told}"
 
 
-class _Edited:
-    """The chunks of a journal with one message changed, its checksum right: for `JournalWriter`."""
-
-    parts = ()
-    """No checkpoint of it was read."""
-
-    def __init__(self, chunks: list[list[Message]], rng: np.random.Generator) -> None:
-        self._chunks = chunks
-        numbers = [(i, k) for i, chunk in enumerate(chunks) for k in range(len(chunk)) if chunk[k].channel_id != 3]
-        i, k = numbers[int(rng.integers(len(numbers)))]
-        message = chunks[i][k]
-        # A list is changed in place, whatever the document is.
-        document = [cbor2.loads(message.data)]
-        self.told = f"chunk {i}, message {k}: {_change_value(document, rng)}"
-        chunks[i][k] = replace(message, data=cbor2.dumps(document[0]))
-
-    def chunks(self) -> Iterator[list[Message]]:
-        return iter(self._chunks)
-
-    def read_copy(self) -> None:
-        """Nothing of it is read later."""
-
-
 def _change_journal(path: Path, rng: np.random.Generator) -> str:
     file = path / JOURNAL
     if rng.random() < 0.35:
         data, told = _damaged(file.read_bytes(), rng)
         _replace(file, data)
         return f"{JOURNAL}: {told}"
-    with Journal(path) as journal:
-        edited = _Edited([list(chunk) for chunk in journal.chunks()], rng)
-    writer = JournalWriter(path, flush_s=60.0, continued=edited)  # type: ignore[arg-type]
-    writer.close()
-    return f"{JOURNAL}: {edited.told}"
+    found = JournalChunks(path)
+    chunks = [list(found.messages(i)) for i in range(len(found.places))]
+    told = _change_message(chunks, rng)
+    file.unlink()
+    with file.open("w+b") as written:
+        begin_file(written)
+        for number, chunk in enumerate(chunks):
+            messages = [FileMessage(message.channel_id, message.log_time, message.data) for message in chunk]
+            write_chunk(written, messages, number)
+        end_file(written)
+    return f"{JOURNAL}: {told}"
+
+
+def _change_message(chunks: list[list[Message]], rng: np.random.Generator) -> str:
+    """Change one message of the chunks of a journal: its checksum will be right."""
+    numbers = [(i, k) for i, chunk in enumerate(chunks) for k in range(len(chunk)) if chunk[k].channel_id != 3]
+    i, k = numbers[int(rng.integers(len(numbers)))]
+    message = chunks[i][k]
+    # A list is changed in place, whatever the document is.
+    document = [cbor2.loads(message.data)]
+    told = f"chunk {i}, message {k}: {_change_value(document, rng)}"
+    chunks[i][k] = replace(message, data=cbor2.dumps(document[0]))
+    return told
 
 
 def _put_link(path: Path, rng: np.random.Generator) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.shapes.occupancy import body_of, distance_bound, occupancies, occupancy
+from hickory_stream.shapes.cell_shares import body_of, distance_bound, occupancies, occupancy
 from hickory_stream.shapes.quadric_lm import row_of, tangent_distance
 from tests.strategies import rotations
 

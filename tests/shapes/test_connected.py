@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from hickory_stream.shapes.pieces import joined_faces, piece_around, pieces_of
+from hickory_stream.shapes.connected import joined_faces, piece_around, pieces_of
 
 
 @given(st.integers(0, 1000), st.floats(0.2, 0.8), st.tuples(*[st.integers(1, 12)] * 3))
