@@ -75,7 +75,7 @@ class JournalConfig(Ranged):
     """
 
     flush_s: float = number(2.0, 0, 86400, "s")
-    checkpoint_keyframes: int = number(32, 1, 1_000_000_000, "keyframes")
+    checkpoint_keyframes: int = number(40, 1, 1_000_000_000, "keyframes")
     keep_images: bool = True
     jpeg_quality: int = number(80, 1, 100, "percent")
 
