@@ -200,8 +200,6 @@ def _disordered_spaces(state: MapState) -> Iterator[str]:
     for name, space in spaces:
         if not (_ascends(space.free) and _ascends(space.hidden_free) and _ascends(space.surface)):
             yield f"{name}, out of order"
-        elif not len(space.surface) == len(space.hits) == len(space.misses):
-            yield f"{name}, with votes of other voxels"
         elif contains(space.free, space.surface[space.is_structure]).any():
             yield f"{name}, with free structure"
 
