@@ -113,7 +113,7 @@ def read_within(root: Path, name: object) -> bytes:
 
 
 def open_new(path: Path | str) -> int:
-    """Return the descriptor of a new, empty file to write and read; a link that was there is removed, not followed.
+    """Return the descriptor of a new, empty file to write and read; what was there, a link above all, is removed.
 
     Raises:
         OSError: the disk refused.

@@ -99,7 +99,7 @@ class Journal:
         return step
 
     def events(self, index: int, kind: str, *, has_points: bool = True) -> list[Event]:
-        """Return the events of one kind in a step; unless it `has_points`, its observations may lack theirs."""
+        """Return the events of one kind in a step; `has_points=False` leaves points unmade where returns are stored."""
         channel = CHANNELS[kind]
         return [
             self._decoded(m.data, kind, has_points=has_points)

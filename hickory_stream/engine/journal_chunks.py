@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _Kept = TypeVar("_Kept")
-_CHUNK_OPCODE, _INDEX_OPCODE = 0x06, 0x07
 _CACHED_CHUNKS, _CACHED_BYTES = 64, 64 << 20
 # A chunk that claims to unpack to more is none of ours: the state of a large map takes some tens of megabytes.
 _MOST_CHUNK_BYTES = 1 << 29
@@ -241,12 +240,12 @@ def _scan(data: Any, path: Path) -> list[ChunkPlace]:
         start, end = at + 9, at + 9 + length
         if end > len(data):
             break
-        if opcode == _CHUNK_OPCODE and length >= 16:
+        if opcode == Opcode.CHUNK and length >= 16:
             chunk = (start, end, struct.unpack_from("<Q", data, start)[0])
         elif opcode == Opcode.DATA_END:
             # After it is what a run that goes on cuts off: nobody reads there while it does.
             break
-        elif opcode == _INDEX_OPCODE and chunk is not None and length >= 2:
+        elif opcode == Opcode.MESSAGE_INDEX and chunk is not None and length >= 2:
             channel = struct.unpack_from("<H", data, start)[0]
             places.append(ChunkPlace(chunk[0], chunk[1], channel, chunk[2]))
             chunk = None

@@ -46,8 +46,8 @@ class Ahead:
     """What of a keyframe needs no map, and is found while those before it are mapped; None where it was not.
 
     What the segmenter has `prepared`, the `patches` (h, w, D) of features of its colours, the `surface` by which it is
-    registered, and the keys of the voxels that it sees to be free. All but patches and surface are for the frame's own
-    pose.
+    registered, and the keys of the voxels that it sees to be free. `prepared` and `free_keys` hold only for the pose
+    that the frame was read with.
     """
 
     prepared: object = None
