@@ -208,7 +208,7 @@ def _names_of(kind: type) -> tuple[str, ...] | None:
     """Return the names of the fields of a kind of record, None of what is no record."""
     if not dataclasses.is_dataclass(kind):
         return None
-    assert _records().get(kind.__name__) is kind, f"{kind.__name__} is no record of the registry"
+    assert record_classes().get(kind.__name__) is kind, f"{kind.__name__} is no record of the registry"
     return tuple(field.name for field in dataclasses.fields(kind))
 
 
@@ -311,7 +311,7 @@ def _is_part(item: Any) -> bool:
 
 
 def _record_of(name: object) -> Any:
-    kind = _records().get(name) if isinstance(name, str) else None
+    kind = record_classes().get(name) if isinstance(name, str) else None
     if kind is None:
         raise ValueError(f"there is no record {name!r}")
     return kind
@@ -319,7 +319,7 @@ def _record_of(name: object) -> Any:
 
 @cache
 def _checks(kind: type) -> dict[str, Callable[[Any], bool]]:
-    return field_checks(kind, _records())
+    return field_checks(kind, record_classes())
 
 
 def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArray[Any]:
@@ -385,8 +385,8 @@ def _keys(data: bytes, count: int) -> NDArray[np.int64]:
 
 
 @cache
-def _records() -> dict[str, Any]:
-    """Return the dataclasses and enums of records, events, factors, geometry and mapping by their names."""
+def record_classes() -> dict[str, Any]:
+    """Return all dataclasses and enums that a journal may hold, by their names."""
     import hickory_stream.geometry
     import hickory_stream.mapping
 
@@ -394,7 +394,7 @@ def _records() -> dict[str, Any]:
     names += [f"hickory_stream.engine.{name}" for name in ("checkpoints", "known_records", "packed_frames")]
     names += ["hickory_stream.graph.factors"]
     for package in (hickory_stream.geometry, hickory_stream.mapping):
-        names += [f"{package.__name__}.{module.name}" for module in pkgutil.iter_modules(package.__path__)]
+        names += [module.name for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")]
     found: dict[str, Any] = {}
     for name in names:
         for kind in vars(importlib.import_module(name)).values():

@@ -93,7 +93,7 @@ def views_in(joins: Iterable[Join]) -> Iterator[str]:
             yield from (view.name for view in track.views)
 
 
-def without_lost_views(joins: Mapping[int, tuple[Join, ...]], names: Collection[str]) -> Joins:
+def joins_without(joins: Mapping[int, tuple[Join, ...]], names: Collection[str]) -> Joins:
     """Return the joins without the views of these names."""
     return {host: tuple(_without_views(join, names) for join in own) for host, own in joins.items()}
 

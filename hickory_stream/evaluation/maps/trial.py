@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.methods import Method
     from hickory_stream.evaluation.maps.simulate import SimulatedPair
 
-SUCCESS_M, SUCCESS_DEG = 0.5, 5.0
+SUCCESS_M = 0.5
+SUCCESS_DEG = 5.0
 # The median over the RMS of the length of a normally distributed vector, in three dimensions and in one.
 _MEDIAN_3, _MEDIAN_1 = 0.888, 0.6745
 _SIGMA_M = 0.05 * np.sqrt(2.0)
