@@ -14,7 +14,7 @@ from hickory_stream.terminal import clear_line
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
 
 Style = Literal["bar", "lines", "json", "none"]
 

@@ -16,9 +16,9 @@ import player_scenes as scenes
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import CalibrationError
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import create_map_folder
 from players.containers import Topic
 from players.log_opening import choose_profile
 from players.options import SourceOptions

@@ -16,7 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # Lowest first; the parts of one layer import nothing of one another, those joined by "+" are one part.
 LAYERS = (
-    ("hickory_stream.errors", "hickory_stream.confined"),
+    ("hickory_stream.errors",),
+    ("hickory_stream.confined+hickory_stream.base",),
     (
         "hickory_stream.ranges+hickory_stream.config_text+hickory_stream.json_text+hickory_stream.terminal+hickory_stream.html_page",
         "hickory_stream.caches+hickory_stream.compiling+hickory_stream.kernel_loading+hickory_stream.compiled",
@@ -36,6 +37,8 @@ LAYERS = (
     ),
     ("hickory_stream.merging", "hickory_stream.loops"),
     ("hickory_stream.config+hickory_stream.box_scene+hickory_stream.testing",),
+    ("hickory_stream.journal",),
+    ("hickory_stream.map_folder",),
     ("hickory_stream.engine",),
     ("hickory_stream.sinks", "players", "hickory_stream.evaluation"),
     ("hickory_stream.worlds", "hickory_stream.fleet", "hickory_stream.query", "hickory_stream.changes"),

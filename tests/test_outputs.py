@@ -115,7 +115,7 @@ def test_what_commands_print_keeps_to_its_form(
 
 
 def test_progress_keeps_to_its_form(capsys: pytest.CaptureFixture[str]) -> None:
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
 
     ProgressPrinter("json")(Progress(phase="mapping", frames=3, total=None, keyframes=2, objects=1, open_shapes=0))
     assert checked(json.loads(capsys.readouterr().err))["frames"] == 3

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).resolve().parent.parent
-# Networks round as onnxruntime does: a run with them says so (`engine/processor.py`).
+# Networks round as onnxruntime does: a run with them says so (`engine/shape_jobs/processor.py`).
 REGISTRATION = ("keyframe_registration", "registration_config", "surface_alignment", "surface_image")
 PATHS = (
     *sorted((ROOT / "hickory_stream" / "geometry").glob("*.py")),
@@ -24,7 +24,9 @@ PATHS = (
     *sorted((ROOT / "hickory_stream" / "mapping").glob("*.py")),
     *sorted((ROOT / "hickory_stream" / "shapes").glob("*.py")),
     *sorted((ROOT / "hickory_stream" / "graph").glob("*.py")),
-    *sorted((ROOT / "hickory_stream" / "engine").glob("*.py")),
+    *sorted(
+        file for box in ("engine", "journal", "map_folder") for file in (ROOT / "hickory_stream" / box).rglob("*.py")
+    ),
     *(ROOT / "hickory_stream" / "poses" / f"{name}.py" for name in REGISTRATION),
     *sorted((ROOT / "players").glob("*.py")),
 )
@@ -35,7 +37,7 @@ EXEMPT = {
     "hickory_stream/geometry/shape_score.py": "scores for alignment and the papers' tables",
     "players/agreement.py": "what `doctor` says of a calibration",
     "players/depth_noise.py": "what `doctor` says of the depth camera",
-    "hickory_stream/engine/history/time_travel.py": "what is shown of two moments of a map",
+    "hickory_stream/map_folder/history/time_travel.py": "what is shown of two moments of a map",
 }
 # Choose their code by the processor, or leave the order of their terms to a library that does.
 NUMPY = frozenset(

@@ -7,7 +7,7 @@ import json
 from enum import Enum
 from pathlib import Path
 
-from hickory_stream.engine.record_codec import record_classes
+from hickory_stream.journal.record_codec import record_classes
 
 FROZEN = Path(__file__).parent / "golden" / "record_names.json"
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.geometry.superquadric import centroid_world
+from hickory_stream.map_folder.saved_map import open_map
 
 _OUT = Path(__file__).resolve().parents[1] / "hickory_stream" / "evaluation" / "maps" / "shapes.npz"
 

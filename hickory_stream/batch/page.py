@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.atomic import write_output
+from hickory_stream.base.atomic_files import write_output
 from hickory_stream.html_page import page
 from hickory_stream.terminal import visible
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 from hickory_stream.changes.plan_view import Footprint, plan_svg
 from hickory_stream.changes.records import Verdict
 from hickory_stream.changes.words import count_text, evidence_text, sentence
-from hickory_stream.engine.crops import read_crop
 from hickory_stream.html_page import page, picture
+from hickory_stream.map_folder.views import read_crop
 from hickory_stream.mapping.moved import moved_object
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from hickory_stream.changes.records import MapChanges, ObjectChange
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.records import TrackedObject
 
 COLORS = {

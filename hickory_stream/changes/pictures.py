@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.engine.crops import read_crop
-from hickory_stream.engine.journal import Journal
 from hickory_stream.errors import MapFolderError
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.views import read_crop
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

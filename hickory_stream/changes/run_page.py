@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.history.time_travel import Change
+    from hickory_stream.map_folder.history.time_travel import Change
     from hickory_stream.records import MapSnapshot, TrackedObject
 
 _PICTURE_PX = 150

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.answer import Alignment, NoAlignment, Rival
     from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.cli.commands import Commands
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
 
 METHODS = ("sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic", "ransac")
 

@@ -49,9 +49,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
+    from hickory_stream.base.atomic_files import write_output
     from hickory_stream.batch.page import text_of, write_page
     from hickory_stream.batch.run import BatchPlan, run_batch
-    from hickory_stream.engine.atomic import write_output
 
     settings = read_settings(options)
     workers: dict[str, Any] = parse_workers(options.tasks) if options.tasks is not None else {}

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.changes.stationarity import StayCount
     from hickory_stream.cli.commands import Commands
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
@@ -56,11 +56,11 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
+    from hickory_stream.base.atomic_files import write_output
     from hickory_stream.changes.run_page import run_page
     from hickory_stream.changes.within_run import changes_within_run
     from hickory_stream.cli.values import open_map_at
-    from hickory_stream.engine.atomic import write_output
-    from hickory_stream.engine.history.time_travel import stamp_of
+    from hickory_stream.map_folder.history.time_travel import stamp_of
 
     if options.out is not None and options.out.suffix != ".html":
         raise InputError(f"found -o {options.out}, expected a name that ends in .html")
@@ -97,6 +97,7 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
     """Say what became of every object from one map of a place to a later one."""
     from hickory_stream.alignment.align import align
     from hickory_stream.alignment.answer import Alignment
+    from hickory_stream.base.atomic_files import write_output
     from hickory_stream.changes.compare import compare_maps
     from hickory_stream.changes.page import changes_page
     from hickory_stream.changes.stationarity import (
@@ -108,7 +109,6 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
     from hickory_stream.changes.words import changes_text
     from hickory_stream.cli.align import answer_text, objects_of
     from hickory_stream.cli.values import open_map_at
-    from hickory_stream.engine.atomic import write_output
 
     first, second = open_map_at(options.map), open_map_at(later)
     for saved in (first, second):

@@ -109,7 +109,7 @@ def _depth_reader(path: Path, logs: list[str]) -> Callable[[int], NDArray[np.flo
     """Return what gives the depth of the frame of a stamp, from a log that is played as the map's was."""
 
     def depth_of(stamp_ns: int) -> NDArray[np.float32]:
-        from hickory_stream.engine.manifest import read_manifest
+        from hickory_stream.map_folder.manifest import read_manifest
         from players import open_noted
 
         recorded = read_manifest(path).run.get("source")

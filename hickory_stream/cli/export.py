@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream.base.atomic_files import write_output
 from hickory_stream.cli.floor import add_floor_argument, floor_of_option
 from hickory_stream.cli.values import (
     add_texture_argument,
@@ -14,7 +15,6 @@ from hickory_stream.cli.values import (
     robot_of_option,
 )
 from hickory_stream.cli.written import add_output, refuse_taken, written_text
-from hickory_stream.engine.atomic import write_output
 from hickory_stream.errors import InputError, MapFolderError
 from hickory_stream.json_text import dumps_exactly
 from hickory_stream.outputs import output
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from hickory_stream.cli.commands import Commands
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.geometry.mesh import Mesh
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.records import TrackedObject
     from hickory_stream.textures.textured_mesh import TexturedMesh
 
@@ -107,9 +107,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _json(saved: SavedMap, options: argparse.Namespace) -> bytes:
-    from hickory_stream.engine.folder_layout import OBJECTS
-    from hickory_stream.engine.manifest import json_of, read_file
-    from hickory_stream.engine.map_codec import encode_snapshot
+    from hickory_stream.map_folder.codec import encode_snapshot
+    from hickory_stream.map_folder.layout import OBJECTS
+    from hickory_stream.map_folder.manifest import json_of, read_file
 
     if saved.is_sealed and options.at is None:
         # The document as it was saved: it names points and voxels by their content, which need not be read for that.
@@ -122,7 +122,7 @@ def _json(saved: SavedMap, options: argparse.Namespace) -> bytes:
 def _ply(saved: SavedMap, _options: argparse.Namespace) -> bytes:
     import numpy as np
 
-    from hickory_stream.engine.array_files import ply_bytes
+    from hickory_stream.map_folder.array_files import ply_bytes
 
     objects = saved.snapshot.objects
     points = [np.zeros((0, 3), dtype=np.float32), *(tracked.points_world for tracked in objects)]
@@ -136,7 +136,7 @@ def _texture_of(
     """Return the textured mesh of an object, None where colours per vertex were asked for."""
     if not options.texture:
         return None
-    from hickory_stream.engine.textured_objects import textured_object
+    from hickory_stream.map_folder.textured_objects import textured_object
 
     try:
         return textured_object(saved.views, tracked, mesh, options.texture, is_past=options.at is not None)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from hickory_stream.cli.commands import Commands
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
     from hickory_stream.fleet.result import FleetResult, RobotResult
     from hickory_stream.progress import ProgressPrinter
 
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from dataclasses import replace
 
-    from hickory_stream.engine.atomic import write_output
+    from hickory_stream.base.atomic_files import write_output
     from hickory_stream.fleet.robots import FleetConfig, read_fleet, robots_of
     from hickory_stream.fleet.run import FleetPlan, run_fleet
     from hickory_stream.progress import ProgressPrinter
@@ -115,7 +115,7 @@ class _Watcher:
             sys.stderr.writelines(f"{name}: {line}\n" for line in lines)
 
     def moved(self, name: str, progress: Progress) -> None:
-        from hickory_stream.engine.run_progress import Progress as Sum
+        from hickory_stream.engine.modes import Progress as Sum
 
         self._at[name] = progress
         known = [self._at[name] for name in self._names if name in self._at]

@@ -31,7 +31,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def _list(options: argparse.Namespace) -> int:
-    from hickory_stream.engine.generators.spec import generators_folder, missing_of, read_spec
+    from hickory_stream.engine.shape_jobs.generators.spec import generators_folder, missing_of, read_spec
 
     folder = generators_folder()
     rows: list[dict[str, Any]] = []
@@ -50,13 +50,13 @@ def _list(options: argparse.Namespace) -> int:
     for row in rows:
         print(f"{row['name']}  {row['licence']}  {row['state']}")
     if not rows:
-        print(f"no generators in {folder}; put a TOML there (hickory_stream/engine/generators/README.md)")
+        print(f"no generators in {folder}; put a TOML there (hickory_stream/engine/shape_jobs/generators/README.md)")
     return 0
 
 
 def _check(options: argparse.Namespace) -> int:
-    from hickory_stream.engine.generators.check import checked
-    from hickory_stream.engine.generators.spec import find_spec, read_spec
+    from hickory_stream.engine.shape_jobs.generators.check import checked
+    from hickory_stream.engine.shape_jobs.generators.spec import find_spec, read_spec
 
     path = find_spec(options.name)
     told, picture = checked(read_spec(path), path)

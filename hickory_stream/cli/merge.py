@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from hickory_stream.cli.values import open_map_at
     from hickory_stream.engine.merged_map import outcome_text, write_merged_map
-    from hickory_stream.engine.saved_map import check_unaltered
+    from hickory_stream.map_folder.saved_map import check_unaltered
     from hickory_stream.merging.merge_maps import merge_maps
 
     paths: list[Path] = options.maps

@@ -42,7 +42,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.engine.atomic import write_output
+    from hickory_stream.base.atomic_files import write_output
     from players import open_source
     from players.opening import open_estimating
 

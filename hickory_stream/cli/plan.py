@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.cli.commands import Commands
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.navigation.free_space import FreeSpace
     from hickory_stream.navigation.search import NoPath
     from hickory_stream.navigation.search import Path as Way
@@ -153,7 +153,7 @@ class Proof:
 
 def _as_driven(saved: SavedMap, at: str | None) -> tuple[MapSnapshot, SeenSurface | None]:
     """Return the map that the robot is to keep off, and what was seen and is not sure in a live run that goes on."""
-    from hickory_stream.engine.history.live_map import is_live, live_map
+    from hickory_stream.map_folder.history.live_map import is_live, live_map
 
     if not is_live(saved):
         return saved.snapshot, None

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from hickory_stream.cli.commands import Commands
-    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.settings import Settings
 

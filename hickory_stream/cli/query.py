@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.commands import Commands
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.query.answers import Answer, Answers
     from hickory_stream.query.looks import ObjectLooks
     from hickory_stream.query.map_index import MapIndex

@@ -25,9 +25,9 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status: 1 where there is no shape this time, either."""
-    from hickory_stream.engine.atomic import write_atomically
-    from hickory_stream.engine.generators.choose import reconstructor_of
-    from hickory_stream.engine.jobs import JOB, read_job, write_result
+    from hickory_stream.base.atomic_files import write_atomically
+    from hickory_stream.engine.shape_jobs.generators.choose import reconstructor_of
+    from hickory_stream.engine.shape_jobs.job_folder import JOB, read_job, write_result
     from hickory_stream.errors import HickoryError
     from hickory_stream.geometry.mesh import glb_bytes
     from hickory_stream.ports import NoShape

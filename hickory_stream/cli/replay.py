@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.commands import Commands
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
@@ -28,8 +28,8 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status: 1 where the map that comes out is another one."""
     from hickory_stream.cli.values import open_map_at, read_settings
-    from hickory_stream.engine.digest import map_digest
-    from hickory_stream.engine.history.replay import replay
+    from hickory_stream.map_folder.digest import map_digest
+    from hickory_stream.map_folder.history.replay import replay
     from hickory_stream.sinks.rerun_sink import RerunSink
     from hickory_stream.sinks.rerun_viewer import parse_viewer
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.commands import Commands
-    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
 
 
@@ -39,10 +39,10 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.engine.history.recorded_config import resumed_config
-    from hickory_stream.engine.history.resume import check_interrupted, save_live, was_sought
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
+    from hickory_stream.map_folder.history.recorded_config import resumed_config
+    from hickory_stream.map_folder.history.resume import check_interrupted, save_live, was_sought
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun_viewer import check_viewer, parse_viewer
     from players import open_noted

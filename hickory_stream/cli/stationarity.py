@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
 
 
 def add_stationarity(parser: argparse.ArgumentParser) -> None:

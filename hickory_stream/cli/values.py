@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.navigation.robot import Robot
     from hickory_stream.progress import Style
     from hickory_stream.settings import Settings
@@ -54,7 +54,7 @@ def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_who
     from dataclasses import replace
 
     from hickory_stream.cli.unfinished import unfinished_note
-    from hickory_stream.engine.saved_map import open_map
+    from hickory_stream.map_folder.saved_map import open_map
 
     saved = open_map(path, warns=warns, is_whole=is_whole)
     note = unfinished_note(saved)
@@ -63,7 +63,7 @@ def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_who
     if at is None:
         return saved
     # With the core, which takes a second to import and which nobody else needs.
-    from hickory_stream.engine.history.time_travel import stamp_of
+    from hickory_stream.map_folder.history.time_travel import stamp_of
 
     return replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
 
@@ -82,7 +82,7 @@ def open_proven_map_at(options: argparse.Namespace) -> tuple[SavedMap, str]:
         MapFolderError: there is no map, it keeps no history, or it was altered and `--unproven` is not given.
         InputError: the time is none, or outside of the run.
     """
-    from hickory_stream.engine.saved_map import check_unaltered
+    from hickory_stream.map_folder.saved_map import check_unaltered
 
     saved = open_map_at(options.map, options.at, warns=False)
     if not options.unproven:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.cli.commands import Commands
-    from hickory_stream.engine.verify import Verdict
+    from hickory_stream.map_folder.verify import Verdict
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
@@ -36,7 +36,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status: 1 where something does not hold, 2 where the map cannot be read."""
-    from hickory_stream.engine.verify import verify
+    from hickory_stream.map_folder.verify import verify
 
     is_told = not options.json and sys.stderr.isatty()
     is_mended = options.repair and _mend(options.map)
@@ -53,9 +53,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _mend(path: Path) -> bool:
     """Mend a map that is altered or cannot be read; return whether it was."""
-    from hickory_stream.engine.saved_map import open_map
-    from hickory_stream.engine.verify import mend
     from hickory_stream.errors import MapFolderError
+    from hickory_stream.map_folder.saved_map import open_map
+    from hickory_stream.map_folder.verify import mend
 
     try:
         if not open_map(path, warns=False).is_altered:
@@ -89,7 +89,7 @@ def _as_json(path: Path, verdict: Verdict, *, is_mended: bool) -> dict[str, Any]
 
 def _as_lines(path: Path, verdict: Verdict) -> list[str]:
     """Return what was found: the map as a whole, then the objects of which something is not proven, then the sum."""
-    from hickory_stream.engine.verify import State
+    from hickory_stream.map_folder.verify import State
 
     lines = []
     for finding in verdict.findings:

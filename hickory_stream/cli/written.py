@@ -61,7 +61,7 @@ def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
     """
     import cv2
 
-    from hickory_stream.engine.atomic import write_output
+    from hickory_stream.base.atomic_files import write_output
 
     with disk_refusals(path, "picture"):
         write_output(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
@@ -73,7 +73,7 @@ def write_drawing(path: Path, drawing: Drawing) -> None:
     Raises:
         InputError: the disk refused.
     """
-    from hickory_stream.engine.atomic import write_output
+    from hickory_stream.base.atomic_files import write_output
 
     if path.suffix.lower() != ".svg":
         write_picture(path, drawing.image())

@@ -17,15 +17,15 @@ from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, SceneBox, SceneS
 from hickory_stream.compiled import kernels_folder
 from hickory_stream.compiling import tell_when_compiling
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.checkpoints import Packer
 from hickory_stream.engine.keyframe_places import KeyframePlaces
-from hickory_stream.engine.packed_frames import PackedFrame, packed_frame, unpacked_frame
-from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.events import ComputeFeatures, FeaturesReady
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.journal.checkpoints import Packer
+from hickory_stream.journal.packed_frames import PackedFrame, packed_frame, unpacked_frame
+from hickory_stream.journal.record_codec import decode, encode
 from hickory_stream.json_text import dumps
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.choose import make_segmenter

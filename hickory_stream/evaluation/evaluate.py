@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine.crops import read_mask
 from hickory_stream.evaluation.exposed import exposed_samples
 from hickory_stream.evaluation.match import Score, meshes_of, score_map
 from hickory_stream.evaluation.placement import placed_truth
@@ -17,19 +16,20 @@ from hickory_stream.evaluation.seen_samples import seen_samples
 from hickory_stream.evaluation.surface_score import SAMPLES, TrueSurface, diameter_m, surface_score
 from hickory_stream.evaluation.truth import instances_of, mesh_of, moved_mesh, structure_meshes
 from hickory_stream.geometry.superquadric import implicit_value
+from hickory_stream.map_folder.views import read_mask
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.match import TruthScore
     from hickory_stream.evaluation.placement import Placement, ViewFrame
     from hickory_stream.evaluation.surface_score import SurfaceScore
     from hickory_stream.evaluation.truth import Truth, TruthObject
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.records import TrackedObject
 
 _LOOSE_ADD_S, _STRICT_ADD_S = 0.1, 0.05

@@ -9,8 +9,8 @@ import numpy as np
 from hickory_stream.graph.ways import ways_of
 
 if TYPE_CHECKING:
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.graph.ways import Ways
+    from hickory_stream.map_folder.saved_map import SavedMap
 
 
 def recorded_ways(saved: SavedMap) -> Ways | None:
@@ -18,8 +18,8 @@ def recorded_ways(saved: SavedMap) -> Ways | None:
 
     Of a map without a journal, e.g. a merged one, only the places of the submaps are known.
     """
-    from hickory_stream.engine.journal import Journal
-    from hickory_stream.engine.journal_format import JOURNAL
+    from hickory_stream.journal.format import JOURNAL
+    from hickory_stream.journal.reader import Journal
 
     graph = saved.snapshot.graph
     if graph is None or not graph.nodes:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.step import StepKind
 from hickory_stream.evaluation.truth import frame_at, instances_of
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.step import StepKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.step import Step
     from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.journal.step import Step
 
 _MARGIN = 0.6
 _LEAST_MARGIN_PX = 12

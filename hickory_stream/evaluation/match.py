@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.truth import Truth, TruthObject
     from hickory_stream.geometry.mesh import Mesh
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.records import MapSnapshot, TrackedObject
 
 MIN_SEEN = 0.3

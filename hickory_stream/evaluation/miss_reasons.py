@@ -20,9 +20,9 @@ from hickory_stream.geometry.rigid import apply, invert
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from hickory_stream.engine.history.track_histories import Ending
     from hickory_stream.evaluation.overlap import LiesOn, Overlap
     from hickory_stream.evaluation.truth_sightings import Part, Sighting, TruthSightings
+    from hickory_stream.map_folder.history.track_histories import Ending
     from hickory_stream.mapping.existence import ExistenceConfig
 
 MissReason = Literal[

@@ -16,8 +16,8 @@ from hickory_stream.perception.coarse import cells_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.history.recorded import RecordedKeyframe
     from hickory_stream.geometry.camera import Camera
+    from hickory_stream.map_folder.history.recorded import RecordedKeyframe
 
 # Step length along a ray, short enough to enter every voxel of structure on it, and the length of the ray.
 _MARCH_M, _MARCH_TO_M = 0.025, 10.0

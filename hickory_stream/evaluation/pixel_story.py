@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine.history.recorded import final_snapshot, frame_indices, frame_pose, recorded_steps
-from hickory_stream.engine.history.recorded_config import told_config
-from hickory_stream.engine.history.track_histories import TrackHistories
 from hickory_stream.errors import InputError
 from hickory_stream.evaluation.pixel_place import check_pixel, place_by_depth, place_in_keyframe
 from hickory_stream.evaluation.place_sighting import meaning_of_code
 from hickory_stream.evaluation.place_story import AskedPixel, PlaceStory, story_of_point
 from hickory_stream.evaluation.seen_as import code_at, range_of
+from hickory_stream.map_folder.history.recorded import final_snapshot, frame_indices, frame_pose, recorded_steps
+from hickory_stream.map_folder.history.recorded_config import told_config
+from hickory_stream.map_folder.history.track_histories import TrackHistories
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.history.recorded import RecordedKeyframe
+    from hickory_stream.map_folder.history.recorded import RecordedKeyframe
 
 
 def story_of_pixel(

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.history.recorded import RecordedKeyframe
-    from hickory_stream.engine.history.track_histories import TrackHistories
+    from hickory_stream.map_folder.history.recorded import RecordedKeyframe
+    from hickory_stream.map_folder.history.track_histories import TrackHistories
     from hickory_stream.records import Observation
 
 PlaceWhere = Literal[Where, "hidden", "looked through", "unknown"]

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.labels import Label
     from hickory_stream.evaluation.rasterize import Dots
     from hickory_stream.evaluation.raycast import Surface
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.records import TrackedObject
 
 _TITLE_PX = 44

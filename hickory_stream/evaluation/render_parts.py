@@ -22,9 +22,9 @@ from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cell
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.viewpoint import Viewpoint
     from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.records import Submap, TrackedObject
 
 WALL_COLOR = (214, 218, 226)
@@ -72,7 +72,7 @@ def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Su
     assert tracked.shape is not None
     mesh, uv, image = saved.mesh(tracked.shape), None, None
     if texture_px:
-        from hickory_stream.engine.textured_objects import textured_object
+        from hickory_stream.map_folder.textured_objects import textured_object
 
         # As it was known earlier, a map may name views that are not kept.
         textured = textured_object(saved.views, tracked, mesh, texture_px, is_past=True)

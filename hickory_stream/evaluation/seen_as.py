@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.history.recorded import RecordedKeyframe
     from hickory_stream.geometry.camera import Camera
+    from hickory_stream.map_folder.history.recorded import RecordedKeyframe
     from hickory_stream.records import CoarseFrame, Observation
 
 Where = Literal["mask", "rejected mask", "structure", "no depth", "too near", "too far", "no mask"]

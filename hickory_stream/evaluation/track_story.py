@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from hickory_stream.engine.history.track_histories import TrackHistories, TrackHistory
+    from hickory_stream.map_folder.history.track_histories import TrackHistories, TrackHistory
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

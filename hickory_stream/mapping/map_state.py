@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from hickory_stream.mapping.absorbed import Absorbed, views_of, without_lost_views
 from hickory_stream.mapping.derived import Derived
-from hickory_stream.mapping.joins import Joins, views_in
-from hickory_stream.mapping.joins import joins_without
+from hickory_stream.mapping.joins import Joins, joins_without, views_in
 from hickory_stream.mapping.room_voxels import RoomVoxels
 from hickory_stream.mapping.support_graph import SupportGraph
 from hickory_stream.mapping.track import Track, without_views

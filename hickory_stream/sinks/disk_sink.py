@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
-    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.records import FrameReport, MapSnapshot
 
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.engine.atomic import PARTIAL_SUFFIX, sync
+from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, sync
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

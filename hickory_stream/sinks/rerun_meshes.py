@@ -8,11 +8,11 @@ import numpy as np
 import rerun as rr
 
 from hickory_stream.confined import read_within
-from hickory_stream.engine.folder_layout import SHAPES, VIEWS
 from hickory_stream.geometry.mesh_file import mesh_of_file
 from hickory_stream.geometry.palette import shaded
 from hickory_stream.geometry.superquadric import outward_normals
 from hickory_stream.geometry.superquadric_surface import display_mesh
+from hickory_stream.map_folder.layout import SHAPES, VIEWS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,7 +41,7 @@ def textured_layer2(folder: Path, tracked: TrackedObject, texture_px: int) -> An
     Raises:
         OSError, ValueError, MapFolderError: the mesh or a view in the map's folder is missing or damaged.
     """
-    from hickory_stream.engine.textured_objects import textured_object
+    from hickory_stream.map_folder.textured_objects import textured_object
 
     assert tracked.shape is not None
     mesh = mesh_of_file(read_within(folder / SHAPES, tracked.shape.mesh_name))

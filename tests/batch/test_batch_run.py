@@ -18,8 +18,8 @@ from hickory_stream.batch.page import text_of, write_page
 from hickory_stream.batch.run import BatchPlan, run_batch
 from hickory_stream.batch.tasks import LogTask, names_of, software
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.folder_lock import FolderLock
 from hickory_stream.errors import ConfigError, InputError, MapFolderError
+from hickory_stream.map_folder.layout import FolderLock
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from players import SourceOptions
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from hickory_stream.engine.map_folder import MapFolder
+from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.sinks.costmap_sink import CostmapSink
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.engine.frame_outcomes import FrameOutcome, KeyframeChoice
+from hickory_stream.engine.frame_accounting import FrameOutcome, KeyframeChoice
 from hickory_stream.engine.reading import Read
 from hickory_stream.mapping.keyframes import KeyframeConfig
 

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hickory_stream.engine.digest import map_digest
 from hickory_stream.events import FrameObserved, SourceEnded
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
+from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping import concerned_tracks, submaps
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.lifecycle import LifecycleConfig

@@ -7,7 +7,6 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from hickory_stream.engine.digest import map_digest
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
@@ -26,6 +25,7 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig

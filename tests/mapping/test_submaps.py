@@ -10,9 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.map_codec import encode_snapshot
-from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.events import (
     FrameObserved,
     KeyframeRegistered,
@@ -25,6 +22,9 @@ from hickory_stream.events import (
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.journal.record_codec import decode, encode
+from hickory_stream.map_folder.codec import encode_snapshot
+from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.existence import ExistenceConfig
 from hickory_stream.mapping.lifecycle import LifecycleConfig

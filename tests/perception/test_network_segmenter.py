@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from perception_scenes import Block, best_iou, floor, looking, render
 
-from hickory_stream.engine.processor import processor_of_run
+from hickory_stream.engine.shape_jobs.processor import processor_of_run
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.join import JoinConfig

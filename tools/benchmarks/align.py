@@ -22,11 +22,11 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.methods import METHODS
 from hickory_stream.alignment.object_map import object_map
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
 from hickory_stream.evaluation.maps.trial import error_of, noise_floor, run_trial
 from hickory_stream.evaluation.maps.variants import bent_map
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.map_folder.saved_map import open_map
 from tools.benchmarks.align_unknown import (
     ambiguous_trial,
     apartment_trial,

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.manifest import is_map_folder
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.maps.moved_source import MovedSource
 from hickory_stream.evaluation.maps.variants import random_frame
+from hickory_stream.map_folder.manifest import is_map_folder
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.worlds.cache import cached_recording, recording_name
 from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source

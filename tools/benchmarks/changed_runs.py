@@ -15,8 +15,8 @@ from tools.benchmarks.looked_at import scene_of, share_looked_at
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.map_folder.saved_map import SavedMap
 
 _SECONDS, _CHANGE_AT_S = 60.0, 28.0
 

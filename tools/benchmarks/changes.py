@@ -18,11 +18,11 @@ from hickory_stream.alignment.object_map import object_map
 from hickory_stream.changes.compare import compare_maps
 from hickory_stream.changes.records import Verdict
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.folder_layout import EMPTY
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.true_changes import true_changes
 from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.map_folder.layout import EMPTY
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.query.answers import ask
 from hickory_stream.query.map_index import MapIndex, index_of, neighbours
 from hickory_stream.worlds.recording_config import RecordingConfig
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.changes.records import ObjectChange
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.true_changes import TrueChanges
     from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.map_folder.saved_map import SavedMap
     from tools.benchmarks.figures import Options
     from tools.benchmarks.passers_by import PasserBy
 

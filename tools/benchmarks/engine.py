@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError, MapFolderError
+from hickory_stream.map_folder.saved_map import open_map
 from tools.benchmarks.coarse_runs import die_with_parent, finished, play_coarsely
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT

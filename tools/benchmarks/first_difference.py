@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.engine.journal import Journal
+from hickory_stream.journal.reader import Journal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -19,13 +19,13 @@ import numpy as np
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.config_text import read_config
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.truth import Truth, moved_truth
 from hickory_stream.fleet.finish import finish
 from hickory_stream.fleet.robots import FleetConfig, Robot
 from hickory_stream.fleet.run import FleetPlan, run_fleet
 from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.settings import Settings
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from hickory_stream.worlds.cache import cached_recording
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
     from hickory_stream.fleet.finish import Finished
     from hickory_stream.fleet.result import FleetResult
     from hickory_stream.geometry.mesh import Mesh

@@ -15,7 +15,6 @@ import numpy as np
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.ladder import TrueImages, core_of, mapping_of, segmenter_of
@@ -23,6 +22,7 @@ from hickory_stream.evaluation.match import MIN_SEEN, best_box, meshes_of
 from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.evaluation.why import NoWhy, reasons_of
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.records import Phase
 from players import open_source
@@ -32,9 +32,9 @@ from tools.benchmarks.mask_scores import UNKNOWN, score_masks
 from tools.benchmarks.processes import ROOT, play
 
 if TYPE_CHECKING:
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.ladder import Rung
     from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.ports import Segmenter
     from hickory_stream.records import Frame, MapPrior, Segmentation
 

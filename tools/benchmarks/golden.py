@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 from hickory_stream.config import MapperConfig
 from hickory_stream.config_text import read_config
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.records import Phase
 from players import open_source
 from players.first_frames import FirstFrames

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import STRICT_IOU, match_boxes
+from hickory_stream.map_folder.saved_map import open_map
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.live_log import write_720p
 from tools.benchmarks.live_safety import early_safety

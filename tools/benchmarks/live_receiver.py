@@ -23,8 +23,8 @@ from players.peek import peek_stamp_ns
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.mapper import Mapper
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.records import RawFrame
     from players.containers import LogMessage, Topic
@@ -159,7 +159,7 @@ async def _map(mapper: Mapper, source: Watched, published: Sink | None) -> None:
 
 def _latencies(out: Path, watched: Watched) -> list[float]:
     """Return seconds from the last image of each keyframe to its snapshot."""
-    from hickory_stream.engine.journal import Journal
+    from hickory_stream.journal.reader import Journal
 
     with Journal(out) as journal:
         steps = [journal.step(i) for i in range(len(journal)) if journal.step(i).kind == "keyframe"]

@@ -19,12 +19,12 @@ import numpy as np
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneBox, cast_scene
 from hickory_stream.config import MapperConfig
 from hickory_stream.config_text import read_config
-from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.events import LoopsSearched
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.records import Frame, RawFrame, SourceInfo
 from hickory_stream.worlds.drift import drifted
 from hickory_stream.worlds.trajectory import Trajectory

@@ -9,9 +9,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.records import Phase
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT, Played, play

@@ -20,12 +20,12 @@ from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
 from hickory_stream.config import MapperConfig
 from hickory_stream.config_text import read_config
-from hickory_stream.engine.manifest import is_map_folder
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.maps.trial import error_of, normalised_square
 from hickory_stream.evaluation.maps.variants import moved_map, random_frame
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, rotation_of_vector
+from hickory_stream.map_folder.manifest import is_map_folder
+from hickory_stream.map_folder.saved_map import open_map
 from players import open_source
 from tools.benchmarks.drift_figures import CONFIG, keyframe_poses, map_source
 from tools.benchmarks.drift_logs import FACTORS, drifting_walks, second_walks

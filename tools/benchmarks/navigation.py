@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.evaluate import true_mesh_world
 from hickory_stream.evaluation.navigation_methods import built
 from hickory_stream.evaluation.navigation_scene import R_SAFE_M, score_saved_map, true_obstacles, truth_of
 from hickory_stream.evaluation.navigation_table import MethodScore, TrueScene, draw_pairs, format_table, table_of
 from hickory_stream.evaluation.truth import Truth, load_truth
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.navigation.free_space import CELL_M
 from hickory_stream.navigation.occupancy import Occupancy, distance_field_m
 from hickory_stream.navigation.robot import load_robot

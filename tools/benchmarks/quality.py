@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.page import write_page
@@ -23,6 +22,7 @@ from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
 from hickory_stream.evaluation.views.comparison import compare, verdict
 from hickory_stream.evaluation.views.trials import BEST, OURS, try_views
 from hickory_stream.html_page import page
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.worlds.cache import cached_recording

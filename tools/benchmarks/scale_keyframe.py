@@ -28,13 +28,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.crops import crop_files
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.far_arrays import FarArrays
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind, Told
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
@@ -49,7 +42,14 @@ from hickory_stream.events import (
     ShapeReady,
 )
 from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind, Told
+from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.json_text import dumps
+from hickory_stream.map_folder.array_spill import FarArrays
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.views import crop_files
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.moved import moved_box, moved_shape
 from hickory_stream.records import MaskFeature

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
 from hickory_stream.config_text import read_config
-from hickory_stream.engine.jobs import write_job
-from hickory_stream.engine.manifest import MANIFEST, manifest_json
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.engine.shape_jobs.job_folder import write_job
 from hickory_stream.events import RequestShape
+from hickory_stream.map_folder.manifest import MANIFEST, manifest_json
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tools.benchmarks.coarse_runs import COARSE
 

@@ -13,7 +13,7 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.engine.atomic import write_atomically
+from hickory_stream.base.atomic_files import write_atomically
 from hickory_stream.errors import HickoryError, MapFolderError
 from hickory_stream.json_text import dumps
 from tools.benchmarks.processes import ROOT
