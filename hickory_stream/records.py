@@ -287,7 +287,7 @@ class CoarseFrame:
 
 
 class Phase(StrEnum):
-    """The phases of a track; the rules between them are the table in `mapping/lifecycle.py`."""
+    """The phases of a track; the rules between them are the table in `mapping/rules/lifecycle.py`."""
 
     TENTATIVE = "tentative"
     ACTIVE = "active"
@@ -492,8 +492,8 @@ class SurveyedSubmap(GivesUpArrays):
     far the camera moved and turned in it, `after_jump` whether the odometry jumped before it. `registered` (6, 6) is
     the covariance of its least sure keyframe, None if not all were registered. `blind` and `unfixed` (6, 6) are the
     lengths of its way along which the odometry, and the registration of keyframes, saw nothing
-    (`mapping/blind_ways.py`); None: of no length. `points` and unit `normals` (N, 3) are its surface, `free` the sorted
-    keys of voxels of `voxel_m` that were seen to be free.
+    (`mapping/entities/submaps.py`); None: of no length. `points` and unit `normals` (N, 3) are its surface, `free` the
+    sorted keys of voxels of `voxel_m` that were seen to be free.
     """
 
     id: int

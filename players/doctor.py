@@ -16,7 +16,7 @@ import numpy as np
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, NoPosesError, RecordingError
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.mapping.keyframes import Keyframe, is_keyframe, motion
+from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe, motion
 from hickory_stream.poses.hand_eye import NoHandEye
 from players.agreement import BorderScores, border_scores, color_agreement
 from players.depth_noise import FlatPatches, depth_bias, depth_noise, flat_patches
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.mapping.keyframes import KeyframeConfig
+    from hickory_stream.mapping.rules.keyframes import KeyframeConfig
     from hickory_stream.ports import Source
     from players.agreement import ColorAgreement
     from players.containers import Log

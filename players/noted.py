@@ -20,7 +20,7 @@ from players.playback import PlaybackClock, PlayedSource
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from hickory_stream.mapping.keyframes import KeyframeConfig
+    from hickory_stream.mapping.rules.keyframes import KeyframeConfig
     from hickory_stream.ports import Source
 
 

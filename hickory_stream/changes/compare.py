@@ -21,7 +21,7 @@ from hickory_stream.changes.likeness import likeness, probability_same
 from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, ObjectChange, Verdict
 from hickory_stream.geometry.boxes import box_iou
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.mapping.moved import moved_object
+from hickory_stream.mapping.entities.rigid_motion import moved_object
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ from hickory_stream.changes.records import Verdict
 from hickory_stream.changes.words import count_text, evidence_text, sentence
 from hickory_stream.html_page import page, picture
 from hickory_stream.map_folder.views import read_crop
-from hickory_stream.mapping.moved import moved_object
+from hickory_stream.mapping.entities.rigid_motion import moved_object
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

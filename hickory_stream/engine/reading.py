@@ -15,7 +15,7 @@ import numpy as np
 from hickory_stream.engine.async_tools import Channel, ChannelClosed, Pacer, on_thread
 from hickory_stream.engine.keyframe_places import keyframe_surface
 from hickory_stream.errors import RecordingError
-from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
+from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.space import free_space
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.mapping.support_graph import Support
+    from hickory_stream.mapping.rules.support_graph import Support
     from hickory_stream.records import Containment, FitKind, ObjectShape, TrackedObject
 
 SortBy = Literal["id", "distance", "volume", "height", "sightings"]

@@ -14,8 +14,8 @@ import numpy as np
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import frame_at, instances_of
-from hickory_stream.mapping.associate import Match
 from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.rules.association import Match
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.geometric import GeometricSegmenter
 from hickory_stream.perception.join import Joined
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from hickory_stream.config import MapperConfig
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.events import FrameObserved
-    from hickory_stream.mapping.mapping_config import MappingConfig
-    from hickory_stream.mapping.track import Track
+    from hickory_stream.mapping.config import MappingConfig
+    from hickory_stream.mapping.entities.track import Track
     from hickory_stream.perception.over_segmentation import Fragments
     from hickory_stream.perception.perceive import PerceptionConfig
     from hickory_stream.records import Frame, MapPrior, Observation

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.overlap import LiesOn, Overlap
     from hickory_stream.evaluation.truth_sightings import Part, Sighting, TruthSightings
     from hickory_stream.map_folder.history.track_histories import Ending
-    from hickory_stream.mapping.existence import ExistenceConfig
+    from hickory_stream.mapping.entities.existence import ExistenceConfig
 
 MissReason = Literal[
     "on no keyframe",

@@ -9,16 +9,16 @@ import numpy as np
 
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.mapping.cloud import Cloud, cloud_of
-from hickory_stream.mapping.moved import moved_box
-from hickory_stream.mapping.observed_space import known_space
-from hickory_stream.mapping.support_graph import REACH_M, Relation, Support, SupportGraph
+from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
+from hickory_stream.mapping.entities.observed_space import known_space
+from hickory_stream.mapping.entities.rigid_motion import moved_box
+from hickory_stream.mapping.rules.support_graph import REACH_M, Relation, Support, SupportGraph
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.boxes import OrientedBox
-    from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.records import MapSnapshot, TrackedObject
 
 _SLACK_M = 1e-3

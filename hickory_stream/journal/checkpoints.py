@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.geometry.arrays import freeze, frozen_array
-from hickory_stream.mapping.cloud import Cloud, without
-from hickory_stream.mapping.observed_space import SpaceState
-from hickory_stream.mapping.split_candidates import SplitCandidate
-from hickory_stream.mapping.submap_surface import SubmapSurface
-from hickory_stream.mapping.submaps import SubmapState
-from hickory_stream.mapping.track import Track
-from hickory_stream.mapping.track_merging import VoteBook
+from hickory_stream.mapping.entities.cloud import Cloud, without
+from hickory_stream.mapping.entities.observed_space import SpaceState
+from hickory_stream.mapping.entities.submap_surface import SubmapSurface
+from hickory_stream.mapping.entities.submaps import SubmapState
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.rules.merging import VoteBook
+from hickory_stream.mapping.rules.splitting import SplitCandidate
 from hickory_stream.records import Submap, SurveyedSubmap, TrackedObject
 
 if TYPE_CHECKING:

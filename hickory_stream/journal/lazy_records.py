@@ -16,11 +16,10 @@ from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.made_arrays import read_later
 from hickory_stream.journal.checkpoints import PackedTrack
 from hickory_stream.journal.field_types import checked_record
-from hickory_stream.mapping.cloud import Cloud
-from hickory_stream.mapping.cold_clouds import NAMES, array_of, leave_unread
-from hickory_stream.mapping.observed_space import SpaceState
-from hickory_stream.mapping.submap_surface import SubmapSurface
-from hickory_stream.mapping.track import Track
+from hickory_stream.mapping.entities.cloud import NAMES, Cloud, array_of, leave_unread
+from hickory_stream.mapping.entities.observed_space import SpaceState
+from hickory_stream.mapping.entities.submap_surface import SubmapSurface
+from hickory_stream.mapping.entities.track import Track
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -34,7 +34,7 @@ from hickory_stream.journal.packed_frames import packed_frame
 from hickory_stream.journal.reader import packed_array
 from hickory_stream.journal.record_codec import encode
 from hickory_stream.journal.snapshot_records import KnownRecords
-from hickory_stream.mapping.track import Track
+from hickory_stream.mapping.entities.track import Track
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -18,9 +18,9 @@ from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder import array_spill
 from hickory_stream.map_folder.array_spill import FarArrays
 from hickory_stream.map_folder.digest import map_digest
-from hickory_stream.mapping import warm_tracks
-from hickory_stream.mapping.cold_clouds import is_packed
+from hickory_stream.mapping import derived
 from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.entities.cloud import is_packed
 from tests.engine.test_journal import entry
 from tests.mapping.mapping_fixtures import SECOND_NS, drive
 from tests.mapping.test_concerned_tracks import CONFIG, keyframes
@@ -64,7 +64,7 @@ def ended(core: MapperCore) -> str:
 def test_journal_and_map_are_the_same_to_the_byte_with_and_without_and_for_a_run_that_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(warm_tracks, "_KEEP_KEYFRAMES", 1)
+    monkeypatch.setattr(derived, "_KEEP_KEYFRAMES", 1)
     monkeypatch.setattr(array_spill, "_LEAST_BYTES", 1)
     far = FarArrays(tmp_path)
     alone, expected = mapped(tmp_path / "memory", None)

@@ -18,7 +18,7 @@ from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.map_folder.history.track_histories import TrackHistories
-from hickory_stream.mapping.existence import ExistenceConfig
+from hickory_stream.mapping.entities.existence import ExistenceConfig
 from hickory_stream.records import Decision, MapSnapshot
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
 

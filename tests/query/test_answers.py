@@ -11,7 +11,7 @@ import pytest
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.superquadric import Superquadrics
-from hickory_stream.mapping.mapping_config import MappingConfig
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.query.answers import Answers, ask
 from hickory_stream.query.colors import COLOR_NAMES, name_shares
 from hickory_stream.query.grammar import UnknownWord

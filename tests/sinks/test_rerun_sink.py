@@ -16,7 +16,7 @@ from rerun.chunk import RrdReader
 from hickory_stream.errors import ConfigError, ViewerError
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
-from hickory_stream.mapping.moved import moved_object
+from hickory_stream.mapping.entities.rigid_motion import moved_object
 from hickory_stream.records import Decision
 from hickory_stream.sinks.rerun_config import RerunConfig
 from hickory_stream.sinks.rerun_sink import RerunSink, ViewerChoice, ViewerKind

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.mapping import cloud, support_graph, track, track_merging, track_splitting
-from hickory_stream.mapping.support_relations import is_leg
+from hickory_stream.mapping.entities import cloud, track
+from hickory_stream.mapping.rules import merging, support_graph
+from hickory_stream.mapping.rules.support_relations import is_leg
+from hickory_stream.mapping.steps import tracker
 from tools.benchmarks.foreign_logs import WorldLog
 from tools.benchmarks.processes import ROOT
 from tools.benchmarks.rule_constants import (
@@ -50,7 +52,7 @@ def test_numbers_of_the_configuration_and_of_modules_are_found_each_alone() -> N
     found = {constant.key: constant for constant in constants()}
     assert len(found) == len(constants())
     assert found["mapping.merge.min_votes"].value == CONFIG.mapping.merge.min_votes
-    assert found["mapping/track_merging.py:_MEET_M"].value == track_merging._MEET_M
+    assert found["mapping/rules/merging.py:_MEET_M"].value == merging._MEET_M
     assert not any(isinstance(constant.value, bool) for constant in found.values())
     assert {constant.package for constant in found.values()} == {"mapping", "perception"}
 
@@ -62,9 +64,9 @@ def test_every_reason_to_leave_a_number_out_is_that_of_some_number() -> None:
 
 
 def test_a_number_is_changed_by_its_share_a_whole_one_by_one_at_least_and_stays_in_its_range() -> None:
-    assert moved(Constant(name="mapping/cloud.py:X", value=0.5), -0.2) == pytest.approx(0.4)
-    assert moved(Constant(name="mapping/cloud.py:X", value=2), 0.2) == 3
-    assert moved(Constant(name="mapping/cloud.py:X", value=60), -0.2) == 48
+    assert moved(Constant(name="mapping/entities/cloud.py:X", value=0.5), -0.2) == pytest.approx(0.4)
+    assert moved(Constant(name="mapping/entities/cloud.py:X", value=2), 0.2) == 3
+    assert moved(Constant(name="mapping/entities/cloud.py:X", value=60), -0.2) == 48
     assert moved(Constant(name="mapping.lifecycle.wall_share", value=0.95), 0.2) == 1.0
 
 
@@ -89,8 +91,8 @@ def test_a_function_is_another_one_for_whoever_imported_it_and_where_it_was_impo
         assert support_graph.is_leg is None
     assert support_graph.is_leg is is_leg
     with patched("mapping.track_merging", "share_near", None):
-        assert track_merging.share_near is None
-        assert track_splitting.share_near is cloud.share_near is not None
+        assert merging.share_near is None
+        assert tracker.share_near is cloud.share_near is not None
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.name)

@@ -48,16 +48,16 @@ NOT_DECIDING = {
     "perception/color_split.py:_OTSU_BINS": "the bins of a histogram",
     "perception/structure.py:_AZIMUTHS": "the bins of a histogram",
     "perception/space.py": "the layout of keys",
-    "mapping/requests.py": "when shapes are computed",
-    "mapping/views.py:_SECTORS": "how many views are kept",
-    "mapping/existence.py:_MOST_PLACES": "how much is stored",
-    "mapping/associate.py:_ROUNDING": "keeps a product of floats from missing its limit",
-    "mapping/associate.py:_TIE": "what is equal but for rounding",
-    "mapping/lifecycle.py:_ROUNDING": "keeps a sum of floats from missing its limit",
-    "mapping/observed_space.py:_HELD": "a mark",
-    "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",
-    "mapping/track.py:_BOX_POINTS": "how many points are looked at",
-    "mapping/support_relations.py:_SAMPLE": "how many points are looked at",
+    "mapping/rules/shape_requests.py": "when shapes are computed",
+    "mapping/entities/views.py:_SECTORS": "how many views are kept",
+    "mapping/entities/existence.py:_MOST_PLACES": "how much is stored",
+    "mapping/rules/association.py:_ROUNDING": "keeps a product of floats from missing its limit",
+    "mapping/rules/association.py:_TIE": "what is equal but for rounding",
+    "mapping/rules/lifecycle.py:_ROUNDING": "keeps a sum of floats from missing its limit",
+    "mapping/entities/observed_space.py:_HELD": "a mark",
+    "mapping/entities/observed_space.py:_MOST_VOTES": "the range of a byte",
+    "mapping/entities/track.py:_BOX_POINTS": "how many points are looked at",
+    "mapping/rules/support_relations.py:_SAMPLE": "how many points are looked at",
 }
 """Why a number decides nothing, by the beginning of its name."""
 
@@ -67,7 +67,7 @@ _LEAST = 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Constant:
-    """A number: of the configuration (`mapping.merge.min_votes`), or of a module (`mapping/track_merging.py:_MEET_M`).
+    """A number: of the configuration (`mapping.merge.min_votes`), or of a module (`mapping/rules/merging.py:_MEET_M`).
 
     `index` is its place in a tuple, None where it is alone. `is_compiled`: it was compiled into a function, so that
     another value has no effect in this process.
@@ -110,7 +110,7 @@ def constants() -> list[Constant]:
 
 
 def inline_numbers() -> list[str]:
-    """Return where a function of the two packages has a number with a fraction of its own: `mapping/cloud.py:395 0.9`.
+    """Return where a function of the two packages has a number with a fraction of its own: `mapping/core.py:95 0.9`.
 
     Whole numbers and halves are not counted, which mostly are indices, axes, or the halves of formulas; nor is what is
     so small that it only keeps a division finite.

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hickory_stream.mapping.support_relations import is_inner_part
-from hickory_stream.mapping.track_merging import Votes, foreign_points
+from hickory_stream.mapping.rules.merging import Votes, foreign_points
+from hickory_stream.mapping.rules.support_relations import is_inner_part
 from tools.benchmarks.rule_constants import patched, with_number
 
 if TYPE_CHECKING:

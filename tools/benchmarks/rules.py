@@ -40,7 +40,7 @@ _KNIFE_EDGE = 0.02
 # For each of the numbers on every second keyframe: there are hundreds of changes.
 _STEP = 2
 # What perception reads of the map: a change of it changes what is perceived.
-_READ_BY_PERCEPTION = ("mapping.lattice.", "mapping/observed_space.py")
+_READ_BY_PERCEPTION = ("mapping.lattice.", "mapping/entities/observed_space.py")
 _BASELINE = "as it is"
 
 

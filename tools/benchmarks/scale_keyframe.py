@@ -51,7 +51,7 @@ from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.views import crop_files
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.moved import moved_box, moved_shape
+from hickory_stream.mapping.entities.rigid_motion import moved_box, moved_shape
 from hickory_stream.records import MaskFeature
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from tools.benchmarks.processes import ROOT

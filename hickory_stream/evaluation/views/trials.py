@@ -26,9 +26,9 @@ from hickory_stream.evaluation.views.every_view import EveryView, largest_of_fra
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import read_crop
-from hickory_stream.mapping.moved import moved_object
-from hickory_stream.mapping.support_graph import Relation
-from hickory_stream.mapping.views import Strategy, ViewConfig, score
+from hickory_stream.mapping.entities.rigid_motion import moved_object
+from hickory_stream.mapping.entities.views import Strategy, ViewConfig, score
+from hickory_stream.mapping.rules.support_graph import Relation
 from hickory_stream.ports import NoShape, ShapeInputs
 from hickory_stream.shapes.usable import usable
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.match import TruthScore
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.ports import Reconstructor, Sink, Source
     from hickory_stream.records import MapSnapshot, TrackedObject, View
 

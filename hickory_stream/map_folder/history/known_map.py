@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.journal.reader import Journal
     from hickory_stream.journal.snapshot_records import Place
-    from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.records import ObservedSpace
 
 _POINTS, _SPACE = ("points_world", "colors"), ("free", "structure")

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.journal.step import FramePose, JournalEntry
-    from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.records import Decision, MapSnapshot
 
 

@@ -23,7 +23,7 @@ from hickory_stream.map_folder.history.recorded_config import recorded_config
 from hickory_stream.map_folder.history.registration_history import registration_history
 from hickory_stream.map_folder.manifest import Manifest, read_manifest
 from hickory_stream.map_folder.writer import MapFolder, reopen_map_folder
-from hickory_stream.mapping.keyframes import Keyframe
+from hickory_stream.mapping.rules.keyframes import Keyframe
 
 if TYPE_CHECKING:
     from pathlib import Path

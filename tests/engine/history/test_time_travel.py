@@ -20,7 +20,7 @@ from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.time_travel import as_known_at, changes, own_clock_s, stamp_of
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.mapping.cold_clouds import is_packed
+from hickory_stream.mapping.entities.cloud import is_packed
 from hickory_stream.testing import RememberingSink
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
 from tests.engine.snapshot_fixtures import make_snapshot
