@@ -40,7 +40,7 @@ LAYERS = (
     ("hickory_stream.journal",),
     ("hickory_stream.map_folder",),
     ("hickory_stream.engine",),
-    ("hickory_stream.sinks", "players", "hickory_stream.evaluation"),
+    ("hickory_stream.sinks", "players", "hickory_stream.pictures+hickory_stream.inspection+hickory_stream.evaluation"),
     ("hickory_stream.worlds", "hickory_stream.fleet", "hickory_stream.query", "hickory_stream.changes"),
     ("hickory_stream.batch",),
     (

@@ -174,7 +174,7 @@ def _separation_text(answer: Alignment) -> str:
 
 
 def _draw(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment) -> None:
-    from hickory_stream.evaluation.render_alignment import render_alignment
+    from hickory_stream.pictures.render_alignment import render_alignment
     from hickory_stream.sinks.rerun_alignment import write_alignment
 
     if path.suffix == ".rrd":

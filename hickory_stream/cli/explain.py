@@ -74,9 +74,9 @@ def _place(options: argparse.Namespace) -> int:
     import numpy as np
 
     from hickory_stream.cli.values import open_map_at
-    from hickory_stream.evaluation.pixel_story import story_of_pixel
-    from hickory_stream.evaluation.place_story import story_of_point
     from hickory_stream.evaluation.why_text import place_text
+    from hickory_stream.inspection.pixel_story import story_of_pixel
+    from hickory_stream.inspection.place_story import story_of_point
 
     if options.point is not None:
         point = np.array(_three_numbers(options.point, "--point", "X,Y,Z in metres, e.g. --point=1.5,-2,0.8"))

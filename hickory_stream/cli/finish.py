@@ -23,7 +23,7 @@ _IDS_TOLD = 5
 def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     """Say what a run has made, and return the exit status."""
     from hickory_stream.engine.shape_jobs.job_folder import failed_shapes
-    from hickory_stream.evaluation.graph_summary import summary_of, told
+    from hickory_stream.inspection.graph_summary import summary_of, told
     from hickory_stream.map_folder.history.registration_history import registration_summary
     from hickory_stream.map_folder.manifest import read_json
     from hickory_stream.mapping.floor_notes import floor_notes

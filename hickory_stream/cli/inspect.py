@@ -35,7 +35,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.evaluation.inspect import as_json, chosen, format_table, summarize
+    from hickory_stream.inspection.inspect import as_json, chosen, format_table, summarize
 
     near, within_m = _near(options.near)
     if not 0 <= options.min_size < float("inf"):

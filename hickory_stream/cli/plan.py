@@ -273,7 +273,7 @@ def _as_text(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> str:
 
 
 def _draw(path: Path, snapshot: Any, space: FreeSpace, answer: Way | NoPath, start: Any, goal: Any) -> None:
-    from hickory_stream.evaluation.render_navigation import render_plan
+    from hickory_stream.pictures.render_navigation import render_plan
     from hickory_stream.sinks.rerun_path import write_plan
 
     if path.suffix == ".rrd":

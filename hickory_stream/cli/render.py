@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     if options.graph:
         _draw_graph(saved, options.out, (width, height))
     else:
-        from hickory_stream.evaluation.render import render_map
+        from hickory_stream.pictures.render import render_map
 
         floor_m = None if options.floor is None else floor_of_option(saved.snapshot, options.floor)
         write_picture(options.out, render_map(saved, layers, (width, height), options.texture, floor_m))
@@ -58,8 +58,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _draw_graph(saved: SavedMap, out: Path, size: tuple[int, int]) -> None:
-    from hickory_stream.evaluation.graph_paths import recorded_ways
-    from hickory_stream.evaluation.render_graph import render_graph
+    from hickory_stream.pictures.render_graph import recorded_ways, render_graph
 
     ways = recorded_ways(saved)
     if saved.snapshot.graph is None or ways is None:

@@ -50,9 +50,9 @@ def run(options: argparse.Namespace) -> int:
     import numpy as np
 
     from hickory_stream.engine.reading import sensed
-    from hickory_stream.evaluation.show_perception import segmentation_picture
     from hickory_stream.perception.choose import make_extractor, make_segmenter
     from hickory_stream.perception.perceive import perceive
+    from hickory_stream.pictures.show_perception import segmentation_picture
 
     settings = read_settings(options).mapper
     config = settings.perception

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.drawing import Drawing
+    from hickory_stream.pictures.drawing import Drawing
 
 
 def add_output(command: argparse.ArgumentParser, *names: str, **options: Any) -> None:

@@ -10,10 +10,10 @@ import numpy as np
 from hickory_stream.evaluation.exposed import exposed_samples
 from hickory_stream.evaluation.match import Score, meshes_of, score_map
 from hickory_stream.evaluation.placement import placed_truth
-from hickory_stream.evaluation.pose_error import PoseError, pose_error
 from hickory_stream.evaluation.purity import purity
 from hickory_stream.evaluation.seen_samples import seen_samples
 from hickory_stream.evaluation.surface_score import SAMPLES, TrueSurface, diameter_m, surface_score
+from hickory_stream.evaluation.trajectory_error import PoseError, pose_error
 from hickory_stream.evaluation.truth import instances_of, mesh_of, moved_mesh, structure_meshes
 from hickory_stream.geometry.superquadric import implicit_value
 from hickory_stream.map_folder.views import read_mask

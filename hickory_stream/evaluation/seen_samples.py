@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.raycast import Scene, Surface
 from hickory_stream.evaluation.truth import instances_of
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.pictures.raycast import Scene, Surface
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

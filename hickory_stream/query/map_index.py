@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.supports import supports_of
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.inspection.supports import supports_of
 from hickory_stream.mapping.rules.support_graph import Relation
 from hickory_stream.query.colors import COLOR_NAMES, name_shares
 from hickory_stream.query.shape_scores import SHAPE_WORDS, shape_scores

@@ -27,8 +27,8 @@ from hickory_stream.worlds.walkable import walkable_world
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hickory_stream.evaluation.ray_caster import CasterName
     from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.pictures.ray_caster import CasterName
     from hickory_stream.worlds.recording_config import RecordingConfig
 
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
-from hickory_stream.evaluation.ray_caster import CasterName, Crossings, ray_caster
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.pictures.ray_caster import CasterName, Crossings, ray_caster
 from hickory_stream.worlds.lighting import Lighting, lamp_table, usual_lighting
 from hickory_stream.worlds.object_models import model_triangles
 from hickory_stream.worlds.textures import albedo, texture_table

@@ -24,8 +24,8 @@ from hickory_stream.engine.shape_jobs.generators.choose import (
 from hickory_stream.engine.shape_jobs.generators.exchange import read_answer, write_question
 from hickory_stream.engine.shape_jobs.generators.spec import cluster_resources, fingerprint, read_spec
 from hickory_stream.errors import ConfigError, WorkerError
-from hickory_stream.evaluation.inspect import summarize
 from hickory_stream.geometry.camera import backproject
+from hickory_stream.inspection.inspect import summarize
 from hickory_stream.map_folder.history.recorded import recorded_steps
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import read_crop

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from hickory_stream.evaluation.place_story import PlaceStory
-from hickory_stream.evaluation.track_story import track_story
 from hickory_stream.evaluation.why_text import place_text
+from hickory_stream.inspection.place_story import PlaceStory
+from hickory_stream.inspection.track_story import track_story
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.records import Decision
 

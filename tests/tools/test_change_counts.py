@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from hickory_stream.changes.records import Evidence, ObjectChange, Verdict
-from hickory_stream.evaluation.raycast import Scene, Surface
-from hickory_stream.evaluation.true_changes import TrueChanges
 from hickory_stream.evaluation.truth import Truth, TruthChange, TruthFrame, TruthObject
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.pictures.raycast import Scene, Surface
 from tests.engine.snapshot_fixtures import box_mesh
 from tools.benchmarks.change_counts import PairCounts, calibration_figures, count_figures, sum_of
 from tools.benchmarks.changed_runs import counted
 from tools.benchmarks.changes import judged
 from tools.benchmarks.passers_by import is_of_person
+from tools.evaluation.true_changes import TrueChanges
 
 CHANGE_NS = 500
 

@@ -17,8 +17,8 @@ from tools.benchmarks.intervals import bootstrap, wilson
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.evaluation.ladder import Rung
     from tools.benchmarks.figures import Figure
+    from tools.evaluation.ladder import Rung
 
 
 def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[float] | None = None) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import trimesh
 
-from hickory_stream.evaluation.ray_caster import ray_caster
+from hickory_stream.pictures.ray_caster import ray_caster
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

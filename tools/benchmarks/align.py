@@ -22,9 +22,7 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.methods import METHODS
 from hickory_stream.alignment.object_map import object_map
-from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
-from hickory_stream.evaluation.maps.trial import error_of, noise_floor, run_trial
-from hickory_stream.evaluation.maps.variants import bent_map
+from hickory_stream.evaluation.alignment_table import error_of
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.map_folder.saved_map import open_map
 from tools.benchmarks.align_unknown import (
@@ -42,14 +40,17 @@ from tools.benchmarks.align_unknown import (
 from tools.benchmarks.apartment_maps import apartment_map, frame_of
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT
+from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
+from tools.evaluation.simulated_maps.trial import noise_floor, run_trial
+from tools.evaluation.simulated_maps.variants import bent_map
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from hickory_stream.alignment.methods import Method
     from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.evaluation.maps.simulate import Difficulty
-    from hickory_stream.evaluation.maps.trial import Trial
+    from tools.evaluation.simulated_maps.simulate import Difficulty
+    from tools.evaluation.simulated_maps.trial import Trial
 
 J, R = TypeVar("J"), TypeVar("R")
 _APARTMENTS = 4
@@ -62,7 +63,7 @@ _ABLATED: tuple[Method, ...] = ("sq", "semantic", "bbox", "sq-paper", "roman-one
 _PEAK = """
 import resource, sys
 from hickory_stream.alignment.align import align
-from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
+from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
 pair = simulate_pair(SimulationConfig(num_objects=320, difficulty="hard"), int(sys.argv[1]))
 align(pair.map_a, pair.map_b)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
@@ -74,8 +75,8 @@ _LARGE = """
 import resource, sys, time
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
-from hickory_stream.evaluation.maps.trial import error_of, overlap_b
+from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
+from tools.evaluation.simulated_maps.trial import error_of, overlap_b
 pair = simulate_pair(SimulationConfig(num_objects=3000, outliers=0.75), int(sys.argv[1]))
 started = time.process_time()
 answer = align(pair.map_a, pair.map_b)

@@ -1,6 +1,6 @@
 """What alignment says where it cannot know, and how well it knows how sure it is.
 
-Places that look alike (`evaluation.maps.ambiguous`): how often an answer is wrong, and how often one is given where it
+Places that look alike (`ambiguous`): how often an answer is wrong, and how often one is given where it
 can be; the same with the furniture of worlds (`furnished_maps`). Furnished apartments without observed space: how often
 two different ones are joined, and one with itself. Simulated pairs at 0 to 3 degrees of tilt: the squared error in
 units of the covariance. Seeds from 0 on were tuned on; the figures are of others.
@@ -16,18 +16,19 @@ import numpy as np
 
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.evaluation.maps.ambiguous import AmbiguousConfig, simulate_ambiguous, uniform
-from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
-from hickory_stream.evaluation.maps.trial import error_of, normalised_square, overlap_b
+from hickory_stream.evaluation.alignment_table import error_of
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.furnished_maps import furnished, shared_apartment, unrelated_apartments
 from tools.benchmarks.intervals import wilson
+from tools.evaluation.simulated_maps.ambiguous import AmbiguousConfig, simulate_ambiguous, uniform
+from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
+from tools.evaluation.simulated_maps.trial import normalised_square, overlap_b
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from hickory_stream.evaluation.maps.ambiguous import Draw
-    from hickory_stream.evaluation.maps.simulate import Difficulty
+    from tools.evaluation.simulated_maps.ambiguous import Draw
+    from tools.evaluation.simulated_maps.simulate import Difficulty
 
 AMBIGUOUS = (
     *(AmbiguousConfig(kind="symmetric", order=order, num_objects=n) for order in (2, 4) for n in (24, 60)),

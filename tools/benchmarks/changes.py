@@ -19,7 +19,6 @@ from hickory_stream.changes.compare import compare_maps
 from hickory_stream.changes.records import Verdict
 from hickory_stream.config import MapperConfig
 from hickory_stream.evaluation.match import meshes_of, score_map
-from hickory_stream.evaluation.true_changes import true_changes
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.map_folder.layout import EMPTY
 from hickory_stream.map_folder.saved_map import open_map
@@ -33,17 +32,18 @@ from tools.benchmarks.figures import Figure
 from tools.benchmarks.kept import state_folder
 from tools.benchmarks.passers_by import passer_by
 from tools.benchmarks.true_questions import true_questions
+from tools.evaluation.true_changes import true_changes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from hickory_stream.changes.records import ObjectChange
-    from hickory_stream.evaluation.true_changes import TrueChanges
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.map_folder.saved_map import SavedMap
     from tools.benchmarks.figures import Options
     from tools.benchmarks.passers_by import PasserBy
+    from tools.evaluation.true_changes import TrueChanges
 
 # Nothing was tuned on these seeds, nor on any others, but what `measure` names.
 _FIRST_SEED = 4_100

@@ -20,8 +20,7 @@ from hickory_stream.config_text import read_config
 from hickory_stream.engine.keyframe_places import KeyframePlaces, PlacedFrame
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.evaluation.evaluate import evaluate
-from hickory_stream.evaluation.pose_error import best_alignment
-from hickory_stream.evaluation.trajectory_error import trajectory_error
+from hickory_stream.evaluation.trajectory_error import best_alignment, trajectory_error
 from hickory_stream.evaluation.truth import load_truth, moved_truth
 from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.rigid import compose, from_rotation_translation

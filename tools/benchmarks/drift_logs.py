@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.open3d_import import import_open3d
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.worlds.cache import cached_recording
 from hickory_stream.worlds.drift import DriftConfig, drifted
 from hickory_stream.worlds.recording_config import RecordingConfig

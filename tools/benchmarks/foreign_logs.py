@@ -29,7 +29,7 @@ _HEIGHT_M = {"hand": 1.4, "robot": 0.45}
 _FOLDERS = {"home": "home", "bookstore": "bookstore", "office": "service-office", "warehouse": "warehouse"}
 # Open3D, which the program imports, needs a library that the project brings along.
 _RUN = (
-    "import runpy, sys; from hickory_stream.evaluation.open3d_import import import_open3d; import_open3d(); "
+    "import runpy, sys; from hickory_stream.pictures.open3d_import import import_open3d; import_open3d(); "
     "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
 )
 

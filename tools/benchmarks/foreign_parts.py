@@ -11,15 +11,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import InputError
-from hickory_stream.evaluation.ladder import RUNGS
 from hickory_stream.json_text import dumps
 from tools.benchmarks.repetitions import hash_of_files
+from tools.evaluation.ladder import RUNGS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from hickory_stream.evaluation.ladder import Rung
+    from tools.evaluation.ladder import Rung
 
 TUNED_WORLDS, REPORTED_WORLDS = ("home", "bookstore"), ("office", "warehouse")
 WORLDS = (*TUNED_WORLDS, *REPORTED_WORLDS)

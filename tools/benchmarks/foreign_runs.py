@@ -17,7 +17,6 @@ from hickory_stream.config import MapperConfig
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
-from hickory_stream.evaluation.ladder import TrueImages, core_of, mapping_of, segmenter_of
 from hickory_stream.evaluation.match import MIN_SEEN, best_box, meshes_of
 from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.truth import load_truth
@@ -30,13 +29,14 @@ from tools.benchmarks.first_layer import play_first_layer
 from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
 from tools.benchmarks.mask_scores import UNKNOWN, score_masks
 from tools.benchmarks.processes import ROOT, play
+from tools.evaluation.ladder import TrueImages, core_of, mapping_of, segmenter_of
 
 if TYPE_CHECKING:
-    from hickory_stream.evaluation.ladder import Rung
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.ports import Segmenter
     from hickory_stream.records import Frame, MapPrior, Segmentation
+    from tools.evaluation.ladder import Rung
 
 _MIN_SHARE = 0.002
 _TIMED_KEYFRAMES = 60

@@ -1,7 +1,7 @@
 """Object maps of furnished places without rendering: the objects of `hickory_stream.worlds`, seen with noise.
 
 The layer 3 of an object is the box of each of its parts, its descriptor that of its kind and of an instance (as in
-`evaluation.maps.simulate`, whose noise this is). Furniture stands as people put it: along walls, in groups, at the
+`simulated_maps.simulate`, whose noise this is). Furniture stands as people put it: along walls, in groups, at the
 heights of floors and tables, and two apartments have the same kinds of things. There is no observed space.
 """
 
@@ -13,23 +13,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.maps.simulate import Difficulty, SimulatedPair, SimulatedWorld, random_pose
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
 from hickory_stream.geometry.superquadric import Superquadrics, moved, sorted_by_volume
 from hickory_stream.worlds.apartment import apartment
 from hickory_stream.worlds.furnishing import FURNISH, Room
 from hickory_stream.worlds.furniture import chair
 from hickory_stream.worlds.scene import at_place
+from tools.evaluation.simulated_maps.simulate import Difficulty, SimulatedPair, SimulatedWorld, random_pose
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.maps.ambiguous import Corner
-    from hickory_stream.evaluation.maps.simulate import SimulatedObject
     from hickory_stream.worlds.object_models import Model
     from hickory_stream.worlds.scene import Placement
+    from tools.evaluation.simulated_maps.ambiguous import Corner
+    from tools.evaluation.simulated_maps.simulate import SimulatedObject
 
 _SEEN, _REACH_M = 0.8, 8.0
 _MIN_SIDE_M = 1.0

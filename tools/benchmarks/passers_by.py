@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.raycast import Scene
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.pictures.raycast import Scene
 
 _OFF_M = 0.05
 _REACH_M = 0.45

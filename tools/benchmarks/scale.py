@@ -64,8 +64,8 @@ _ALIGN = """
 import resource, sys, time
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
-from hickory_stream.evaluation.maps.trial import error_of, overlap_b
+from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
+from tools.evaluation.simulated_maps.trial import error_of, overlap_b
 small = simulate_pair(SimulationConfig(num_objects=20), 0)
 align(small.map_a, small.map_b)
 pair = simulate_pair(SimulationConfig(num_objects=int(sys.argv[2]), difficulty=sys.argv[3]), int(sys.argv[1]))

@@ -89,9 +89,9 @@ def _render(folder: Path, row: Row, upright: trimesh.Trimesh, upright_from_mesh:
     """Draw the mesh, its fit and its inflation, the latter at a smaller scale, standing as the mesh was made."""
     import cv2
 
-    from hickory_stream.evaluation.close_up import close_up_of, draw
-    from hickory_stream.evaluation.raycast import Surface
-    from hickory_stream.evaluation.render_parts import superquadric_surfaces
+    from hickory_stream.pictures.close_up import close_up_of, draw
+    from hickory_stream.pictures.raycast import Surface
+    from hickory_stream.pictures.render_parts import superquadric_surfaces
 
     # Faces that meet at an edge share no vertex, so that each is shaded as the plane that it is.
     shaded = trimesh.graph.smooth_shade(upright, angle=0.6)

@@ -19,11 +19,11 @@ from hickory_stream.engine.play import play
 from hickory_stream.evaluation.evaluate import true_surface
 from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.placement import placed_truth
-from hickory_stream.evaluation.supports import supports_of
 from hickory_stream.evaluation.surface_score import SurfaceScore, TrueSurface, diameter_m, surface_score
 from hickory_stream.evaluation.truth import moved_mesh
 from hickory_stream.evaluation.views.every_view import EveryView, largest_of_frames
 from hickory_stream.geometry.rigid import compose, invert
+from hickory_stream.inspection.supports import supports_of
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import read_crop
 from hickory_stream.mapping.entities.rigid_motion import moved_object

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.compiled import numba
-from hickory_stream.evaluation.raycast import CREASE_COSINE, Hits, image_colors
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.pictures.raycast import CREASE_COSINE, Hits, image_colors
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.raycast import Surface
-    from hickory_stream.evaluation.viewpoint import Viewpoint
+    from hickory_stream.pictures.raycast import Surface
+    from hickory_stream.pictures.viewpoint import Viewpoint
 
 # What is nearer to the eye's plane than this is not drawn.
 _NEAR_M = 0.01

@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.compiled import numba
-from hickory_stream.evaluation.rasterize import Dots
-from hickory_stream.evaluation.raycast import Surface
 from hickory_stream.geometry.bounds import bounds_of, extent_of
 from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cells, keys_of_points
+from hickory_stream.pictures.rasterize import Dots
+from hickory_stream.pictures.raycast import Surface
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.viewpoint import Viewpoint
     from hickory_stream.geometry.superquadric import Superquadrics
     from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.pictures.viewpoint import Viewpoint
     from hickory_stream.records import Submap, TrackedObject
 
 WALL_COLOR = (214, 218, 226)

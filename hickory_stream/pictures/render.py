@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.labels import (
+from hickory_stream.pictures.labels import (
     draw_caption,
     draw_labels,
     draw_scale,
@@ -17,16 +17,11 @@ from hickory_stream.evaluation.labels import (
     most_visible,
     place_labels,
 )
-from hickory_stream.evaluation.rasterize import first_hits
-from hickory_stream.evaluation.render_parts import (
-    dots_of,
-    floor_cells,
-    mesh_surface,
-    superquadric_surfaces,
-)
-from hickory_stream.evaluation.render_storeys import Place, Storey, places_of, storeys_to_draw
-from hickory_stream.evaluation.render_view import Floor, Model, draw_view
-from hickory_stream.evaluation.viewpoint import Viewpoint, from_above, from_corner
+from hickory_stream.pictures.rasterize import first_hits
+from hickory_stream.pictures.render_parts import dots_of, floor_cells, mesh_surface, superquadric_surfaces
+from hickory_stream.pictures.render_storeys import Place, Storey, places_of, storeys_to_draw
+from hickory_stream.pictures.render_view import Floor, Model, draw_view
+from hickory_stream.pictures.viewpoint import Viewpoint, from_above, from_corner
 from hickory_stream.storeys import floors_of
 
 if TYPE_CHECKING:
@@ -34,10 +29,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.labels import Label
-    from hickory_stream.evaluation.rasterize import Dots
-    from hickory_stream.evaluation.raycast import Surface
     from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.pictures.labels import Label
+    from hickory_stream.pictures.rasterize import Dots
+    from hickory_stream.pictures.raycast import Surface
     from hickory_stream.records import TrackedObject
 
 _TITLE_PX = 44

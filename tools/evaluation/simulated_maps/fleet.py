@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.maps.simulate import SimulatedWorld, random_pose
+from tools.evaluation.simulated_maps.simulate import SimulatedWorld, random_pose
 
 if TYPE_CHECKING:
     from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.evaluation.maps.simulate import Difficulty
+    from tools.evaluation.simulated_maps.simulate import Difficulty
 
 _AREA_PER_OBJECT_M2, _HEIGHT_M = 2.5, 1.5
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.evaluation.raycast import Scene
+from hickory_stream.pictures.raycast import Scene
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.raycast import Surface
+    from hickory_stream.pictures.raycast import Surface
 
 _BACKGROUND = np.array([236, 238, 242], dtype=np.float64)
 _ELEVATION_RAD = np.radians(28)

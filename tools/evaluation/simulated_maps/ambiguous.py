@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hickory_stream.evaluation.maps.simulate import (
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
+from tools.evaluation.simulated_maps.simulate import (
     Difficulty,
     SimulatedObject,
     SimulatedPair,
     SimulatedWorld,
     random_pose,
 )
-from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.labels import draw_scale, draw_title
 from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.navigation.free_space import layer_four_of, obstacles_of
 from hickory_stream.navigation.occupancy import Cell
 from hickory_stream.navigation.search import Path
+from hickory_stream.pictures.labels import draw_scale, draw_title
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.compiled import numba
-from hickory_stream.evaluation.open3d_import import import_open3d
-from hickory_stream.evaluation.ray_caster import RayCaster, ray_caster
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.pictures.open3d_import import import_open3d
+from hickory_stream.pictures.ray_caster import RayCaster, ray_caster
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,4 +1,7 @@
-"""A picture of a map's pose graph from above, and below it residuals and uncertainty over time."""
+"""A picture of a map's pose graph from above, and below it residuals and uncertainty over time.
+
+The way of the camera before and after the pose graph moved the submaps, as a map folder has it.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.drawing import Drawing, Ellipse, Line, Text
-from hickory_stream.evaluation.graph_summary import summary_of, told
+from hickory_stream.graph.ways import ways_of
+from hickory_stream.inspection.graph_summary import summary_of, told
+from hickory_stream.pictures.drawing import Drawing, Ellipse, Line, Text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.drawing import Color
     from hickory_stream.graph.ways import Ways
+    from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.pictures.drawing import Color
     from hickory_stream.records import PoseGraphRecord
+
 
 BEFORE, AFTER, LOOP, REFUSED = (232, 150, 60), (40, 110, 200), (30, 150, 80), (150, 150, 150)
 _INK, _FAINT, _HALO = (60, 64, 72), (222, 225, 230), (176, 200, 236)
@@ -180,3 +186,26 @@ def _draw_strip(drawing: Drawing, graph: PoseGraphRecord, top: int, bottom: int)
     for loop in (loop for loop in graph.loops if loop.residual_m > 0):
         color = LOOP if loop.status == "accepted" else REFUSED
         drawing.add(Ellipse(center_px=at(loop.stamp_ns, loop.residual_m), half_axes_px=(4.0, 4.0), color=color))
+
+
+def recorded_ways(saved: SavedMap) -> Ways | None:
+    """Return the ways of the camera of a map, from its journal; None where it has no graph.
+
+    Of a map without a journal, e.g. a merged one, only the places of the submaps are known.
+    """
+    from hickory_stream.journal.format import JOURNAL
+    from hickory_stream.journal.reader import Journal
+
+    graph = saved.snapshot.graph
+    if graph is None or not graph.nodes:
+        return None
+    stamps_ns = [node.stamp_ns for node in graph.nodes]
+    places = [node.uncorrected[:3, 3] for node in graph.nodes]
+    if (saved.folder / JOURNAL).exists():
+        with Journal(saved.folder) as journal:
+            frames = [frame for i in range(len(journal)) for frame in journal.step(i).frames]
+        known = [frame for frame in frames if frame.stamp_ns <= saved.snapshot.stamp_ns]
+        if known:
+            stamps_ns = [frame.stamp_ns for frame in known]
+            places = [frame.world_from_camera[:3, 3] for frame in known]
+    return ways_of(graph, stamps_ns, np.array(places))

@@ -241,7 +241,7 @@ class SimulatedWorld:
 @cache
 def real_fits() -> tuple[Superquadrics, ...]:
     """Return layer 3 of the objects of two apartments, fitted by the pipeline, with centroids at the origin."""
-    with files("hickory_stream.evaluation.maps").joinpath("shapes.npz").open("rb") as file, np.load(file) as data:
+    with files("tools.evaluation.simulated_maps").joinpath("shapes.npz").open("rb") as file, np.load(file) as data:
         counts, exponents, semi_axes = data["counts"], data["exponents"], data["semi_axes_m"]
         centers, quaternions = data["centers_m"], data["quaternions"]
     starts = np.concatenate([[0], np.cumsum(counts)])

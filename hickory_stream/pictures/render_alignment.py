@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.evaluation.labels import draw_scale, draw_title
-from hickory_stream.evaluation.raycast import Surface
-from hickory_stream.evaluation.render_view import Floor, Model, draw_view
-from hickory_stream.evaluation.viewpoint import from_above, from_corner
 from hickory_stream.geometry.palette import color_of_id
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import moved
 from hickory_stream.geometry.superquadric_surface import display_mesh
+from hickory_stream.pictures.labels import draw_scale, draw_title
+from hickory_stream.pictures.raycast import Surface
+from hickory_stream.pictures.render_view import Floor, Model, draw_view
+from hickory_stream.pictures.viewpoint import from_above, from_corner
 
 if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.alignment.answer import NoAlignment
     from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.evaluation.viewpoint import Viewpoint
+    from hickory_stream.pictures.viewpoint import Viewpoint
 
 BLUE, ORANGE = (58, 118, 190), (238, 138, 48)
 _PALE = 0.62

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from scipy.spatial import cKDTree
 
-from hickory_stream.evaluation.place_sighting import AT_M, PlaceSighting, PlaceWhere, sighting_of
-from hickory_stream.evaluation.track_story import Stretch, TrackStory, ending_text, stretches_of, track_story
+from hickory_stream.inspection.place_sighting import AT_M, PlaceSighting, PlaceWhere, sighting_of
+from hickory_stream.inspection.track_story import Stretch, TrackStory, ending_text, stretches_of, track_story
 from hickory_stream.map_folder.history.recorded import final_snapshot, recorded_steps
 from hickory_stream.map_folder.history.recorded_config import told_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from hickory_stream.evaluation.rasterize import first_hits
-from hickory_stream.evaluation.raycast import Scene
-from hickory_stream.evaluation.render_parts import coarse, coarse_squares, wall_surface
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.pictures.rasterize import first_hits
+from hickory_stream.pictures.raycast import Scene
+from hickory_stream.pictures.render_parts import coarse, coarse_squares, wall_surface
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.rasterize import Dots
-    from hickory_stream.evaluation.raycast import Hits, Surface
-    from hickory_stream.evaluation.viewpoint import Viewpoint
+    from hickory_stream.pictures.rasterize import Dots
+    from hickory_stream.pictures.raycast import Hits, Surface
+    from hickory_stream.pictures.viewpoint import Viewpoint
     from hickory_stream.records import Submap
 
 _BACKGROUND = np.array([[0.93, 0.94, 0.96], [0.985, 0.985, 0.99]], dtype=np.float32)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Literal, Protocol, assert_never
 
 import numpy as np
 
-from hickory_stream.evaluation.open3d_import import import_open3d
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.pictures.open3d_import import import_open3d
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

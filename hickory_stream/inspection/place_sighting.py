@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hickory_stream.evaluation.seen_as import (
+from hickory_stream.geometry.camera import project
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.inspection.seen_as import (
     NO_DEPTH,
     NO_MASK,
     STRUCTURE,
@@ -17,9 +20,6 @@ from hickory_stream.evaluation.seen_as import (
     range_of,
     where_of,
 )
-from hickory_stream.geometry.camera import project
-from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.perception.coarse import cells_of
 
 if TYPE_CHECKING:

@@ -11,35 +11,19 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.methods import align_by
 from hickory_stream.alignment.registration import information
-from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
-from hickory_stream.evaluation.maps.variants import with_points
-from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
+from hickory_stream.evaluation.alignment_table import AlignmentError, error_of
+from hickory_stream.geometry.rigid import apply, invert
+from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
+from tools.evaluation.simulated_maps.variants import with_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.alignment.methods import Method
-    from hickory_stream.evaluation.maps.simulate import SimulatedPair
-
-SUCCESS_M = 0.5
-SUCCESS_DEG = 5.0
+    from tools.evaluation.simulated_maps.simulate import SimulatedPair
 # The median over the RMS of the length of a normally distributed vector, in three dimensions and in one.
 _MEDIAN_3, _MEDIAN_1 = 0.888, 0.6745
 _SIGMA_M = 0.05 * np.sqrt(2.0)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class AlignmentError:
-    """The error of an alignment: at the centroid of the true common objects, at map b's origin, and of the rotation."""
-
-    translation_m: float
-    origin_m: float
-    rotation_deg: float
-
-    @property
-    def is_success(self) -> bool:
-        """Whether it is below 0.5 m and 5 degrees."""
-        return self.translation_m < SUCCESS_M and self.rotation_deg < SUCCESS_DEG
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -79,17 +63,6 @@ def run_trial(config: SimulationConfig, seed: int, method: Method = "sq") -> Tri
         num_pairs=len(answer.pairs),
         log10_chance=answer.log10_chance,
         num_common=common,
-    )
-
-
-def error_of(
-    a_from_b: NDArray[np.float64], true_a_from_b: NDArray[np.float64], center_b: NDArray[np.float64]
-) -> AlignmentError:
-    """Return the error of a transform; `center_b` (3,) is the centre of the overlap."""
-    return AlignmentError(
-        translation_m=float(np.linalg.norm(apply(a_from_b, center_b) - apply(true_a_from_b, center_b))),
-        origin_m=float(np.linalg.norm(a_from_b[:3, 3] - true_a_from_b[:3, 3])),
-        rotation_deg=float(np.degrees(rotation_angle_rad(a_from_b[:3, :3].T @ true_a_from_b[:3, :3]))),
     )
 
 
