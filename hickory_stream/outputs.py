@@ -9,8 +9,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any, Literal, NotRequired, TypedDict
 
-from hickory_stream.json_schema import schema_of
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_schema import schema_of
+from hickory_stream.base.json_text import dumps
 
 VERSION = 1
 

@@ -8,8 +8,8 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Literal
 
+from hickory_stream.base.terminal import clear_line
 from hickory_stream.outputs import output
-from hickory_stream.terminal import clear_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from hickory_stream.confined import plain_name, whole_number
+from hickory_stream.base.confined import plain_name, whole_number
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.geometry.directions import no_directions
-from hickory_stream.geometry.made_arrays import GivesUpArrays
+from hickory_stream.geometry.lazy_arrays import GivesUpArrays
+from hickory_stream.geometry.rigid import no_directions
 from hickory_stream.geometry.superquadric import check_bodies
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.html_page import page
+from hickory_stream.base.html_page import page
 
 if TYPE_CHECKING:
     from players.doctor import Diagnosis

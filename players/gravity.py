@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from hickory_stream.perception.structure.detection.detection import StructureConfig
+from hickory_stream.perception.structure.detection.room_structure import room_structure_of
 
 from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
 from hickory_stream.mapping.floor_notes import tilt_note
-from hickory_stream.perception.room_structure import room_structure_of
-from hickory_stream.perception.structure import StructureConfig
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 from hickory_stream.records import ObservedSpace
 

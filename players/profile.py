@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.base.ranges import Range, Ranged, number, required
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import from_rotation_translation, rotation_from_quaternion
-from hickory_stream.ranges import Range, Ranged, number, required
 from players.options import MAX_GAP_NS
 from players.poses import nearest_rigid
 from players.tf import Edge

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import arccos
 from hickory_stream.geometry.rigid import (
@@ -27,7 +28,6 @@ from hickory_stream.geometry.rigid import (
     rotation_of_vector,
     rotation_vector,
 )
-from hickory_stream.ranges import Ranged, number
 from players.poses import HOLD_NS, pose_of_row
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ import pytest
 import trimesh
 from rerun.chunk import RrdReader
 
+from hickory_stream.base.config_text import from_dict, read_config
 from hickory_stream.cli import main
-from hickory_stream.config_text import from_dict, read_config
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
 from hickory_stream.geometry.rigid import apply

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hickory_stream import caches
+from hickory_stream.base import caches
 from hickory_stream.cli import main
 from hickory_stream.map_folder.views import write_crop
 from hickory_stream.map_folder.writer import create_map_folder

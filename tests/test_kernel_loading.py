@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 _PROGRAM = """
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry.portable_kernels import exp
 
 one = round(exp(1.0), 9)

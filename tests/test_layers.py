@@ -17,11 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # Lowest first; the parts of one layer import nothing of one another, those joined by "+" are one part.
 LAYERS = (
     ("hickory_stream.errors",),
-    ("hickory_stream.confined+hickory_stream.base",),
-    (
-        "hickory_stream.ranges+hickory_stream.config_text+hickory_stream.json_text+hickory_stream.terminal+hickory_stream.html_page",
-        "hickory_stream.caches+hickory_stream.compiling+hickory_stream.kernel_loading+hickory_stream.compiled",
-    ),
+    ("hickory_stream.base",),
     ("hickory_stream.geometry",),
     ("hickory_stream.records+hickory_stream.events",),
     ("hickory_stream.ports", "hickory_stream.storeys"),
@@ -40,13 +36,14 @@ LAYERS = (
     ("hickory_stream.journal",),
     ("hickory_stream.map_folder",),
     ("hickory_stream.engine",),
-    ("hickory_stream.sinks", "players", "hickory_stream.pictures+hickory_stream.inspection+hickory_stream.evaluation"),
+    ("hickory_stream.sinks", "players", "hickory_stream.inspection"),
+    ("hickory_stream.pictures",),
+    ("hickory_stream.evaluation",),
     ("hickory_stream.worlds", "hickory_stream.fleet", "hickory_stream.query", "hickory_stream.changes"),
     ("hickory_stream.batch",),
     (
-        "hickory_stream.settings+hickory_stream.progress+hickory_stream.outputs+hickory_stream.json_schema+hickory_stream.cli+hickory_stream.__main__",
+        "hickory_stream.settings+hickory_stream.progress+hickory_stream.outputs+hickory_stream.cli+hickory_stream.__main__",
     ),
-    # The package itself offers the API, and loads it only when it is asked for.
     ("hickory_stream",),
 )
 PARTS = {name: (rank, part) for rank, parts in enumerate(LAYERS) for part in parts for name in part.split("+")}

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
 import jsonschema
 import pytest
 
+from hickory_stream.base.json_schema import schema_of
 from hickory_stream.cli import main
 from hickory_stream.config import RunConfig
-from hickory_stream.json_schema import schema_of
 from hickory_stream.outputs import OUTPUTS, VERSION, output, output_schema
 from hickory_stream.progress import ProgressPrinter
 from tests.output_forms import checked

@@ -18,26 +18,23 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parent.parent
 # Networks round as onnxruntime does: a run with them says so (`engine/shape_jobs/processor.py`).
 REGISTRATION = ("keyframe_registration", "registration_config", "surface_alignment", "surface_image")
+BOXES = ("geometry", "perception", "mapping", "shapes", "graph", "journal", "map_folder", "engine")
 PATHS = (
-    *sorted((ROOT / "hickory_stream" / "geometry").glob("*.py")),
-    *sorted((ROOT / "hickory_stream" / "perception").glob("*.py")),
-    *sorted((ROOT / "hickory_stream" / "mapping").glob("*.py")),
-    *sorted((ROOT / "hickory_stream" / "shapes").glob("*.py")),
-    *sorted((ROOT / "hickory_stream" / "graph").glob("*.py")),
     *sorted(
-        file for box in ("engine", "journal", "map_folder") for file in (ROOT / "hickory_stream" / box).rglob("*.py")
+        file
+        for box in BOXES
+        for file in (ROOT / "hickory_stream" / box).rglob("*.py")
+        # Networks and generators run outside of it; what looks back decides nothing.
+        if not {"models", "generators", "history"} & set(file.parts)
     ),
     *(ROOT / "hickory_stream" / "poses" / f"{name}.py" for name in REGISTRATION),
     *sorted((ROOT / "players").glob("*.py")),
 )
 # Not on the way from pixels to a digest.
 EXEMPT = {
-    "hickory_stream/geometry/framing.py": "from where a viewer looks at first",
-    "hickory_stream/geometry/components.py": "colours of features in the viewer",
-    "hickory_stream/geometry/shape_score.py": "scores for alignment and the papers' tables",
+    "hickory_stream/geometry/display.py": "where a viewer looks first, and its colours of features",
     "players/agreement.py": "what `doctor` says of a calibration",
     "players/depth_noise.py": "what `doctor` says of the depth camera",
-    "hickory_stream/map_folder/history/time_travel.py": "what is shown of two moments of a map",
 }
 # Choose their code by the processor, or leave the order of their terms to a library that does.
 NUMPY = frozenset(
@@ -61,7 +58,7 @@ SCIPY = {
     "special": {"beta"},
 }  # fmt: skip
 # Integers, copies and comparisons, or single precision without products that could be fused: as measured, the same
-# with and without AVX2, FMA and IPP. Filters of floating-point images are not (`perception/gradients.py`).
+# with and without AVX2, FMA and IPP. Filters of floating-point images are not (`perception/descriptor.py`).
 CV2 = frozenset(
     "resize dilate erode morphologyEx blur connectedComponentsWithStats distanceTransformWithLabels copyMakeBorder "
     "cvtColor imdecode imencode remap initUndistortRectifyMap fisheye".split()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 
 
 @numba.njit(cache=True, nogil=True)

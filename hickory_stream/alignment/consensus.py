@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.alignment.clique import heaviest_clique
-from hickory_stream.compiled import numba
-from hickory_stream.ranges import Ranged, number
+from hickory_stream.base.compiled import numba
+from hickory_stream.base.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

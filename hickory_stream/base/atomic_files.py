@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.confined import OutsideError, open_new
+from hickory_stream.base.confined import OutsideError, open_new
 from hickory_stream.errors import MapFolderError
 
 if TYPE_CHECKING:

@@ -18,9 +18,9 @@ from contextlib import suppress
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.batch.tasks import LogOutcome, LogTask, software
 from hickory_stream.errors import HickoryError, MapFolderError
-from hickory_stream.json_text import dumps_exactly
 
 if TYPE_CHECKING:
     from hickory_stream.batch.tasks import State

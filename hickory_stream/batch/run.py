@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.batch.cluster import outcomes_on
 from hickory_stream.batch.folder import BatchFolder
 from hickory_stream.batch.joining import join_maps
@@ -17,7 +18,6 @@ from hickory_stream.batch.local import outcomes_here
 from hickory_stream.batch.result import BatchResult, Row
 from hickory_stream.batch.tasks import LogOutcome, LogTask, names_of, software
 from hickory_stream.errors import InputError, MapFolderError, WorkerError
-from hickory_stream.json_text import dumps
 from players import note_of
 
 if TYPE_CHECKING:

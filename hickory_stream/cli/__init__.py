@@ -15,14 +15,14 @@ import sys
 import traceback
 from typing import TYPE_CHECKING
 
+from hickory_stream.base.compiling import tell_when_compiling
+from hickory_stream.base.terminal import shown_safely
 from hickory_stream.cli.compile_notice import CompileNotice
 from hickory_stream.cli.parser import make_parser
 from hickory_stream.cli.status import STOPPED
 from hickory_stream.cli.written import outputs_of, refuse_taken, written_text
-from hickory_stream.compiling import tell_when_compiling
 from hickory_stream.errors import HickoryError
 from hickory_stream.outputs import output
-from hickory_stream.terminal import shown_safely
 
 if TYPE_CHECKING:
     import argparse

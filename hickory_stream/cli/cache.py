@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hickory_stream.caches import KINDS, cache_root, cap_mb, clear, entries
+from hickory_stream.base.caches import KINDS, cache_root, cap_mb, clear, entries
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 

@@ -27,7 +27,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 
 def _dump(options: argparse.Namespace) -> int:
-    from hickory_stream.config_text import to_toml
+    from hickory_stream.base.config_text import to_toml
 
     settings = read_settings(options)
     if options.json:

@@ -100,13 +100,13 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
     from hickory_stream.base.atomic_files import write_output
     from hickory_stream.changes.compare import compare_maps
     from hickory_stream.changes.page import changes_page
+    from hickory_stream.changes.records import changes_text
     from hickory_stream.changes.stationarity import (
         Stationarity,
         after_comparison,
         read_stationarity,
         write_stationarity,
     )
-    from hickory_stream.changes.words import changes_text
     from hickory_stream.cli.align import answer_text, objects_of
     from hickory_stream.cli.values import open_map_at
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.base.atomic_files import write_output
+from hickory_stream.base.terminal import clear_line
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.cli.values import seconds
 from hickory_stream.cli.written import add_output, disk_refusals
 from hickory_stream.outputs import output
-from hickory_stream.terminal import clear_line
 
 if TYPE_CHECKING:
     import argparse

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.base.atomic_files import write_output
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.cli.floor import add_floor_argument, floor_of_option
 from hickory_stream.cli.values import (
     add_texture_argument,
@@ -16,7 +17,6 @@ from hickory_stream.cli.values import (
 )
 from hickory_stream.cli.written import add_output, refuse_taken, written_text
 from hickory_stream.errors import InputError, MapFolderError
-from hickory_stream.json_text import dumps_exactly
 from hickory_stream.outputs import output
 from hickory_stream.textures import DEFAULT_TEXTURE_PX
 

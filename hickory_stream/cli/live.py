@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.base.terminal import clear_line
 from hickory_stream.cli.finish import finish
 from hickory_stream.cli.play import add_run_options, all_sinks, sinks_beside
 from hickory_stream.cli.source_options import add_source_options, source_options
@@ -18,7 +19,6 @@ from hickory_stream.cli.values import make_style, read_settings, robot_of_option
 from hickory_stream.cli.written import add_output
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
-from hickory_stream.terminal import clear_line
 
 if TYPE_CHECKING:
     import argparse

@@ -203,7 +203,7 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
     from hickory_stream.perception.models.dinov2 import DinoExtractor
     from hickory_stream.perception.models.fastsam import FastSam
     from hickory_stream.perception.models.image_text import open_image_text
-    from hickory_stream.perception.models.picture import built_in_picture
+    from hickory_stream.perception.models.preprocessing import built_in_picture
     from hickory_stream.perception.models.semantic_graph import GraphSemantics
     from hickory_stream.pictures.show_perception import classes_picture, features_picture, masks_picture
 

@@ -196,7 +196,7 @@ def _beside(
     space: FreeSpace, snapshot: MapSnapshot, start: NDArray[np.float64], object_id: int | None
 ) -> NDArray[np.float64] | NoPath:
     """Return where the robot can stand beside an object, or why it cannot; raises `InputError` where it is unknown."""
-    from hickory_stream.navigation.approach import place_beside
+    from hickory_stream.navigation.free_space import place_beside
     from hickory_stream.navigation.search import NoPath, NoPathReason, refused_start
 
     box = next((item.box for item in snapshot.objects if item.id == object_id), None)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     import argparse

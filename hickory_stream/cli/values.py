@@ -22,7 +22,7 @@ def read_settings(options: argparse.Namespace) -> Settings:
     """Return the settings that `--config`, `--set` and `--workers` make; raises `ConfigError`."""
     from dataclasses import replace
 
-    from hickory_stream.config_text import read_config
+    from hickory_stream.base.config_text import read_config
     from hickory_stream.settings import Settings
 
     settings = read_config(Settings, options.config, tuple(options.set or ()))

@@ -7,9 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.base.terminal import clear_line
 from hickory_stream.cli.status import NOT_SOUND
 from hickory_stream.outputs import output
-from hickory_stream.terminal import clear_line
 
 if TYPE_CHECKING:
     import argparse

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 
 import llvmlite.binding
 
-from hickory_stream.caches import cache_root, mark_used
-from hickory_stream.compiled import kernels_folder, numba, source_hash
+from hickory_stream.base.caches import cache_root, mark_used
+from hickory_stream.base.compiled import kernels_folder, numba, source_hash
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

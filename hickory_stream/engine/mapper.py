@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
-from hickory_stream import caches
+from hickory_stream.base import caches
 from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.first_run import are_compiled
 from hickory_stream.engine.publisher import SinkThread

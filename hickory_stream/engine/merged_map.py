@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.base.atomic_files import disk_errors, link_or_copy, outside_errors, write_atomically
-from hickory_stream.config_text import from_dict
-from hickory_stream.confined import path_within
+from hickory_stream.base.config_text import from_dict
+from hickory_stream.base.confined import path_within
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.engine.shape_jobs.processor import processor_kind
+from hickory_stream.geometry.codecs.mesh_file import SUFFIX, mesh_file_bytes
 from hickory_stream.geometry.mesh import sha256_of
-from hickory_stream.geometry.mesh_file import SUFFIX, mesh_file_bytes
-from hickory_stream.json_text import dumps_exactly
 from hickory_stream.map_folder.manifest import read_json
 from hickory_stream.map_folder.views import crop_files, read_crop
 from hickory_stream.map_folder.writer import create_map_folder

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.caches import cache_folder
+from hickory_stream.base.caches import cache_folder
 from hickory_stream.engine.accounting import engine_metrics, run_ledger, run_timings
 from hickory_stream.engine.async_tools import LoopDelay, Stop, on_thread
 from hickory_stream.engine.corrections import Corrections, Placing

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

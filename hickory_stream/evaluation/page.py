@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.base.atomic_files import write_output
+from hickory_stream.base.html_page import page, picture
 from hickory_stream.evaluation.evaluate import placed_mesh, true_mesh_world
 from hickory_stream.evaluation.explain import figures, verdict, worst_first
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
@@ -20,7 +21,6 @@ from hickory_stream.evaluation.miss_reasons import MISS_REASONS
 from hickory_stream.evaluation.truth import moved_truth
 from hickory_stream.evaluation.why import NoWhy, Why, reasons_of
 from hickory_stream.evaluation.why_text import false_title, missed_title
-from hickory_stream.html_page import page, picture
 from hickory_stream.map_folder.views import read_crop
 from hickory_stream.pictures.close_up import close_up_of, draw
 from hickory_stream.pictures.raycast import Surface

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
-from hickory_stream.ranges import Ranged, check_order, check_ranges, number
+from hickory_stream.base.compiled import numba
+from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
-from hickory_stream.geometry.packing import array_of, signed
-from hickory_stream.ranges import Ranged, number
+from hickory_stream.base.compiled import numba
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.codecs.packing import array_of, signed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

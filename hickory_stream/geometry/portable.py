@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry import portable_kernels as kernels
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 
 _LOG_2 = 0.6931471805599453
 # ln 2 and pi / 2 in parts, of which all but the last have zeros at their end: small multiples of them are exact.

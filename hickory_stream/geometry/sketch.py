@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.canonical import canonical
 from hickory_stream.geometry.portable_kernels import exp, log1p
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.superquadric import Superquadrics, unit_volumes
+from hickory_stream.geometry.superquadric import Superquadrics, canonical, unit_volumes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.errors import MapFolderError
-from hickory_stream.geometry.made_arrays import read_later
+from hickory_stream.geometry.lazy_arrays import read_later
 from hickory_stream.journal.checkpoints import PackedTrack
 from hickory_stream.journal.field_types import checked_record
 from hickory_stream.mapping.entities.cloud import NAMES, Cloud, array_of, leave_unread

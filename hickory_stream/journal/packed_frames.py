@@ -14,8 +14,8 @@ import numpy as np
 import zstandard
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.depth_code import packed_depths, unpacked_depths
-from hickory_stream.geometry.surface_colors import packed_colors, unpacked_colors
+from hickory_stream.geometry.codecs.color_code import packed_colors, unpacked_colors
+from hickory_stream.geometry.codecs.depth_code import packed_depths, unpacked_depths
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.perception.observe import checksum_of, points_of_returns
 from hickory_stream.records import Returns

@@ -25,7 +25,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk, Message
 from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
-from hickory_stream.confined import OutsideError, open_within
+from hickory_stream.base.confined import OutsideError, open_within
 from hickory_stream.errors import MapFolderError
 from hickory_stream.journal.checkpoints import unpacked
 from hickory_stream.journal.format import (

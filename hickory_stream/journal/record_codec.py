@@ -22,11 +22,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import cbor2
 import numpy as np
 
-from hickory_stream.geometry.depth_code import packed_depths, unpacked_depths
+from hickory_stream.geometry.codecs.color_code import packed_means, unpacked_means
+from hickory_stream.geometry.codecs.depth_code import packed_depths, unpacked_depths
+from hickory_stream.geometry.codecs.packing import array_of, color_planes, colors_of, planes_of
+from hickory_stream.geometry.codecs.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
 from hickory_stream.geometry.lattice import packed_points, points_of, unpacked_steps
-from hickory_stream.geometry.mean_colors import packed_means, unpacked_means
-from hickory_stream.geometry.packing import array_of, color_planes, colors_of, planes_of
-from hickory_stream.geometry.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
 from hickory_stream.journal.field_types import checked_record, field_checks
 
 if TYPE_CHECKING:

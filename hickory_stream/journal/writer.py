@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, disk_errors, sync
-from hickory_stream.confined import open_new, open_to_change, open_within
+from hickory_stream.base.confined import open_new, open_to_change, open_within
 from hickory_stream.events import FrameObserved
 from hickory_stream.journal.checkpoints import KEPT_RECORDS, Packer
 from hickory_stream.journal.format import ARRAYS, CHANNELS, CHECKPOINT, COLOR, JOURNAL, KNOWN, STEP, TOLD

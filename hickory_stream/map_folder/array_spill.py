@@ -14,7 +14,7 @@ from collections import deque
 from threading import Lock
 from typing import TYPE_CHECKING, BinaryIO, cast
 
-from hickory_stream.geometry.made_arrays import in_memory
+from hickory_stream.geometry.lazy_arrays import in_memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from hickory_stream.confined import plain_name, whole_number
+from hickory_stream.base.confined import plain_name, whole_number
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.boxes import OrientedBox
-from hickory_stream.geometry.made_arrays import GivesUpArrays, read_later
+from hickory_stream.geometry.lazy_arrays import GivesUpArrays, read_later
 from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.geometry.superquadric import Superquadrics, check_bodies
 from hickory_stream.map_folder.array_files import keys_array, keys_bytes, points_arrays, points_bytes

@@ -30,7 +30,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, disk_errors, outside_errors
-from hickory_stream.confined import refuse_links
+from hickory_stream.base.confined import refuse_links
 from hickory_stream.errors import MapFolderError
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.map_folder.codec import POINTS, SPACE

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream import __version__
-from hickory_stream.confined import OutsideError, read_within
+from hickory_stream.base.confined import OutsideError, read_within
+from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import MapFolderError
-from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

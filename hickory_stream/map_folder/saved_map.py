@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.confined import read_within
+from hickory_stream.base.confined import read_within
 from hickory_stream.errors import MapFolderError
+from hickory_stream.geometry.codecs.mesh_file import mesh_of_file
 from hickory_stream.geometry.mesh import sha256_of
-from hickory_stream.geometry.mesh_file import mesh_of_file
 from hickory_stream.map_folder.codec import decode_snapshot, has_named_content
 from hickory_stream.map_folder.digest import map_digest, seal_of
 from hickory_stream.map_folder.layout import EMPTY, LEDGER, OBJECTS, SHAPES, TIMINGS, VIEWS, check_links

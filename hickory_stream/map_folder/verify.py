@@ -26,7 +26,7 @@ from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import read_crop
 from hickory_stream.map_folder.writer import rewrite_objects
 from hickory_stream.mapping.entities.rigid_motion import moved_shape
-from hickory_stream.shapes.reprove import proven_anew
+from hickory_stream.shapes.certify import proven_anew
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -22,11 +22,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.base.atomic_files import disk_errors, write_atomically
-from hickory_stream.confined import plain_name, read_within
+from hickory_stream.base.confined import plain_name, read_within
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import MOST_SIDE_PX, Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import Crop
 
 if TYPE_CHECKING:

@@ -20,10 +20,10 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, disk_errors, sync, write_atomically
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import MapFolderError
-from hickory_stream.geometry.made_arrays import are_made_alike
+from hickory_stream.geometry.lazy_arrays import are_made_alike
 from hickory_stream.journal.format import JOURNAL
-from hickory_stream.json_text import dumps_exactly
 from hickory_stream.map_folder.codec import (
     POINTS,
     SPACE,

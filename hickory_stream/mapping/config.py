@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from hickory_stream.base.ranges import Ranged
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.mapping.entities.existence import ExistenceConfig
 from hickory_stream.mapping.entities.observed_space import FlushConfig
@@ -17,7 +18,6 @@ from hickory_stream.mapping.rules.shape_requests import RequestConfig
 from hickory_stream.mapping.rules.splitting import TrackSplitConfig
 from hickory_stream.mapping.rules.support_graph import UnsupportedConfig
 from hickory_stream.mapping.rules.support_relations import SupportConfig
-from hickory_stream.ranges import Ranged
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

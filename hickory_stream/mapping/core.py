@@ -62,7 +62,7 @@ from hickory_stream.mapping.steps.views import drop_unused_views, judge_views, p
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
-    from hickory_stream.geometry.made_arrays import Keep
+    from hickory_stream.geometry.lazy_arrays import Keep
     from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.mapping.entities.submaps import SubmapConfig, SubmapState
     from hickory_stream.mapping.steps.tracker import Associator

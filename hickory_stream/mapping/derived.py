@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.geometry.made_arrays import in_memory
+from hickory_stream.geometry.lazy_arrays import in_memory
 from hickory_stream.geometry.voxels import difference, keys_of_points, sorted_unique
 from hickory_stream.mapping.entities.submaps import with_room, with_room_changed
 from hickory_stream.mapping.entities.track_table import REACH_M
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.geometry.made_arrays import Keep
+    from hickory_stream.geometry.lazy_arrays import Keep
     from hickory_stream.mapping.entities.cloud import Cloud
     from hickory_stream.mapping.entities.submaps import Submaps
     from hickory_stream.mapping.entities.track import Track

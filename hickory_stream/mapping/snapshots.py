@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.geometry.made_arrays import give_up, has_given_up, made_of, read_briefly
+from hickory_stream.geometry.lazy_arrays import give_up, has_given_up, made_of, read_briefly
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.mapping.entities.observed_space import as_record, without_room
 from hickory_stream.mapping.entities.rigid_motion import moved_object

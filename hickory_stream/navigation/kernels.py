@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 
 # A primitive is a row: centre (3), rotation row by row (9; columns are the local axes), semi-axes (3), 2/e1, 2/e2,
 # e2/e1, e1/2, low corner of its bounds (3), high corner (3).

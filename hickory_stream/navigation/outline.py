@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.navigation.kernels import AXES, CENTER, HIGH, LOW, POWER_1, POWER_2, ROTATION, touching
 
 if TYPE_CHECKING:

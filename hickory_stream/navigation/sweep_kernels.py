@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.navigation.kernels import (
     AXES,
     CENTER,

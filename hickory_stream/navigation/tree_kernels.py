@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 
 # Tolerance in cells: a segment along the edge of a cell touches both neighbours.
 _HAIR = 1e-9

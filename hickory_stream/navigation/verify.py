@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.navigation.outline import NO_HULLS, NO_ROWS, TOLERANCE_M, half_planes, locked
 from hickory_stream.navigation.robot import Part, grown
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import implicit_value, world_bounds
 from hickory_stream.geometry.voxels import cells_of_keys

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 from scipy.ndimage import find_objects
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
+from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, in_company, keys_of_points
-from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.records import Observation, RejectedMask, Returns
 
 if TYPE_CHECKING:

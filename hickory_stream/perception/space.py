@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import difference, keys_of_cells, keys_of_points, sorted_unique
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import SpaceObservation
 
 if TYPE_CHECKING:

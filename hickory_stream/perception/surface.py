@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
+from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.perception.cielab import lab_of
-from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.pictures.raycast import CREASE_COSINE, Hits, image_colors
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.pictures.ray_caster import RayCaster, ray_caster

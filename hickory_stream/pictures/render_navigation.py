@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.geometry.palette import color_of_id
+from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.navigation.free_space import layer_four_of, obstacles_of
 from hickory_stream.navigation.occupancy import Cell

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry.bounds import bounds_of, extent_of
-from hickory_stream.geometry.palette import color_of_id
+from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_cells, keys_of_points

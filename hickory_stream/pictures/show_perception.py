@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.geometry.components import main_components
-from hickory_stream.geometry.palette import color_of_id
+from hickory_stream.geometry.display import color_of_id, main_components
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

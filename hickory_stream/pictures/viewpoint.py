@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.framing import looking, nearest_eye
+from hickory_stream.geometry.display import looking, nearest_eye
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import solve_in_place
 from hickory_stream.geometry.rigid import (

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from hickory_stream.base.atomic_files import write_atomically
-from hickory_stream.caches import cache_folder, mark_used
+from hickory_stream.base.caches import cache_folder, mark_used
 from hickory_stream.map_folder.views import crop_files, read_crop
 
 if TYPE_CHECKING:

@@ -4,6 +4,8 @@ The check is independent of how the primitives were grown. Every triangle, bisec
 together with a ball of the margin's radius around each of its points: since a primitive is convex, the balls around the
 three corners suffice. The same holds for every point of layer 1. The interior is divided into cells of a lattice; each,
 split as needed, must lie in one primitive, unless all of it is within the margin of the surface, which is covered.
+
+The certificate of a stored layer 4, checked again from the mesh and the primitives.
 """
 
 from __future__ import annotations
@@ -13,16 +15,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry.portable_kernels import exp, log
-from hickory_stream.shapes.cover import NET, NET_FACTOR, local_abs, log_gauge, log_gauge_of_ball
-from hickory_stream.shapes.dominance import new_stairs, place_of, put
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.shapes.inflate.inflation.cover import (
+    NET,
+    NET_FACTOR,
+    local_abs,
+    log_gauge,
+    log_gauge_of_ball,
+    new_stairs,
+    place_of,
+    put,
+)
+from hickory_stream.shapes.mesh_validation import used_surface
 from hickory_stream.shapes.sdf import distance_grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.records import ObjectShape
+
 
 # By how much ln G must stay below its limit: several orders of magnitude above the rounding error of its evaluation.
 NUMERICAL_MARGIN = 1e-9
@@ -405,3 +420,26 @@ def _holds_corners(center, half, body, limit):  # type: ignore[no-untyped-def] #
         if log_gauge(x, y, z, axes, exponents[0], exponents[1]) > limit:
             return False
     return True
+
+
+# Collision checks treat a primitive as solid up to this value of G.
+_G = 1.0
+
+
+def proven_anew(shape: ObjectShape, mesh: Mesh, points_world: NDArray[np.floating]) -> Certificate:
+    """Return whether the inflated primitives contain mesh, points (N, 3) and interior with the recorded margin.
+
+    Raises:
+        ValueError: the margin is negative or not finite, or the mesh has no surface.
+    """
+    margin_m = shape.containment.margin_m
+    if not 0 <= margin_m < np.inf:
+        raise ValueError(f"a margin of {margin_m} m")
+    vertices = apply(shape.world_from_object, mesh.vertices.astype(np.float64))
+    is_used, faces = used_surface(vertices, mesh.faces)
+    if len(faces) == 0:
+        raise ValueError("a mesh without a surface")
+    vertices = vertices[is_used]
+    inside = inside_of(vertices, faces, r_safe_m=margin_m)
+    points = np.ascontiguousarray(points_world, dtype=np.float64)
+    return certify(shape.inflated, vertices, faces, points, inside, r_safe_m=margin_m, g=_G)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 
 _ROOM = 512
 # The columns: cells, their squared distances so far, and whether the triangle may be nearer.

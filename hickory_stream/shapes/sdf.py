@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry.portable_kernels import cbrt
 from hickory_stream.shapes.narrow_band import is_buried, lower_to_distances, unit_normal
 

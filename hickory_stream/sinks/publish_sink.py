@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.errors import HickoryError, InputError
-from hickory_stream.navigation.costmap import Costmap
-from hickory_stream.navigation.followed import Followed
+from hickory_stream.navigation.costmap import Costmap, Followed
 from hickory_stream.navigation.free_space import FreeSpace
 from hickory_stream.navigation.search import NoPath, plan
 from hickory_stream.navigation.stand_ins import SeenSurface

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun.blueprint as rrb
 
-from hickory_stream.geometry.framing import looking, nearest_eye
+from hickory_stream.geometry.display import looking, nearest_eye
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from hickory_stream.geometry.palette import shaded
+from hickory_stream.geometry.display import shaded
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, quaternion_from_rotation
 from hickory_stream.sinks.rerun_file import RrdFile
 from hickory_stream.sinks.rerun_items import KEYFRAME, LogItem, Moment, Span, Weight

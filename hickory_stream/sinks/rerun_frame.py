@@ -11,9 +11,7 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from hickory_stream.geometry.components import Components, main_components
-from hickory_stream.geometry.label_layout import rises
-from hickory_stream.geometry.palette import color_of_id, readable_on_dark
+from hickory_stream.geometry.display import Components, color_of_id, main_components, readable_on_dark, rises
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
 from hickory_stream.sinks.rerun_labels import label_size
 

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from hickory_stream.geometry.rigid import compose, invert
-from hickory_stream.graph.ways import ways_of
+from hickory_stream.graph.trajectories import ways_of
 from hickory_stream.sinks.rerun_items import LogItem, Span
 from hickory_stream.sinks.rerun_numbers import PLOTS
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from hickory_stream.geometry.label_layout import rises
-from hickory_stream.geometry.palette import color_of_id, readable_on_dark
+from hickory_stream.geometry.display import color_of_id, readable_on_dark, rises
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun_eye import MAIN_ASPECT, eye_on
 from hickory_stream.sinks.rerun_items import LogItem, Span

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import rerun as rr
 
-from hickory_stream.confined import read_within
-from hickory_stream.geometry.mesh_file import mesh_of_file
-from hickory_stream.geometry.palette import shaded
+from hickory_stream.base.confined import read_within
+from hickory_stream.geometry.codecs.mesh_file import mesh_of_file
+from hickory_stream.geometry.display import shaded
 from hickory_stream.geometry.superquadric import outward_normals
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.map_folder.layout import SHAPES, VIEWS

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import rerun as rr
 
-from hickory_stream.geometry.palette import color_of_id, readable_on_dark
+from hickory_stream.geometry.display import color_of_id, readable_on_dark
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun_items import LogItem, Span
 

@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 
 from hickory_stream.errors import MapFolderError
-from hickory_stream.geometry.palette import color_of_id, shaded
+from hickory_stream.geometry.display import color_of_id, shaded
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight

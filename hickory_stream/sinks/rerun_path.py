@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.geometry.palette import color_of_id
+from hickory_stream.geometry.display import color_of_id
 from hickory_stream.navigation.free_space import layer_four_of, obstacles_of
 from hickory_stream.navigation.observed import rectangles
 from hickory_stream.navigation.search import NoPath

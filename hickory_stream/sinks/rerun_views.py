@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from hickory_stream.geometry.palette import color_of_id, readable_on_dark
+from hickory_stream.geometry.display import color_of_id, readable_on_dark
 from hickory_stream.sinks.rerun_frame import encoded_jpeg
 from hickory_stream.sinks.rerun_items import LogItem, Span, Weight
 

@@ -10,7 +10,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -14,8 +14,8 @@ import struct
 import threading
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import RecordingError
-from hickory_stream.json_text import dumps
 from players.live.foxglove_return import FoxgloveReturn
 from players.live.inbox import MAX_MESSAGE_BYTES, MAX_TOPICS
 from players.live.transport import Health

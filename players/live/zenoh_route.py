@@ -12,8 +12,8 @@ import time
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import RecordingError
-from hickory_stream.json_text import dumps
 from players.containers import Topic
 from players.live.transport import Health
 from players.live.zenoh_keys import (

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import psutil
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.box_scene import SCENE_BOXES, SceneSource
 from hickory_stream.config import MapperConfig, RunConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.engine.effects import crop_of
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.events import RequestShape

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from hickory_stream.base.caches import cache_folder
 from hickory_stream.box_scene import SCENE_BOXES
-from hickory_stream.caches import cache_folder
 from hickory_stream.cli import main
 from hickory_stream.errors import ConfigError
 from hickory_stream.map_folder.saved_map import open_map

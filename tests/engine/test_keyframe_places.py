@@ -13,8 +13,7 @@ from hickory_stream.box_scene import scene_pose
 from hickory_stream.engine.keyframe_places import KeyframePlaces, PlacedFrame
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.events import FrameObserved, KeyframeKeptOut, KeyframeRegistered, PoseJumped
-from hickory_stream.geometry.directions import no_directions
-from hickory_stream.geometry.rigid import compose, invert
+from hickory_stream.geometry.rigid import compose, invert, no_directions
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.registration_history import registration_summary

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import HickoryError, MapFolderError
-from hickory_stream.geometry.made_arrays import has_given_up
+from hickory_stream.geometry.lazy_arrays import has_given_up
 from hickory_stream.geometry.mesh import read_glb
 from hickory_stream.map_folder.array_files import ply_bytes
 from hickory_stream.map_folder.digest import map_digest

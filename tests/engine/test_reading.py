@@ -16,7 +16,7 @@ from hickory_stream.engine.reading import Read, Reader, sensed
 from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig
 from hickory_stream.map_folder.history.resume import Position
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
-from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.perceive import perceive
 from hickory_stream.perception.surface import Surface
 

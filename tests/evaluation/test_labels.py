@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.geometry.palette import color_of_id
+from hickory_stream.geometry.display import color_of_id
 from hickory_stream.pictures.labels import Label, draw_labels, most_visible, place_labels
 from hickory_stream.pictures.render import labels_of
 from hickory_stream.pictures.render_parts import dots_of

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.graph.ways import ways_of
+from hickory_stream.graph.trajectories import ways_of
 from hickory_stream.inspection.graph_summary import summary_of, told
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.saved_map import open_map

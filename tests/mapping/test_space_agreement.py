@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hickory_stream.events import PosesCorrected
-from hickory_stream.geometry.made_arrays import has_given_up
+from hickory_stream.geometry.lazy_arrays import has_given_up
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.geometry.voxels import cells_of_keys, centers_of_keys, contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.core import MapperCore

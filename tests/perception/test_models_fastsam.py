@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import small_graphs
+from hickory_stream.perception.structure.detection.detection import StructureConfig
 from hypothesis import given
 from hypothesis import strategies as st
 from onnx import TensorProto, helper
@@ -9,10 +10,9 @@ from perception_scenes import CAMERA, Block, best_iou, floor, looking, render
 from hickory_stream.errors import ModelError
 from hickory_stream.perception.masks import MaskConfig
 from hickory_stream.perception.models.fastsam import FastSam, FastSamConfig, FastSamSegmenter
-from hickory_stream.perception.models.letterbox import letterbox_of, letterboxed
 from hickory_stream.perception.models.network import Network, NetworkConfig
+from hickory_stream.perception.models.preprocessing import letterbox_of, letterboxed
 from hickory_stream.perception.models.yolo_masks import detections_of, suppressed
-from hickory_stream.perception.structure import StructureConfig
 from hickory_stream.perception.surface import SurfaceConfig
 from hickory_stream.records import Frame
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.errors import ViewerError
-from hickory_stream.geometry.palette import color_of_id
+from hickory_stream.geometry.display import color_of_id
 from hickory_stream.sinks.rerun_viewer import (
     ViewerChoice,
     ViewerKind,

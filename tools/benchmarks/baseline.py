@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
 from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.errors import MapFolderError
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.worlds.cache import cached_recording

@@ -24,7 +24,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
 from tools.benchmarks.baseline import baseline_file, read_baseline
 from tools.benchmarks.figures import records_of
 from tools.benchmarks.repetitions import commit_of_the_code, product_hash

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.engine.keyframe_places import KeyframePlaces, PlacedFrame
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.evaluation.evaluate import evaluate

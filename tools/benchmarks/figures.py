@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.truth import Truth, moved_truth
 from hickory_stream.fleet.finish import finish

@@ -15,7 +15,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from hickory_stream import caches
+from hickory_stream.base import caches
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE
 from hickory_stream.worlds.cache import cache_folder, cached_recording

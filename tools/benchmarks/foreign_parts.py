@@ -10,8 +10,8 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
 from tools.benchmarks.repetitions import hash_of_files
 from tools.evaluation.ladder import RUNGS
 

@@ -14,11 +14,11 @@ import numpy as np
 import trimesh
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.geometry.shape_score import shape_score
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.foreign_logs import worlds_folder
 from tools.benchmarks.intervals import bootstrap
 from tools.benchmarks.shape_rows import disturbed, fit, of_diameter_one, rotation, row_of
+from tools.evaluation.shape_score import shape_score
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

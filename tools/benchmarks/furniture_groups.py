@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.alignment.align import evidence_of
-from hickory_stream.alignment.align_config import AlignConfig
+from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.grouping import crowding
 from hickory_stream.alignment.shape_scores import superquadric_scores
 from tools.benchmarks.furnished_maps import unrelated_apartments

@@ -11,8 +11,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.truth import load_truth

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import cv2
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.config import MapperConfig
-from hickory_stream.json_text import dumps
 from hickory_stream.perception.choose import make_segmenter
 from tools.benchmarks.first_layer import keyframes_of, play_first_layer
 from tools.benchmarks.processes import ROOT

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
 from hickory_stream.ports import SourceAround
 from players.live import open_live
 from players.live.inbox import Inbox

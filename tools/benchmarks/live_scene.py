@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import psutil
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.journal.reader import Journal
-from hickory_stream.json_text import dumps
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.sinks.disk_sink import DiskSink

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneBox, cast_scene
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.events import LoopsSearched
 from hickory_stream.geometry.camera import Camera

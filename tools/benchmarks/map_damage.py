@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import psutil
 
-from hickory_stream.compiled import kernels_folder
+from hickory_stream.base.compiled import kernels_folder
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.map_changes import OUTSIDE, TARGETS, change_map, change_text
 from tools.benchmarks.repetitions import Repetitions
@@ -129,7 +129,7 @@ def _toml_text(kind: str) -> str:
         return (resources.files("hickory_stream.navigation") / "robots" / "b2.toml").read_text(encoding="utf-8")
     if kind == "profile":
         return (resources.files("players") / "profiles" / "realsense.toml").read_text(encoding="utf-8")
-    from hickory_stream.config_text import to_toml
+    from hickory_stream.base.config_text import to_toml
     from hickory_stream.settings import Settings
 
     return to_toml(Settings())

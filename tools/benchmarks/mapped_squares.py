@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
+from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.evaluation.alignment_table import error_of
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, rotation_of_vector

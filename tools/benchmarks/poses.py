@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.poses.config import MethodName, Sensor
+    from hickory_stream.poses.odometry_config import MethodName, Sensor
 
     Posed = tuple[Scan, NDArray[np.float64]]
 

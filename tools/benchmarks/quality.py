@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.base.html_page import page
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
@@ -21,7 +22,6 @@ from hickory_stream.evaluation.page import write_page
 from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
 from hickory_stream.evaluation.views.comparison import compare, verdict
 from hickory_stream.evaluation.views.trials import BEST, OURS, try_views
-from hickory_stream.html_page import page
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink

@@ -18,7 +18,7 @@ import time
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.json_text import dumps_exactly
+from hickory_stream.base.json_text import dumps_exactly
 from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.base.ranges import ranges_of
 from hickory_stream.config import MapperConfig
-from hickory_stream.ranges import ranges_of
 from tools.benchmarks.processes import ROOT
 
 if TYPE_CHECKING:
@@ -37,16 +37,16 @@ NOT_DECIDING = {
     "perception/masks.py": "resolves the masks of such a network alone",
     "perception/descriptor.py": "appearance, for places and alignment",
     "perception/coarse.py": "for people who ask why",
-    "perception/pixel_inputs.py": "what the network was trained with",
-    "perception/pixel_network.py": "what the network was trained with",
-    "perception/fragment_odds.py": "what the trees were grown with",
-    "perception/odds_features.py": "what the trees were grown with",
-    "perception/absolute_features.py": "what the trees were grown with",
-    "perception/region_extents.py": "what the trees were grown with",
-    "perception/region_graph.py": "what the trees were grown with",
-    "perception/support_contacts.py": "what the trees were grown with",
-    "perception/color_split.py:_OTSU_BINS": "the bins of a histogram",
-    "perception/structure.py:_AZIMUTHS": "the bins of a histogram",
+    "perception/affinity/pixel_inputs.py": "what the network was trained with",
+    "perception/affinity/pixel_network.py": "what the network was trained with",
+    "perception/regions/fragment_odds.py": "what the trees were grown with",
+    "perception/regions/odds_features.py": "what the trees were grown with",
+    "perception/regions/absolute_features.py": "what the trees were grown with",
+    "perception/regions/region_extents.py": "what the trees were grown with",
+    "perception/regions/region_graph.py": "what the trees were grown with",
+    "perception/regions/contacts.py": "what the trees were grown with",
+    "perception/fragments/color_split.py:_OTSU_BINS": "the bins of a histogram",
+    "perception/structure/detection.py:_AZIMUTHS": "the bins of a histogram",
     "perception/space.py": "the layout of keys",
     "mapping/rules/shape_requests.py": "when shapes are computed",
     "mapping/entities/views.py:_SECTORS": "how many views are kept",

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.config import MapperConfig
 from hickory_stream.events import (
     CancelShape,
@@ -45,7 +46,6 @@ from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind, Told
 from hickory_stream.journal.writer import JournalWriter
-from hickory_stream.json_text import dumps
 from hickory_stream.map_folder.array_spill import FarArrays
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.views import crop_files

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.journal.reader import Journal
-from hickory_stream.json_text import dumps
 from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.navigation.free_space import free_space_of
 from hickory_stream.navigation.robot import load_robot

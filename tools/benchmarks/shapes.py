@@ -11,7 +11,6 @@ import numpy as np
 import trimesh
 
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.shape_score import shape_score
 from hickory_stream.geometry.superquadric import Superquadrics, joined, log_implicit_value, moved, taken
 from hickory_stream.geometry.superquadric_surface import surface_points
 from hickory_stream.navigation.clearance import Answer, ClearanceScene
@@ -20,6 +19,7 @@ from tools.benchmarks.foreign_shapes import foreign_figures
 from tools.benchmarks.shape_meshes import MESH_NAMES, hollow_mesh, test_mesh
 from tools.benchmarks.shape_rows import best_of, disturbed, fit, of_diameter_one, rotation, row_of, warm_up
 from tools.benchmarks.swept_truth import way_distance_m
+from tools.evaluation.shape_score import shape_score
 
 if TYPE_CHECKING:
     from pathlib import Path

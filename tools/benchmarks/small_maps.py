@@ -6,9 +6,9 @@ import asyncio
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.shape_jobs.job_folder import write_job
 from hickory_stream.events import RequestShape

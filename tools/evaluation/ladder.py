@@ -17,15 +17,16 @@ from hickory_stream.evaluation.truth import frame_at, instances_of
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.rules.association import Match
 from hickory_stream.perception.choose import make_segmenter
-from hickory_stream.perception.geometric import GeometricSegmenter
-from hickory_stream.perception.join import Joined
+from hickory_stream.perception.geometric_segmenter import GeometricSegmenter
 from hickory_stream.perception.masks import enlarged_mask
 from hickory_stream.perception.network_segmenter import NetworkSegmenter
+from hickory_stream.perception.regions.join import Joined
 from hickory_stream.records import Segmentation
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from hickory_stream.perception.fragments.over_segmentation.over_segmentation import Fragments
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from hickory_stream.events import FrameObserved
     from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.mapping.entities.track import Track
-    from hickory_stream.perception.over_segmentation import Fragments
     from hickory_stream.perception.perceive import PerceptionConfig
     from hickory_stream.records import Frame, MapPrior, Observation
 

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.caches import cache_root
+from hickory_stream.base.caches import cache_root
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.affinity.odds_split import SplitConfig
+from hickory_stream.perception.affinity.pixel_network import PixelNetwork
+from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig, NetworkSegmenter
-from hickory_stream.perception.odds_split import SplitConfig
-from hickory_stream.perception.pixel_network import PixelNetwork
 from hickory_stream.records import Frame
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from tools.benchmarks.first_layer import play_first_layer

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.base.atomic_files import write_atomically
+from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import HickoryError, MapFolderError
-from hickory_stream.json_text import dumps
 from tools.benchmarks.processes import ROOT
 from tools.benchmarks.repetitions import hash_of_files
 

@@ -16,7 +16,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from hickory_stream.caches import mark_used
+from hickory_stream.base.caches import mark_used
 from hickory_stream.engine.shape_jobs.job_folder import MESH, RESULT
 from hickory_stream.engine.shape_jobs.processor import processor_of_shapes
 
@@ -82,7 +82,7 @@ class ShapeCache:
 @cache
 def _environment() -> str:
     """Return what computes a shape, beside its input: our code, Python, and the libraries."""
-    root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256()
     for package in _CODE:
         for path in sorted((root / package).rglob("*.py")):

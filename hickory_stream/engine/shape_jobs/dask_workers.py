@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from hickory_stream.base.atomic_files import write_atomically
-from hickory_stream.confined import plain_name
+from hickory_stream.base.confined import plain_name
 from hickory_stream.engine.shape_jobs.job_folder import MESH, RESULT
 from hickory_stream.errors import ConfigError, WorkerError
 

@@ -23,13 +23,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.base.atomic_files import disk_errors, link_or_copy, outside_errors, write_atomically
-from hickory_stream.config_text import from_dict
-from hickory_stream.confined import path_within, plain_name, read_within
+from hickory_stream.base.config_text import from_dict
+from hickory_stream.base.confined import path_within, plain_name, read_within
+from hickory_stream.base.json_text import dumps, dumps_exactly
 from hickory_stream.errors import HickoryError, WorkerError
 from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.codecs.mesh_file import SUFFIX, mesh_file_bytes, mesh_of_file
 from hickory_stream.geometry.mesh import sha256_of
-from hickory_stream.geometry.mesh_file import SUFFIX, mesh_file_bytes, mesh_of_file
-from hickory_stream.json_text import dumps, dumps_exactly
 from hickory_stream.map_folder.array_files import npy_array
 from hickory_stream.map_folder.codec import decode_superquadrics, encode_superquadrics
 from hickory_stream.map_folder.views import crop_files, read_crop

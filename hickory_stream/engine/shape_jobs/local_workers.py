@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Protocol, Self
 
 import psutil
 
-from hickory_stream.caches import cache_root
+from hickory_stream.base.caches import cache_root
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.engine.shape_jobs.generators.spec import CHOICE_VARIABLE
 from hickory_stream.errors import ConfigError, WorkerError
-from hickory_stream.json_text import dumps_exactly
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

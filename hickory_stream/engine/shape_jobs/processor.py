@@ -1,8 +1,8 @@
 """Which kind of processor a map depends on: none, where all arithmetic that decided it rounds alike everywhere.
 
 From pixels to layer 4 that is shown for x86-64 (`tools/bench engine --only processors`). The network of affinities adds
-integers (`perception/pixel_network.py`). It is not shown for other networks, which run as onnxruntime chooses, for
-perception that a caller brings, for alignment, for the codecs of lossy views, and on other architectures, where
+integers (`perception/affinity/pixel_network.py`). It is not shown for other networks, which run as onnxruntime chooses,
+for perception that a caller brings, for alignment, for the codecs of lossy views, and on other architectures, where
 libraries may have been compiled with fused products.
 """
 

@@ -16,10 +16,10 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.engine.first_run import are_compiled
 from hickory_stream.engine.shape_jobs.generators.choose import reconstructor_of
 from hickory_stream.engine.shape_jobs.job_folder import read_job, write_result
-from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import build_shape
 

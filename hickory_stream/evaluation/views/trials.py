@@ -30,7 +30,7 @@ from hickory_stream.mapping.entities.rigid_motion import moved_object
 from hickory_stream.mapping.entities.views import Strategy, ViewConfig, score
 from hickory_stream.mapping.rules.support_graph import Relation
 from hickory_stream.ports import NoShape, ShapeInputs
-from hickory_stream.shapes.usable import usable
+from hickory_stream.shapes.mesh_validation import usable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

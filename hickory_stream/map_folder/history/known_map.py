@@ -12,7 +12,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import MapFolderError
-from hickory_stream.geometry.made_arrays import read_parts
+from hickory_stream.geometry.lazy_arrays import read_parts
 from hickory_stream.journal.record_codec import encode
 from hickory_stream.journal.snapshot_records import object_without_points, submap_without_space
 from hickory_stream.map_folder.history.core_replay import Replay

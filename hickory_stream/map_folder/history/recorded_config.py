@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from hickory_stream.base.config_text import from_dict
 from hickory_stream.config import MapperConfig, as_far_as_known
-from hickory_stream.config_text import from_dict
 from hickory_stream.errors import ConfigError, MapFolderError
 from hickory_stream.map_folder.manifest import read_manifest
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hickory_stream.confined import OutsideError, whole_number
+from hickory_stream.base.confined import OutsideError, whole_number
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.journal.reader import Journal

@@ -17,10 +17,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
-from hickory_stream.geometry.made_arrays import compressed, in_memory, restored
+from hickory_stream.geometry.lazy_arrays import compressed, in_memory, restored
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import are_near, coarse_keys, contains, keys_of_points, places, sorted_unique
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.geometry.made_arrays import Keep
+    from hickory_stream.geometry.lazy_arrays import Keep
 
 
 NAMES = ("keys", "points", "colors", "hits")

@@ -15,9 +15,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.arrays import check_array
-from hickory_stream.geometry.made_arrays import GivesUpArrays, read_briefly
+from hickory_stream.geometry.lazy_arrays import GivesUpArrays, read_briefly
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import (
     cells_of_keys,
@@ -32,7 +33,6 @@ from hickory_stream.geometry.voxels import (
     sorted_unique,
     union,
 )
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import ObservedSpace
 
 if TYPE_CHECKING:

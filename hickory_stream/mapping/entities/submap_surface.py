@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.made_arrays import GivesUpArrays
+from hickory_stream.geometry.lazy_arrays import GivesUpArrays
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, keys_of_points
 

@@ -26,11 +26,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.directions import turned_directions
-from hickory_stream.geometry.made_arrays import compress, give_up, in_memory, read_briefly
-from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
+from hickory_stream.geometry.lazy_arrays import compress, give_up, in_memory, read_briefly
+from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad, turned_directions
 from hickory_stream.geometry.voxels import contains, difference, exchanged, places, union
 from hickory_stream.mapping.entities import observed_space
 from hickory_stream.mapping.entities.observed_space import (
@@ -46,7 +46,6 @@ from hickory_stream.mapping.entities.observed_space import (
     without_floor,
 )
 from hickory_stream.mapping.entities.submap_surface import SubmapSurface, no_surface, surface_points, with_points
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import SpaceObservation, Submap, SurveyedSubmap
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.events import FrameObserved, KeyframeRegistered
-    from hickory_stream.geometry.made_arrays import Keep
+    from hickory_stream.geometry.lazy_arrays import Keep
     from hickory_stream.mapping.entities.submap_surface import SurfacePoints
 
 

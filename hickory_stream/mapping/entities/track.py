@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
-from hickory_stream.geometry.made_arrays import give_up
+from hickory_stream.geometry.lazy_arrays import give_up
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.voxels import in_company
 from hickory_stream.mapping.entities.cloud import Cloud, array_of, fuse, solid_part
 from hickory_stream.mapping.entities.existence import Existence, no_evidence
 from hickory_stream.mapping.entities.views import better
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase, TrackedObject, View
 
 if TYPE_CHECKING:

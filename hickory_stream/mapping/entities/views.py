@@ -14,8 +14,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, assert_never
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.portable_kernels import arctan2, log1p, power
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import View
 
 if TYPE_CHECKING:

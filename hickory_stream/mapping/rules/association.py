@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.entities.cloud import share_near
-from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

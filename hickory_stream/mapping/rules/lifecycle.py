@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from hickory_stream.ranges import Ranged, number
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
 from hickory_stream.mapping.entities.cloud import fuse, is_near, share_near
@@ -19,7 +20,6 @@ from hickory_stream.mapping.entities.existence import united
 from hickory_stream.mapping.entities.track import Track, with_cloud
 from hickory_stream.mapping.entities.views import better, covers_better
 from hickory_stream.mapping.rules.lifecycle import Guard, LifeEvent, transition
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:

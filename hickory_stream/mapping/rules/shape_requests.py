@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.events import RequestShape
 from hickory_stream.mapping.entities.track import ShapeState, is_object
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 
-from hickory_stream.geometry.made_arrays import read_briefly
+from hickory_stream.geometry.lazy_arrays import read_briefly
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import (
     bounds_of_keys,

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.mapping.entities.cloud import Cloud, fuse, share_near
-from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

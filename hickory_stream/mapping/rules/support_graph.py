@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.entities.observed_space import sees_structure
 from hickory_stream.mapping.rules.support_relations import (
@@ -39,7 +40,6 @@ from hickory_stream.mapping.rules.support_relations import (
     is_on_foot,
     stands_in,
 )
-from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import numba
 from hickory_stream.perception.masks import InstanceMask
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.models.letterbox import Letterbox
+    from hickory_stream.perception.models.preprocessing import Letterbox
 
 # Boxes are offset by this distance per class, so that boxes of different classes never suppress each other.
 _CLASS_OFFSET_PX = 7680.0

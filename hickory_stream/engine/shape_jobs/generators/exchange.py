@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.confined import OutsideError, path_within, read_within
+from hickory_stream.base.confined import OutsideError, path_within, read_within
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import WorkerError
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.mesh import mesh_of_glb
-from hickory_stream.json_text import dumps_exactly
 from hickory_stream.ports import GeneratedMesh, NoShape
 
 if TYPE_CHECKING:

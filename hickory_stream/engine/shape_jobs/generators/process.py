@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.engine.shape_jobs.generators.spec import missing_of, program_of
 from hickory_stream.errors import WorkerError
-from hickory_stream.json_text import dumps_exactly
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hickory_stream.config_text import from_dict
+from hickory_stream.base.config_text import from_dict
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ConfigError
-from hickory_stream.ranges import Ranged, number
 
 FOLDER_VARIABLE = "HICKORY_GENERATORS"
 CHOICE_VARIABLE = "HICKORY_GENERATOR"
