@@ -881,7 +881,7 @@ OUTPUTS: dict[str, Any] = {
     "reconstruct": Reconstructed,
     "evaluate": "hickory_stream.evaluation.evaluate.Evaluation",
     "evaluate-explain": Definitions,
-    "explain": "hickory_stream.inspection.place_story.PlaceStory",
+    "explain": "hickory_stream.inspection.point_history.PlaceStory",
     "explain-object": "hickory_stream.evaluation.why.ObjectStory",
     "explain-truth": "hickory_stream.evaluation.why.Why",
     "evaluate-views": Strategies,

@@ -68,7 +68,7 @@ class RawFrame:
     odometry jumped since the frame before: it takes the old world into the new one. The pose itself does not jump: a
     source that knows of a jump takes it out, so that all its poses are in the first world. `goes_back`: somebody went
     back in the log to this frame, and wants the map as it was known before it. `is_posed`: False where the pose is none
-    and odometry has yet to put one in, before anybody is handed the source (`players/odometry_source.py`).
+    and odometry has yet to put one in, before anybody is handed the source (`players/poses/odometry_source.py`).
     """
 
     index: int

@@ -20,16 +20,16 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import from_rotation_translation, rotation_from_quaternion
 from players.options import MAX_GAP_NS
-from players.poses import nearest_rigid
-from players.tf import Edge
-from players.tracks import JumpLimits
+from players.poses.interpolation import nearest_rigid
+from players.poses.tf import Edge
+from players.poses.tracks import JumpLimits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from players.containers import Topic
+    from players.logs.containers import Topic
 
 _TOLERANCE = Range(low=0.001, high=MAX_GAP_NS / 1e6, unit="ms")
 _OFFSET = Range(low=-1000, high=1000, unit="m")

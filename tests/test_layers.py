@@ -122,10 +122,26 @@ def test_nothing_prints_but_the_command_line() -> None:
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
     }
-    assert {name.rpartition(".")[0] if name.count(".") > 1 else name for name in printers} == {"hickory_stream.cli"}
+    assert {name for name in printers if not f"{name}.".startswith("hickory_stream.cli.")} == set()
 
 
 def test_twins_for_tests_are_imported_by_tests_only() -> None:
     """What a run needs, such as the scene that warms it up, is no twin for tests."""
     users = [module_of(file) for file in FILES if "hickory_stream.testing" in set(imports_of(file))]
+    assert users == []
+
+
+@pytest.mark.parametrize("file", FILES, ids=module_of)
+def test_all_functions_but_kernels_have_type_hints(file: Path) -> None:
+    bare = []
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            decorators = {ast.unparse(decorator).partition("(")[0] for decorator in node.decorator_list}
+            if not decorators & {"kernel", "overload"} and node.returns is None:
+                bare.append(node.name)
+    assert bare == []
+
+
+def test_the_product_imports_no_tools() -> None:
+    users = [module_of(file) for file in FILES if any(name.split(".")[0] == "tools" for name in imports_of(file))]
     assert users == []

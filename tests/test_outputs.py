@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).resolve().parent.parent
-FILES = [*sorted((ROOT / "hickory_stream" / "cli").glob("*.py")), ROOT / "hickory_stream" / "progress.py"]
+FILES = [*sorted((ROOT / "hickory_stream" / "cli").rglob("*.py")), ROOT / "hickory_stream" / "progress.py"]
 
 
 def calls(name: str) -> Iterator[tuple[Path, ast.Call]]:

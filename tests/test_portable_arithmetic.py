@@ -28,13 +28,13 @@ PATHS = (
         if not {"models", "generators", "history"} & set(file.parts)
     ),
     *(ROOT / "hickory_stream" / "poses" / f"{name}.py" for name in REGISTRATION),
-    *sorted((ROOT / "players").glob("*.py")),
+    *sorted(file for file in (ROOT / "players").rglob("*.py") if "live" not in file.parts),
 )
 # Not on the way from pixels to a digest.
 EXEMPT = {
     "hickory_stream/geometry/display.py": "where a viewer looks first, and its colours of features",
-    "players/agreement.py": "what `doctor` says of a calibration",
-    "players/depth_noise.py": "what `doctor` says of the depth camera",
+    "players/doctor/depth_color_alignment.py": "what `doctor` says of a calibration",
+    "players/doctor/depth_noise.py": "what `doctor` says of the depth camera",
 }
 # Choose their code by the processor, or leave the order of their terms to a library that does.
 NUMPY = frozenset(
@@ -77,7 +77,7 @@ def forbidden_in(source: str) -> Iterator[str]:
 
 
 def _is_kernel(function: ast.FunctionDef) -> bool:
-    return any("njit" in ast.unparse(decorator) for decorator in function.decorator_list)
+    return any("kernel" in ast.unparse(decorator) for decorator in function.decorator_list)
 
 
 def _why_not(node: ast.AST, *, in_kernel: bool) -> str | None:
@@ -110,7 +110,7 @@ def _outside(module: str, names: set[str]) -> str | None:
 
 def _why_no_call(name: str, keywords: set[str], in_kernel: bool) -> str | None:
     first, _, rest = name.partition(".")
-    if name.endswith("njit") and keywords & {"fastmath", "parallel"}:
+    if name.endswith(("njit", "kernel")) and keywords & {"fastmath", "parallel"}:
         return f"{name}: the order of terms is the compiler's"
     if name.endswith(".dot") and first not in ("np", "portable"):
         return f"{name}: portable.dot"
@@ -152,6 +152,7 @@ def test_the_way_to_a_map_rounds_in_one_way_only(path: Path) -> None:
         "from scipy.linalg import eigh",
         "x = ndimage.gaussian_filter(a, 1)",
         "@numba.njit(fastmath=True)\ndef f(): ...",
+        "@kernel(parallel=True)\ndef f(): ...",
     ],
 )
 def test_what_rounds_as_its_processor_does_is_found(line: str) -> None:

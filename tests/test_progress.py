@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from hickory_stream.cli.compile_notice import CompileNotice
+from hickory_stream.cli import CompileNotice
 from hickory_stream.engine.modes import Progress
 from hickory_stream.progress import ProgressPrinter
 

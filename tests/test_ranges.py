@@ -19,8 +19,8 @@ from hickory_stream.navigation.robot import Part, Posture, Robot
 from hickory_stream.navigation.search import SearchConfig
 from hickory_stream.settings import Settings
 from players.options import SourceOptions
+from players.poses.tracks import JumpLimits
 from players.profile import Intrinsics, Profile
-from players.tracks import JumpLimits
 
 ROOTS = (Settings, AlignConfig, MergeMapsConfig, SearchConfig)
 SUFFIXES = {"m": "m", "m2": "m2", "m3": "m3", "s": "s", "deg": "deg", "rad": "rad", "ns": "ns", "px": "px", "mb": "MB"}

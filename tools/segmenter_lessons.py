@@ -28,11 +28,11 @@ from tools.network_training.lessons import drawn_camera
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.perception.fragments.over_segmentation.over_segmentation import Fragments
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.perception.affinity.pixel_network import PixelNetwork
+    from hickory_stream.perception.fragments.over_segmentation import Fragments
     from hickory_stream.perception.regions.fragment_odds import FragmentOdds
     from hickory_stream.perception.regions.region_graph import RegionGraph
     from hickory_stream.records import MapPrior

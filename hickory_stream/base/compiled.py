@@ -15,7 +15,7 @@ import sys
 import tempfile
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numba
 import numpy as np
@@ -23,19 +23,18 @@ from numba.core import event
 
 from hickory_stream.base import compiling
 from hickory_stream.base.caches import cache_folder, cache_root, mark_used, wanted_root
-from hickory_stream.kernel_loading import load_lazily
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["KernelLocator", "compiler_name", "kernels_folder", "numba", "source_hash"]
+__all__ = ["KernelLocator", "compiler_name", "kernel", "kernels_folder", "numba", "source_hash"]
 
 # The ray caster brings a TBB that is too old for numba, which warns of it wherever it finds one in the process.
 numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 
 _OURS = ("hickory_stream", "players")
 _IMPORT = re.compile(rf"^from ((?:{'|'.join(_OURS)})[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
-_HAS_KERNELS = re.compile(r"^from hickory_stream\.base\.compiled import", re.MULTILINE)
+_HAS_KERNELS = re.compile(r"^@kernel\b", re.MULTILINE)
 _CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]*")
 
 
@@ -71,6 +70,23 @@ class KernelLocator:
     def ensure_cache_path(self) -> None:
         """Make the folder; raises `OSError`."""
         self._folder.mkdir(parents=True, exist_ok=True)
+
+
+def kernel(
+    function: Callable[..., Any] | None = None,
+    *,
+    error_model: Literal["python", "numpy"] = "python",
+    parallel: bool = False,
+) -> Any:
+    """Compile a function that holds no lock of the interpreter, and cache it.
+
+    Args:
+        function: takes and returns arrays and numbers; numba infers their types from the call.
+        error_model: "numpy" divides by zero without an error, and the compiler then vectorises the loop.
+        parallel: spreads the loops over `numba.prange` over threads.
+    """
+    compiled = numba.njit(cache=True, nogil=True, error_model=error_model, parallel=parallel)
+    return compiled if function is None else compiled(function)
 
 
 @cache
@@ -152,4 +168,3 @@ if not numba.config.CACHE_LOCATOR_CLASSES:
         "IPythonCacheLocator,ZipCacheLocator"
     )
 event.register("numba:compile", _Compiles())
-load_lazily()

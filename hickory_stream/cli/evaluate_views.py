@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from hickory_stream.cli.values import read_settings
+from hickory_stream.cli.option_values import read_settings
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 

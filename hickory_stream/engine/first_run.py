@@ -31,7 +31,7 @@ _ROOT = Path(__file__).resolve().parents[1]
 _PACKAGES = ("geometry", "perception", "mapping", "shapes")
 _LEFT_OUT = "models"  # networks have kernels that few runs need
 _TELL_EVERY_S = 1.0
-_DECORATOR = "@numba.njit("
+_DECORATOR = "\n@kernel"
 
 
 async def compile_kernels(tell: Callable[[int, int], None]) -> None:

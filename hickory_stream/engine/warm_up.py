@@ -35,7 +35,7 @@ from hickory_stream.perception.perceive import features_of, perceive
 from hickory_stream.ports import Crop, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape
 from hickory_stream.shapes.connected import piece_around
-from hickory_stream.shapes.fit.marching_primitives.marching_primitives import FitConfig, fitted_shape
+from hickory_stream.shapes.fit.marching_primitives import FitConfig, fitted_shape
 from hickory_stream.shapes.reconstruct.fused import FusedConfig, FusedReconstructor, VolumeConfig
 
 if TYPE_CHECKING:

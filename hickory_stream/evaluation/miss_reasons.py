@@ -15,7 +15,7 @@ import numpy as np
 
 from hickory_stream.geometry.boxes import OrientedBox, box_iou
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.inspection.track_story import ending_text, when
+from hickory_stream.inspection.track_history import ending_text, when
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -15,14 +15,14 @@ from hickory_stream.base.html_page import page, picture
 from hickory_stream.evaluation.evaluate import placed_mesh, true_mesh_world
 from hickory_stream.evaluation.explain import figures, verdict, worst_first
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
-from hickory_stream.evaluation.in_the_log import pictures_of
+from hickory_stream.evaluation.log_crops import pictures_of
 from hickory_stream.evaluation.match import meshes_of
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS
 from hickory_stream.evaluation.truth import moved_truth
 from hickory_stream.evaluation.why import NoWhy, Why, reasons_of
 from hickory_stream.evaluation.why_text import false_title, missed_title
 from hickory_stream.map_folder.views import read_crop
-from hickory_stream.pictures.close_up import close_up_of, draw
+from hickory_stream.pictures.object_thumbnail import close_up_of, draw
 from hickory_stream.pictures.raycast import Surface
 from hickory_stream.pictures.render_parts import superquadric_surfaces
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.why import ReasonCount
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.pictures.close_up import CloseUp
+    from hickory_stream.pictures.object_thumbnail import CloseUp
     from hickory_stream.records import TrackedObject
 
 _PICTURE_PX = 400

@@ -9,7 +9,7 @@ import numpy as np
 
 from hickory_stream.evaluation.truth import frame_at, instances_of, mesh_of, moved_mesh
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.inspection.seen_as import (
+from hickory_stream.inspection.keyframe_labels import (
     LEAST_CODE,
     NO_MASK,
     STRUCTURE,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.inspection.seen_as import SeenAs
+    from hickory_stream.inspection.keyframe_labels import SeenAs
     from hickory_stream.map_folder.history.recorded import RecordedKeyframe
     from hickory_stream.records import MapSnapshot
 

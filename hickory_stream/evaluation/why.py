@@ -13,7 +13,7 @@ from hickory_stream.evaluation.miss_reasons import Evidence, Missed, state_of, w
 from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.placement import placed_truth
 from hickory_stream.evaluation.truth_sightings import sightings_of_truth
-from hickory_stream.inspection.track_story import Stretch, TrackStory, stretches_of, track_story
+from hickory_stream.inspection.track_history import Stretch, TrackStory, stretches_of, track_story
 from hickory_stream.map_folder.history.recorded import final_snapshot
 from hickory_stream.map_folder.history.recorded_config import told_config
 from hickory_stream.records import Phase

@@ -95,7 +95,7 @@ def _mapped(task: RobotTask, link: _Link) -> Ended:
     from hickory_stream.map_folder.history.replay import show_until_resumed
     from hickory_stream.map_folder.manifest import is_map_folder, read_json
     from hickory_stream.sinks.disk_sink import DiskSink
-    from players.doctor_text import damage_line
+    from players.doctor.report import damage_line
 
     span = _Span()
     resumes = task.resumes and is_map_folder(task.out)

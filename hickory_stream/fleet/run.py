@@ -21,9 +21,9 @@ from hickory_stream.fleet.resuming import check_same
 from hickory_stream.fleet.robot_process import RobotTask
 from hickory_stream.fleet.robots import FLEET
 from hickory_stream.map_folder.manifest import is_map_folder
-from hickory_stream.sinks.rerun_config import RerunConfig
-from hickory_stream.sinks.rerun_fleet import FleetRecording, ShownRobot
-from hickory_stream.sinks.rerun_viewer import ViewerChoice, ViewerKind, check_viewer
+from hickory_stream.sinks.rerun.config import RerunConfig
+from hickory_stream.sinks.rerun.fleet import FleetRecording, ShownRobot
+from hickory_stream.sinks.rerun.viewer import ViewerChoice, ViewerKind, check_viewer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

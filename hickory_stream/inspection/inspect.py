@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from hickory_stream.config import MapperConfig, as_far_as_known
 from hickory_stream.inspection.graph_summary import GraphSummary, summary_of
 from hickory_stream.inspection.graph_summary import told as graph_line
-from hickory_stream.inspection.place import Place, place_of
+from hickory_stream.inspection.object_geometry import Place, place_of
 from hickory_stream.inspection.supports import supports_of, told
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.floor_notes import floor_notes

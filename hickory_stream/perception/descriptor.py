@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import arctan2
 from hickory_stream.perception.cielab import lab_of
@@ -44,8 +44,8 @@ def _mirrored(image: NDArray[np.float32], radius: int) -> NDArray[np.float32]:
     return np.asarray(cv2.copyMakeBorder(image, radius, radius, radius, radius, cv2.BORDER_REFLECT_101))
 
 
-@numba.njit(cache=True, nogil=True)
-def _blurred(padded, weights):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _blurred(padded, weights):
     """Weight along the rows, then along the columns; the innermost loop runs along a row and is vectorised."""
     height, width = padded.shape[0] - len(weights) + 1, padded.shape[1] - len(weights) + 1
     rows = np.zeros((padded.shape[0], width), dtype=np.float32)
@@ -61,8 +61,8 @@ def _blurred(padded, weights):  # type: ignore[no-untyped-def] # pragma: no cove
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _sobel(p):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _sobel(p):
     height, width = p.shape[0] - 2, p.shape[1] - 2
     along_x, along_y = np.empty((height, width), dtype=np.float32), np.empty((height, width), dtype=np.float32)
     two = np.float32(2.0)
@@ -170,8 +170,8 @@ def mask_feature(observation: Observation, features: NDArray[np.float32], patch_
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _pixels_of_patches(mask, x0, y0, patch_px, rows, columns):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _pixels_of_patches(mask, x0, y0, patch_px, rows, columns):
     """Return (rows, columns) the number of mask pixels in each patch, for a mask whose box begins at (x0, y0)."""
     out = np.zeros((rows, columns))
     for y in range(mask.shape[0]):
@@ -189,8 +189,8 @@ def _gradient(
     return x, y, _turns(y.ravel(), x.ravel(), np.pi).reshape(light.shape)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _turns(y, x, turn):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _turns(y, x, turn):
     """Return the angle of each (x, y) as a fraction of `turn` radians."""
     out = np.empty(len(y))
     for i in range(len(y)):
@@ -198,8 +198,8 @@ def _turns(y, x, turn):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _pooled(lab, hue, fine_x, fine_y, fine, coarse_x, coarse_y, coarse, side):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _pooled(lab, hue, fine_x, fine_y, fine, coarse_x, coarse_y, coarse, side):
     """Return (h, w, 30) soft histograms of patches of `side` pixels: every pixel is shared by the two nearest bins.
 
     `hue` is in turns; the gradients at the fine and coarse scales are given by x, y and their direction in half turns.
@@ -230,8 +230,8 @@ def _pooled(lab, hue, fine_x, fine_y, fine, coarse_x, coarse_y, coarse, side):  
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _add(bins, first, count, turns, weight):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _add(bins, first, count, turns, weight):
     """Share a weight between the two of `count` cyclic bins, from index `first`, nearest to an angle in turns."""
     position = (turns - np.floor(turns)) * count
     low = int(position)

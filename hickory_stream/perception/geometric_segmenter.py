@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.base.ranges import Ranged, number
-from hickory_stream.perception.fragments.over_segmentation.color_split import ColorSplitConfig, split_by_color
-from hickory_stream.perception.fragments.over_segmentation.over_segmentation import (
+from hickory_stream.perception.fragments.color_split import ColorSplitConfig, split_by_color
+from hickory_stream.perception.fragments.over_segmentation import (
     FragmentConfig,
     Fragments,
     concave_creases,
@@ -24,8 +24,8 @@ from hickory_stream.perception.masks import enlarged, enlarged_mask, label_boxes
 from hickory_stream.perception.regions.join import JoinConfig, Joined, join_fragments
 from hickory_stream.perception.regions.map_prior import fragment_owners
 from hickory_stream.perception.regions.trees import Trees, embedded_trees
-from hickory_stream.perception.structure.detection.detection import StructureConfig
-from hickory_stream.perception.structure.detection.room_structure import RoomStructure, room_structure_of
+from hickory_stream.perception.structure.detection import StructureConfig
+from hickory_stream.perception.structure.room_structure import RoomStructure, room_structure_of
 from hickory_stream.perception.surface import Surface, SurfaceConfig, moved_surface, surface_of
 from hickory_stream.records import RejectedMask, Segmentation
 

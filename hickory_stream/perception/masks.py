@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import find_objects
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
@@ -132,8 +132,8 @@ def why_no_object(
     return f"{extent:.1f} m long: structure" if extent > max_extent_m else None
 
 
-@numba.njit(cache=True, nogil=True)
-def _extent_m(points, labels, label):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _extent_m(points, labels, label):
     """Return the longest side of the upright box around the points of a label; 0 where it has none."""
     low, high = np.full(3, np.float32(np.inf)), np.full(3, np.float32(-np.inf))
     for y in range(labels.shape[0]):
@@ -150,8 +150,8 @@ def occluded_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], cou
     return np.asarray(occluded / np.maximum(outline, 1))
 
 
-@numba.njit(cache=True, nogil=True)
-def _outlines(depth, labels, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _outlines(depth, labels, count):
     """Return (count,) the number of neighbouring pixels of other labels, and of those among them that are nearer."""
     height, width = labels.shape
     outline, occluded = np.zeros(count), np.zeros(count)
@@ -328,8 +328,8 @@ def _shared_pixels(masks: Sequence[InstanceMask]) -> NDArray[np.int64]:
     return shared
 
 
-@numba.njit(cache=True, nogil=True)
-def _count_shared(boxes, starts, pixels, stride):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _count_shared(boxes, starts, pixels, stride):
     count = len(boxes)
     shared = np.zeros((count, count), dtype=np.int64)
     for i in range(count):

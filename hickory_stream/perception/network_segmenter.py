@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.perception.affinity.pixel_network import PixelNetwork, PixelOdds
-    from hickory_stream.perception.fragments.over_segmentation.over_segmentation import Fragments
+    from hickory_stream.perception.fragments.over_segmentation import Fragments
     from hickory_stream.perception.geometric_segmenter import GeometricConfig
     from hickory_stream.perception.regions.join import Joined
     from hickory_stream.perception.regions.trees import Trees

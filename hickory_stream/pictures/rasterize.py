@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.pictures.raycast import CREASE_COSINE, Hits, image_colors
 
@@ -134,8 +134,8 @@ class _Image:
         return np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2).astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True)
-def _squares_over(low, high, reach, step, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _squares_over(low, high, reach, step, count):
     """Return the first, and the one after the last, of `count` squares in a row with a sample from `low` to `high`.
 
     Samples are within `reach` of the middle of their square; some squares at the ends may have none there.
@@ -145,8 +145,8 @@ def _squares_over(low, high, reach, step, count):  # type: ignore[no-untyped-def
     return int(min(max(first, 0.0), count)), int(min(max(end, 0.0), count))
 
 
-@numba.njit(cache=True, nogil=True)
-def _draw_triangles(  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _draw_triangles(
     vertices, faces, normals, colors, uv, owner, index, pose, lens, is_flat, step, within, depths, normals_at,
     colors_at, owners_at, of_at, uv_at,
 ):  # fmt: skip
@@ -223,8 +223,8 @@ def _draw_triangles(  # type: ignore[no-untyped-def] # pragma: no cover
                                 uv_at[s, row, column, k] = wa * uv[a, k] + wb * uv[b, k] + wc * uv[c, k]
 
 
-@numba.njit(cache=True, nogil=True)
-def _draw_dots(  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _draw_dots(
     points, colors, every, half_m, owner, pose, lens, is_flat, step, within, depths, normals_at, colors_at, owners_at,
     of_at,
 ):  # fmt: skip
@@ -263,8 +263,8 @@ def _draw_dots(  # type: ignore[no-untyped-def] # pragma: no cover
                         of_at[s, row, column] = -1
 
 
-@numba.njit(cache=True, nogil=True)
-def _face_normal(vertices, a, b, c, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _face_normal(vertices, a, b, c, out):
     """Put the unit normal of a triangle into `out` (3,)."""
     ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
     vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.pictures.ray_caster import RayCaster, ray_caster
@@ -208,8 +208,8 @@ def vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> N
     return normals
 
 
-@numba.njit(cache=True, nogil=True)
-def _normals_of_vertices(vertices, faces):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _normals_of_vertices(vertices, faces):
     sums = np.zeros((len(vertices), 3))
     for f in range(len(faces)):
         a, b, c = faces[f]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.bounds import bounds_of, extent_of
 from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply
@@ -115,8 +115,8 @@ def _in_cells(vertices: NDArray[np.float32], side_m: float) -> tuple[NDArray[np.
     return firsts, places
 
 
-@numba.njit(cache=True, nogil=True)
-def _counted_cells(vertices, side_m, lowest, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _counted_cells(vertices, side_m, lowest, shape):
     count = len(vertices)
     cell_of = np.empty(count, np.int64)
     first = np.full(shape[0] * shape[1] * shape[2], -1, np.int64)
@@ -134,8 +134,8 @@ def _counted_cells(vertices, side_m, lowest, shape):  # type: ignore[no-untyped-
     return chosen, cell_of
 
 
-@numba.njit(cache=True, nogil=True)
-def _between_cells(faces, cell_of):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _between_cells(faces, cell_of):
     """Return the faces (F, 3) between three different cells, of whose places they are made."""
     out = np.empty((len(faces), 3), np.int32)
     count = 0
@@ -250,8 +250,8 @@ def _spacing_m(points: NDArray[np.float32]) -> float:
     return float(np.clip(np.median(_nearest_m(ordered, axis)), 0.002, 0.05))
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearest_m(ordered, axis):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _nearest_m(ordered, axis):
     """Return (N,) how far the nearest other one of (N, 3) points is, which ascend along an axis.
 
     Of the points of a surface few are as near along the longest axis: no tree is as quick for so few of them.

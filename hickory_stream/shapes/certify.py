@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import exp, log
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.shapes.inflate.inflation.cover import (
+from hickory_stream.shapes.inflate.cover import (
     NET,
     NET_FACTOR,
     local_abs,
@@ -208,8 +208,8 @@ def _parts(cells: NDArray[np.float64], half: float, margin_m: float) -> NDArray[
     return np.column_stack([parts.reshape(-1, 3), farthest])[way - farthest > margin_m]
 
 
-@numba.njit(cache=True, nogil=True)
-def _body(exponents, axes, pose):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _body(exponents, axes, pose):
     """Return a primitive as numbers: an array is counted whenever it is passed on, which takes longer than the rest.
 
     They are its centre, rotation, semi-axes and exponents.
@@ -222,23 +222,23 @@ def _body(exponents, axes, pose):  # type: ignore[no-untyped-def] # pragma: no c
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _local(body, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _local(body, x, y, z):
     """Return the local coordinates of a point."""
     center, r, _, _ = body
     dx, dy, dz = x - center[0], y - center[1], z - center[2]
     return r[0] * dx + r[3] * dy + r[6] * dz, r[1] * dx + r[4] * dy + r[7] * dz, r[2] * dx + r[5] * dy + r[8] * dz
 
 
-@numba.njit(cache=True, nogil=True)
-def _ball_in(x, y, z, body, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _ball_in(x, y, z, body, radius, log_g, net, factor):
     """Return an upper bound of ln G over a ball in a primitive; infinity if the ball may protrude from it."""
     x, y, z = _local(body, x, y, z)
     return _local_ball_in(abs(x), abs(y), abs(z), body[2], body[3], radius, log_g, net, factor)
 
 
-@numba.njit(cache=True, nogil=True)
-def _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor):
     """Return the same of a ball whose centre has these absolute local coordinates."""
     if x + radius > axes[0] or y + radius > axes[1] or z + radius > axes[2]:
         return np.inf
@@ -248,8 +248,8 @@ def _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor):  # typ
     return 2.0 / e1 * value if value <= limit else np.inf
 
 
-@numba.njit(cache=True, nogil=True)
-def _balls_in(points, exponents, axes, pose, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _balls_in(points, exponents, axes, pose, radius, log_g, net, factor):
     """Return (N,) upper bounds of ln G as `_ball_in` over the balls around (N, 3) points, in one primitive.
 
     A point that another one dominates is in where that is, with its bound.
@@ -270,8 +270,8 @@ def _balls_in(points, exponents, axes, pose, radius, log_g, net, factor):  # typ
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _balls(points, exponents, axes, poses, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _balls(points, exponents, axes, poses, radius, log_g, net, factor):
     out, worst, last = 0, -700.0, 0
     for n in range(len(points)):
         best = np.inf
@@ -289,8 +289,8 @@ def _balls(points, exponents, axes, poses, radius, log_g, net, factor):  # type:
     return out, worst
 
 
-@numba.njit(cache=True, nogil=True)
-def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, factor):
     """Return the number of pieces, that of uncovered triangles, and the largest ln G of a covered one."""
     count = len(axes)
     bounds = np.empty((len(vertices), count))
@@ -345,8 +345,8 @@ def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, fact
     return pieces, uncovered, worst
 
 
-@numba.njit(cache=True, nogil=True)
-def _is_lost(values):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _is_lost(values):
     """Return whether a corner lies in no primitive, so that no bisection helps."""
     for c in range(3):
         if values[c].min() == np.inf:
@@ -354,8 +354,8 @@ def _is_lost(values):  # type: ignore[no-untyped-def] # pragma: no cover
     return False
 
 
-@numba.njit(cache=True, nogil=True)
-def _cells(centers, row_ends, half, exponents, axes, poses, log_g):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _cells(centers, row_ends, half, exponents, axes, poses, log_g):
     """Return (N,) which cells lie in no primitive as a whole.
 
     Primitives are convex: one that contains two cells of a row contains those between them.
@@ -391,8 +391,8 @@ def _cells(centers, row_ends, half, exponents, axes, poses, log_g):  # type: ign
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _holds(x, y, z, half, reach, body, log_g):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _holds(x, y, z, half, reach, body, log_g):
     """Return whether a primitive contains the cell around a centre."""
     center = _local(body, x, y, z)
     x, y, z = abs(center[0]), abs(center[1]), abs(center[2])
@@ -406,8 +406,8 @@ def _holds(x, y, z, half, reach, body, log_g):  # type: ignore[no-untyped-def] #
     return around <= limit or _holds_corners(center, half, body, limit)
 
 
-@numba.njit(cache=True, nogil=True)
-def _holds_corners(center, half, body, limit):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _holds_corners(center, half, body, limit):
     """Return whether a primitive contains the eight corners of a cell, and so, being convex, all of the cell."""
     _, r, axes, exponents = body
     for corner in range(8):

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -160,8 +160,8 @@ def _shelved(sizes: NDArray[np.int64], side: int) -> NDArray[np.int64] | None:
     return places
 
 
-@numba.njit(cache=True, nogil=True)
-def _claim(corners, owner, is_covered, inside):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _claim(corners, owner, is_covered, inside):
     """Give each texel to a face whose projection has its centre; a face that lies over another one gets none."""
     side = owner.shape[0]
     for f in range(len(corners)):
@@ -190,8 +190,8 @@ def _claim(corners, owner, is_covered, inside):  # type: ignore[no-untyped-def] 
                         owner[y, x] = f
 
 
-@numba.njit(cache=True, nogil=True)
-def _is_inside(corners, px, py, inside):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _is_inside(corners, px, py, inside):
     """Return whether a place is inside of a triangle by more than a share."""
     ax, ay = corners[0]
     bx, by = corners[1]

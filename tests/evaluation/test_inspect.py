@@ -10,7 +10,7 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.inspection.inspect import MapSummary, as_json, chosen, format_table, summarize
-from hickory_stream.inspection.place import place_of
+from hickory_stream.inspection.object_geometry import place_of
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder

@@ -17,13 +17,13 @@ from hickory_stream.events import Event, SourceEnded
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.records import Phase, TrackedObject
 from tests.mapping.mapping_fixtures import drive
-from tools.evaluation.ladder import RUNGS, TrueImages, TrueSegmenter, core_of, mapping_of, segmenter_of
+from tools.evaluation.oracle_ablation import RUNGS, TrueImages, TrueSegmenter, core_of, mapping_of, segmenter_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.records import Frame, Segmentation
-    from tools.evaluation.ladder import Rung
+    from tools.evaluation.oracle_ablation import Rung
 
 # Two boxes of one colour that touch, and a third one apart; ids in the truth are not those of the images of the twin.
 BOXES = (

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hickory_stream.evaluation.evaluate import purity
 from hickory_stream.evaluation.exposed import exposed_samples
-from hickory_stream.evaluation.purity import purity
 from hickory_stream.evaluation.surface_score import TrueSurface, diameter_m, surface_score
 from hickory_stream.evaluation.trajectory_error import pose_error
 from hickory_stream.geometry.mesh import Mesh

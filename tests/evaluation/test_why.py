@@ -16,7 +16,7 @@ from hickory_stream.evaluation.truth_sightings import Other, Part, Sighting, Tru
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
-from hickory_stream.inspection.track_story import stretches_of
+from hickory_stream.inspection.track_history import stretches_of
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.mapping.entities.existence import ExistenceConfig
 from hickory_stream.records import Decision, MapSnapshot

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.cli.fleet import result_text
+from hickory_stream.cli.runs.fleet import result_text
 from hickory_stream.fleet.finish import Finished, finish
 from hickory_stream.fleet.messages import Ended
 from hickory_stream.fleet.result import result_of

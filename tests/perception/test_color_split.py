@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
-from hickory_stream.perception.fragments.over_segmentation.color_split import (
-    ColorSplitConfig,
-    _histogram,
-    split_by_color,
-)
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hickory_stream.perception.cielab import lab_of
+from hickory_stream.perception.fragments.color_split import (
+    ColorSplitConfig,
+    _histogram,
+    split_by_color,
+)
 from hickory_stream.perception.masks import label_boxes
 from tests.strategies import seeds
 

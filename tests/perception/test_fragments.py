@@ -1,10 +1,10 @@
 """Supporting planes against a labelling of connected regions by SciPy."""
 
 import numpy as np
-from hickory_stream.perception.fragments.over_segmentation.over_segmentation import _label_level
 from hypothesis import given
 from scipy.ndimage import label
 
+from hickory_stream.perception.fragments.over_segmentation import _label_level
 from tests.strategies import seeds
 
 

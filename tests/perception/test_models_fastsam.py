@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 import small_graphs
-from hickory_stream.perception.structure.detection.detection import StructureConfig
 from hypothesis import given
 from hypothesis import strategies as st
 from onnx import TensorProto, helper
@@ -13,6 +12,7 @@ from hickory_stream.perception.models.fastsam import FastSam, FastSamConfig, Fas
 from hickory_stream.perception.models.network import Network, NetworkConfig
 from hickory_stream.perception.models.preprocessing import letterbox_of, letterboxed
 from hickory_stream.perception.models.yolo_masks import detections_of, suppressed
+from hickory_stream.perception.structure.detection import StructureConfig
 from hickory_stream.perception.surface import SurfaceConfig
 from hickory_stream.records import Frame
 

@@ -1,10 +1,10 @@
 """Known structure against a search of every point's voxel."""
 
 import numpy as np
-from hickory_stream.perception.structure.detection.room_structure import _in_voxels
 from hypothesis import given
 
 from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.perception.structure.room_structure import _in_voxels
 from tests.strategies import seeds
 
 

@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
-from hickory_stream.perception.structure.detection.detection import (
+from hypothesis import given
+from perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
+
+from hickory_stream.perception.structure.detection import (
     StructureConfig,
     floor_height_m,
     horizontal_planes,
     pixel_areas_m2,
 )
-from hypothesis import given
-from perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
-
 from hickory_stream.perception.surface import SurfaceConfig, _reduce_depth, _without_flying_pixels, surface_of
 from tests.strategies import seeds
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hickory_stream.shapes.generated.reconstructor.blend import BlendConfig, blended
-from hickory_stream.shapes.generated.reconstructor.distance_field import even_samples
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.mesh import is_closed
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import Reconstruction, ShapeInputs
+from hickory_stream.shapes.generated.blend import BlendConfig, blended
+from hickory_stream.shapes.generated.distance_field import even_samples
 from hickory_stream.shapes.reconstruct.fused import VolumeConfig
 from tests.shapes.shape_fixtures import shape_inputs
 from tools.benchmarks.oracle import plain_mesh

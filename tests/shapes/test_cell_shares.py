@@ -1,11 +1,11 @@
 """The cells that a superquadric fills: by the distances of `tangent_distance`, to the last bit."""
 
 import numpy as np
-from hickory_stream.shapes.fit.marching_primitives.cell_shares import body_of, distance_bound, occupancies, occupancy
-from hickory_stream.shapes.fit.marching_primitives.quadric_lm import row_of, tangent_distance
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hickory_stream.shapes.fit.cell_shares import body_of, distance_bound, occupancies, occupancy
+from hickory_stream.shapes.fit.quadric_lm import row_of, tangent_distance
 from tests.strategies import rotations
 
 _LOW, _HIGH = np.array([-9, -9, -9]), np.array([10, 10, 10])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hickory_stream.shapes.inflate.inflation.cover import undominated
+
+from hickory_stream.shapes.inflate.cover import undominated
 
 
 def by_definition(points: np.ndarray) -> np.ndarray:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import trimesh
-from hickory_stream.shapes.fit.marching_primitives.envelope import filled
 
+from hickory_stream.shapes.fit.envelope import filled
 from hickory_stream.shapes.sdf import DistanceGrid, distance_grid
 from tools.benchmarks.shape_meshes import hollow_mesh, test_mesh
 

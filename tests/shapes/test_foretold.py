@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hickory_stream.shapes.generated.reconstructor.judgement import JudgementConfig, by_other_views, newly_seen
 
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.shapes.generated.judgement import JudgementConfig, by_other_views, newly_seen
 from tools.benchmarks.oracle import Sighted, plain_mesh, sighted
 
 CONFIG = JudgementConfig()

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import trimesh
-from hickory_stream.shapes.generated.reconstructor.distance_field import distance_field, even_samples, field_at
-from hickory_stream.shapes.generated.reconstructor.judgement import (
+from scipy.spatial import cKDTree
+
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.ports import MeshPlacement, NotPlaced, Reconstruction, ShapeInputs
+from hickory_stream.shapes.generated.distance_field import distance_field, even_samples, field_at
+from hickory_stream.shapes.generated.judgement import (
     JudgementConfig,
     ShapeEvidence,
     judged,
     replaces,
     shape_evidence,
 )
-from hickory_stream.shapes.generated.reconstructor.placement import EmbeddedPlacement, PlacementConfig
-from scipy.spatial import cKDTree
-
-from hickory_stream.geometry.rigid import apply
-from hickory_stream.ports import MeshPlacement, NotPlaced, Reconstruction, ShapeInputs
+from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
 from tools.benchmarks.oracle import Generated, Sighted, generated, plain_mesh, sighted
 
 if TYPE_CHECKING:

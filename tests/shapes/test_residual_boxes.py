@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from hickory_stream.shapes.inflate.inflation.residual_boxes import Box, boxes_around
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.rigid import yaw_rotation
+from hickory_stream.shapes.inflate.residual_boxes import Box, boxes_around
 
 
 def volume(boxes: list[Box], margin: float = 0.0) -> float:

@@ -1,11 +1,12 @@
 """Where primitives begin: how deep a cell lies in a solid."""
 
 import numpy as np
-from hickory_stream.shapes.fit.marching_primitives.seeds import chessboard_depth
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
+
+from hickory_stream.shapes.fit.seeds import chessboard_depth
 
 
 @given(arrays.arrays(bool, arrays.array_shapes(min_dims=3, max_dims=3, max_side=8), elements=st.booleans()))

@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
-from hickory_stream.shapes.fit.marching_primitives.quadric_lm import row_of, tangent_distance
-from hickory_stream.shapes.fit.marching_primitives.tangent_planes import (
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hickory_stream.shapes.fit.quadric_lm import row_of, tangent_distance
+from hickory_stream.shapes.fit.tangent_planes import (
     BLOCK,
     DISTANCE,
     JACOBIAN,
@@ -17,9 +20,6 @@ from hickory_stream.shapes.fit.marching_primitives.tangent_planes import (
     quick_exp,
     quick_log,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-
 from tests.strategies import rotations
 
 

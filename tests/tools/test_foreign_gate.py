@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from tools.benchmarks.figures import Figure
-    from tools.evaluation.ladder import Rung
+    from tools.evaluation.oracle_ablation import Rung
 
 
 def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[float] | None = None) -> dict[str, Any]:

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.errors import InputError
-from players.damaging import KINDS, Kind, damaged, open_sound, parts_of, survivors
 from players.opening import open_container
+from tools.benchmarks.damaging import KINDS, Kind, damaged, open_sound, parts_of, survivors
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.map_damage import figures_of as map_figures_of
 from tools.benchmarks.map_damage import run_map_cases

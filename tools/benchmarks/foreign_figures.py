@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tools.evaluation.ladder import Rung
+    from tools.evaluation.oracle_ablation import Rung
 
     Measured = Mapping[Part, dict[str, Any]]
 

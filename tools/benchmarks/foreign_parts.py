@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import InputError
 from tools.benchmarks.repetitions import hash_of_files
-from tools.evaluation.ladder import RUNGS
+from tools.evaluation.oracle_ablation import RUNGS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from tools.evaluation.ladder import Rung
+    from tools.evaluation.oracle_ablation import Rung
 
 TUNED_WORLDS, REPORTED_WORLDS = ("home", "bookstore"), ("office", "warehouse")
 WORLDS = (*TUNED_WORLDS, *REPORTED_WORLDS)

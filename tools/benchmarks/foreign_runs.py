@@ -29,14 +29,14 @@ from tools.benchmarks.first_layer import play_first_layer
 from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
 from tools.benchmarks.mask_scores import UNKNOWN, score_masks
 from tools.benchmarks.processes import ROOT, play
-from tools.evaluation.ladder import TrueImages, core_of, mapping_of, segmenter_of
+from tools.evaluation.oracle_ablation import TrueImages, core_of, mapping_of, segmenter_of
 
 if TYPE_CHECKING:
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.ports import Segmenter
     from hickory_stream.records import Frame, MapPrior, Segmentation
-    from tools.evaluation.ladder import Rung
+    from tools.evaluation.oracle_ablation import Rung
 
 _MIN_SHARE = 0.002
 _TIMED_KEYFRAMES = 60

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hickory_stream.base.compiled import kernel
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import Frame
@@ -118,8 +118,8 @@ def _read_pcd(data: bytes) -> tuple[dict[str, NDArray[np.generic]], int, int]:
     return fields, width, height
 
 
-@numba.njit(cache=True)
-def _decompress(packed, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _decompress(packed, out):
     """Undo LZF: runs of literals, and references to what was written before; return the length, -1 if damaged."""
     i, o = 0, 0
     while i < len(packed):

@@ -13,18 +13,18 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from hickory_stream.shapes.generated.reconstructor.judgement import (
-    JudgementConfig,
-    ShapeEvidence,
-    judged,
-    shape_evidence,
-)
-from hickory_stream.shapes.generated.reconstructor.placement import EmbeddedPlacement, PlacementConfig
 from scipy.spatial import cKDTree
 
 from hickory_stream.evaluation.surface_score import diameter_m
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import MeshPlacement, Reconstruction
+from hickory_stream.shapes.generated.judgement import (
+    JudgementConfig,
+    ShapeEvidence,
+    judged,
+    shape_evidence,
+)
+from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
 from tools.benchmarks.adapter_fakes import ADAPTERS, REFINERS, adapter_fault, refiner_fault
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.foreign_logs import worlds_folder

@@ -6,21 +6,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from hickory_stream.shapes.generated.reconstructor.blend import BlendConfig, blended
-from hickory_stream.shapes.generated.reconstructor.distance_field import even_samples
-from hickory_stream.shapes.generated.reconstructor.judgement import (
-    JudgementConfig,
-    by_other_views,
-    judged,
-    replaces,
-    shape_evidence,
-)
 from scipy.spatial import cKDTree
 
 from hickory_stream.evaluation.exposed import exposed_samples
 from hickory_stream.evaluation.surface_score import diameter_m
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import Reconstruction
+from hickory_stream.shapes.generated.blend import BlendConfig, blended
+from hickory_stream.shapes.generated.distance_field import even_samples
+from hickory_stream.shapes.generated.judgement import (
+    JudgementConfig,
+    by_other_views,
+    judged,
+    replaces,
+    shape_evidence,
+)
 from hickory_stream.shapes.reconstruct.fused import FusedConfig, FusedReconstructor, VolumeConfig
 from tools.benchmarks.oracle import plain_mesh
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from players.containers import Topic
+    from players.logs.containers import Topic
 
 _COLOR = "/zed/zed_node/rgb/color/rect/image/compressed"
 _DEPTH = "/zed/zed_node/depth/depth_registered/compressedDepth"

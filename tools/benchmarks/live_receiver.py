@@ -18,7 +18,7 @@ from hickory_stream.ports import SourceAround
 from players.live import open_live
 from players.live.inbox import Inbox
 from players.live.recorder import Recorder
-from players.peek import peek_stamp_ns
+from players.messages.header_stamp import peek_stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.records import RawFrame
-    from players.containers import LogMessage, Topic
     from players.live import LiveMapSource
+    from players.logs.containers import LogMessage, Topic
 
 _DRAINED_S = 3.0
 _LEAST_FRAMES = 15

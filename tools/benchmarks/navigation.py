@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from hickory_stream.shapes.inflate.inflation.inflation import InflateConfig
 
 from hickory_stream.evaluation.evaluate import true_mesh_world
 from hickory_stream.evaluation.navigation_methods import built
@@ -23,6 +22,7 @@ from hickory_stream.navigation.free_space import CELL_M
 from hickory_stream.navigation.occupancy import Occupancy, distance_field_m
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.navigation.search import NoPath, Path, first_path, plan
+from hickory_stream.shapes.inflate.inflation import InflateConfig
 from hickory_stream.worlds.cache import cached_recording
 from tools.benchmarks.apartment_maps import apartment_map, apartment_recording
 from tools.benchmarks.figures import Figure, Options

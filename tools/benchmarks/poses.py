@@ -28,8 +28,8 @@ from hickory_stream.worlds.layouts import drawn_mounting
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
-from players.log_source import LogSource
-from players.mounting import estimated_mounting
+from players.logs.log_source import LogSource
+from players.poses.extrinsics import estimated_mounting
 from tools.benchmarks.drift_figures import drift_figures, registration_figures
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.fleet_figures import fleet_figures

@@ -216,7 +216,7 @@ def _of_module(path: Path, name: Path) -> Iterator[Constant]:
     compiled = {
         node.id
         for function in ast.walk(tree)
-        if _is_function(function) and any("njit" in ast.unparse(d) for d in function.decorator_list)
+        if _is_function(function) and any("kernel" in ast.unparse(d) for d in function.decorator_list)
         for node in ast.walk(function)
         if isinstance(node, ast.Name)
     }

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
-from hickory_stream.shapes.fit.marching_primitives.marching_primitives import FitConfig, Fitted, fitted_shape
-from hickory_stream.shapes.inflate.inflation.inflation import InflateConfig, Inflated, inflated
 
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.geometry.superquadric import Superquadrics, moved
 from hickory_stream.geometry.superquadric_surface import display_mesh
+from hickory_stream.shapes.fit.marching_primitives import FitConfig, Fitted, fitted_shape
+from hickory_stream.shapes.inflate.inflation import InflateConfig, Inflated, inflated
 from tools.benchmarks.shape_meshes import test_mesh
 from tools.benchmarks.shape_truth import Solid, grown_volume_ratio, sampled_iou, surface_distance_pct, volumetric_iou
 
@@ -89,7 +89,7 @@ def _render(folder: Path, row: Row, upright: trimesh.Trimesh, upright_from_mesh:
     """Draw the mesh, its fit and its inflation, the latter at a smaller scale, standing as the mesh was made."""
     import cv2
 
-    from hickory_stream.pictures.close_up import close_up_of, draw
+    from hickory_stream.pictures.object_thumbnail import close_up_of, draw
     from hickory_stream.pictures.raycast import Surface
     from hickory_stream.pictures.render_parts import superquadric_surfaces
 

@@ -9,14 +9,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from hickory_stream.shapes.fit.marching_primitives.marching_primitives import FitConfig, fit_superquadrics
-from hickory_stream.shapes.inflate.inflation.inflation import InflateConfig, inflated
 
 from hickory_stream.base.caches import cache_folder
 from hickory_stream.evaluation.truth import Truth, mesh_of
 from hickory_stream.geometry.mesh import Mesh, sha256_of
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics, moved
+from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics
+from hickory_stream.shapes.inflate.inflation import InflateConfig, inflated
 
 _ROOT = Path(__file__).resolve().parents[2]
 _NO_POINTS = np.empty((0, 3))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
 
 if TYPE_CHECKING:
@@ -74,8 +74,8 @@ def _matched(a: NDArray[np.float64], b: NDArray[np.float64], sigma_geo: float) -
     return float(min(weighted[rows, columns].sum(), 1.0))
 
 
-@numba.njit(cache=True, nogil=True)
-def _pair_scores(a, b, sigma):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _pair_scores(a, b, sigma):
     """Return the (A, B) terms of Eq. (sgeo), each over the order of axes, and the dual, that suits it best."""
     out = np.zeros((len(a), len(b)))
     for i in range(len(a)):
@@ -94,8 +94,8 @@ def _pair_scores(a, b, sigma):  # type: ignore[no-untyped-def] # pragma: no cove
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _over_orders(e1, e2, axes, f1, f2, other, sigma):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _over_orders(e1, e2, axes, f1, f2, other, sigma):
     """Return the best term over the six ways to lay the axes of one primitive on those of the other.
 
     The outline in the plane of x and y is drawn by e2, that in the two others by e1: |de1| + |de2| of the paper is, for

@@ -29,7 +29,7 @@ from tools.benchmarks.first_layer import play_first_layer
 from tools.benchmarks.foreign_logs import foreign_log, worlds_folder
 from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
 from tools.benchmarks.mask_scores import UNKNOWN, MaskScore, score_masks, total
-from tools.evaluation.ladder import TrueImages, truly_joined
+from tools.evaluation.oracle_ablation import TrueImages, truly_joined
 from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, frames_of_scene
 from tools.network_training.scenes import HELD_OUT
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.codecs.packing import color_planes, colors_of
 from hickory_stream.geometry.voxels import keys_of_cells
 
@@ -62,8 +62,8 @@ def unpacked_means(data: bytes, count: int) -> NDArray[np.float32]:
     return means
 
 
-@numba.njit(cache=True, nogil=True)
-def _split(colors, bits, hits, sums, off):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _split(colors, bits, hits, sums, off):
     """Put into `hits` the number of colours that each is a mean of, 0: of none; the sums; and how far off the bits are.
 
     What fits the one before, its neighbour, is tried first.
@@ -118,8 +118,8 @@ def unpacked_colors(keys: NDArray[np.int64], left: NDArray[np.uint8]) -> NDArray
     return colors
 
 
-@numba.njit(cache=True, nogil=True)
-def _expected(keys, colors, i, beside, behind):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _expected(keys, colors, i, beside, behind):
     """Return what the neighbours of voxel `i` say of its red, green and blue, and the places to go on at.
 
     Neighbours are the voxel below, and those one step along x and one along y, or just below or above one of these.
@@ -152,8 +152,8 @@ def _expected(keys, colors, i, beside, behind):  # type: ignore[no-untyped-def] 
     return red, green, blue, beside, behind
 
 
-@numba.njit(cache=True, nogil=True)
-def _pack(keys, colors, left):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _pack(keys, colors, left):
     beside, behind = 0, 0
     for i in range(len(keys)):
         red, green, blue, beside, behind = _expected(keys, colors, i, beside, behind)
@@ -163,8 +163,8 @@ def _pack(keys, colors, left):  # type: ignore[no-untyped-def] # pragma: no cove
         left[2, i] = (np.int64(colors[i, 2]) - blue - off) & 255
 
 
-@numba.njit(cache=True, nogil=True)
-def _unpack(keys, left, colors):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _unpack(keys, left, colors):
     beside, behind = 0, 0
     for i in range(len(keys)):
         red, green, blue, beside, behind = _expected(keys, colors, i, beside, behind)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,8 +53,8 @@ def unpacked_depths(data: bytes, are_there: Sequence[NDArray[np.bool_]]) -> list
     return images
 
 
-@numba.njit(cache=True, nogil=True)
-def _expected(image, y, x, last):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _expected(image, y, x, last):
     """Return what the neighbours of a pixel say of it, of which those above and to the left are known."""
     left = np.int64(image[y, x - 1]) if x > 0 else np.int64(0)
     above = np.int64(image[y - 1, x]) if y > 0 else np.int64(0)
@@ -72,8 +72,8 @@ def _expected(image, y, x, last):  # type: ignore[no-untyped-def] # pragma: no c
     return above if above else last
 
 
-@numba.njit(cache=True, nogil=True)
-def _pack(image, short, long, at, num_long, last):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _pack(image, short, long, at, num_long, last):
     height, width = image.shape
     for y in range(height):
         for x in range(width):
@@ -94,8 +94,8 @@ def _pack(image, short, long, at, num_long, last):  # type: ignore[no-untyped-de
     return at, num_long, last
 
 
-@numba.njit(cache=True, nogil=True)
-def _unpack(image, is_there, short, long, at, num_long, last):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _unpack(image, is_there, short, long, at, num_long, last):
     height, width = image.shape
     for y in range(height):
         for x in range(width):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,8 +59,8 @@ def colors_of(planes: bytes, count: int) -> NDArray[np.uint8]:
     return np.stack([red + green, green, blue + green], axis=1)
 
 
-@numba.njit(cache=True, nogil=True)
-def _put_color_planes(colors, planes):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _put_color_planes(colors, planes):
     red, green, blue = np.int64(0), np.int64(0), np.int64(0)
     for i in range(len(colors)):
         now_green = np.int64(colors[i, 1])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,8 +50,8 @@ def is_denser(keys: NDArray[np.int64]) -> bool:
     return bool(0 < 2 * count <= len(keys))
 
 
-@numba.njit(cache=True, nogil=True)
-def _num_blocks(keys):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _num_blocks(keys):
     """Return the number of blocks that at least one key lies in, 0 where they do not ascend strictly."""
     count = 1
     for i in range(1, len(keys)):
@@ -61,8 +61,8 @@ def _num_blocks(keys):  # type: ignore[no-untyped-def] # pragma: no cover
     return count
 
 
-@numba.njit(cache=True, nogil=True)
-def _put_blocks(keys, heads, words):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _put_blocks(keys, heads, words):
     count = 0
     for i in range(len(keys)):
         head = keys[i] >> _BITS

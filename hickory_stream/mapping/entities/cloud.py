@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
 from hickory_stream.geometry.lazy_arrays import compressed, in_memory, restored
@@ -276,8 +276,8 @@ def share_near(keys: NDArray[np.int64], cloud: Cloud, sample: int = 400) -> floa
     return float(is_near(keys[:: max(1, len(keys) // sample)], cloud).mean())
 
 
-@numba.njit(cache=True, nogil=True)
-def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hits):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hits):
     """Merge two clouds with sorted keys in one pass."""
     size = len(a_keys) + len(b_keys)
     keys = np.empty(size, dtype=np.int64)
@@ -310,8 +310,8 @@ def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hit
     return keys[:n].copy(), points[:n].copy(), colors[:n].copy(), hits[:n].copy()
 
 
-@numba.njit(cache=True, nogil=True)
-def _without(keys, points, colors, hits, drop):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _without(keys, points, colors, hits, drop):
     """Copy the voxels that are kept, in one pass over all four arrays."""
     count = 0
     for i in range(len(drop)):

@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.arrays import check_array
 from hickory_stream.geometry.lazy_arrays import GivesUpArrays, read_briefly
@@ -341,8 +341,8 @@ def _is_level_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _voted(surface, hits, misses, voters, structure):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _voted(surface, hits, misses, voters, structure):
     """Return surface, hits and misses with one vote more for each of the voters, all sorted, in one walk.
 
     Those that are in `structure` are hit, the others missed; new voxels have no votes yet. Also returned: 1 for each
@@ -407,8 +407,8 @@ def _votes_at(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _hits_at(surface, hits, misses, keys):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _hits_at(surface, hits, misses, keys):
     out = np.zeros(len(keys), dtype=np.uint8)
     at = 0
     for i in range(len(keys)):
@@ -423,8 +423,8 @@ def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: floa
     return float(_share_in(keys, points, max(1, len(points) // 200), voxel_m))
 
 
-@numba.njit(cache=True, nogil=True)
-def _share_in(sorted_keys, points, step, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _share_in(sorted_keys, points, step, voxel_m):
     """Return the share of (N, 3) points, N >= 1, in voxels of sorted keys, from every `step`-th point."""
     count, num_in, at = 0, 0, 0
     for i in range(0, len(points), step):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.lazy_arrays import GivesUpArrays
@@ -80,8 +80,8 @@ def with_points(surface: SubmapSurface, seen: SurfacePoints, voxel_m: float) -> 
     return SubmapSurface(keys=keys, points=points, normals=normals, hits=hits)
 
 
-@numba.njit(cache=True, nogil=True)
-def _with_means(keys, points, normals, hits, seen_keys, means):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _with_means(keys, points, normals, hits, seen_keys, means):
     """Merge the sorted voxels of a surface and of a keyframe in one pass; `means` (M, 6) are the keyframe's."""
     most = len(keys) + len(seen_keys)
     out_keys, out_hits = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.uint8)
@@ -133,8 +133,8 @@ def surface_points(coarse: CoarseFrame, world_from_camera: NDArray[np.float64], 
     )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _facets(depth_mm, cells, lens, range_m):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _facets(depth_mm, cells, lens, range_m):
     """Return (N, 3) points and (N, 3) unit normals in the camera; `cells`: their stride, and the pixel of the first."""
     (stride, left, top), (fx, fy, cx, cy) = cells, lens
     height, width = depth_mm.shape
@@ -180,8 +180,8 @@ def _voxel_means(seen: SurfacePoints, voxel_m: float) -> tuple[NDArray[np.int64]
     return keys[by_key], (np.add.reduceat(values, starts) / counts).astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True)
-def _by_group(groups, by_key, points, normals):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _by_group(groups, by_key, points, normals):
     """Return points and normals (N, 6), group by group in an order of groups, and where each of these starts."""
     counts = np.zeros(len(by_key), dtype=np.int64)
     for i in range(len(groups)):

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, ODDS_UNIT, ODDS_ZERO, OFFSETS
-from hickory_stream.perception.fragments.over_segmentation.union_find import find_root
+from hickory_stream.perception.fragments.union_find import find_root
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -51,8 +51,8 @@ def divided_by_odds(labels: NDArray[np.int32], odds: PixelOdds, config: SplitCon
     return np.asarray(_renamed(labels, few, pieces, int(labels.max(initial=0))))
 
 
-@numba.njit(cache=True, nogil=True)
-def _by_sureness(labels, odds, offsets, num_near, zero):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _by_sureness(labels, odds, offsets, num_near, zero):
     """Return the edges within labels, as pixel and offset index, the most confident first, by counting sort.
 
     They are attractive edges between neighbours and repulsive edges between pixels farther apart.
@@ -85,8 +85,8 @@ def _by_sureness(labels, odds, offsets, num_near, zero):  # type: ignore[no-unty
     return places
 
 
-@numba.njit(cache=True, nogil=True)
-def _mutex_watershed(labels, odds, offsets, num_near, zero):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _mutex_watershed(labels, odds, offsets, num_near, zero):
     """Return (h, w) the piece of each pixel, named by the flat index of one of its pixels."""
     height, width = labels.shape
     said = _by_sureness(labels, odds, offsets, num_near, zero)
@@ -134,8 +134,8 @@ def _mutex_watershed(labels, odds, offsets, num_near, zero):  # type: ignore[no-
     return np.array([find_root(parent, i) for i in range(height * width)]).reshape(height, width)
 
 
-@numba.njit(cache=True, nogil=True)
-def _without_specks(labels, pieces, odds, offsets, min_pixels):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _without_specks(labels, pieces, odds, offsets, min_pixels):
     """Return the pieces after merging those that are too small with a neighbour of the same label, smallest first."""
     height, width = labels.shape
     size = height * width
@@ -188,8 +188,8 @@ def _without_specks(labels, pieces, odds, offsets, min_pixels):  # type: ignore[
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _renamed(labels, few, pieces, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _renamed(labels, few, pieces, count):
     """Return (h, w) new labels: each pixel takes the piece of the nearest network pixel with the same old label."""
     height, width = labels.shape
     names = np.zeros(few.size, dtype=np.int32)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import log
 
@@ -72,15 +72,15 @@ def _heading(world_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
     return np.asarray(forward / max(portable.norm(forward), 1e-9), dtype=np.float32)
 
 
-@numba.njit(cache=True, nogil=True)
-def _byte(value):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _byte(value):
     """Return the byte of a value, which is clipped to -2..1.98."""
     scaled = np.float32(128.5) + np.float32(64.0) * value
     return np.uint8(min(max(scaled, np.float32(0.0)), np.float32(255.0)))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _bends(one, other, own, stiffness, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _bends(one, other, own, stiffness, out):
     """Fill in (W,) the second differences of inverse depth in sigmas, squeezed to -2..2; 0 where not measurable.
 
     `one` and `other` (W,) are inverse depths on both sides of `own`, NaN where there is no return, and `stiffness` (W,)
@@ -95,8 +95,8 @@ def _bends(one, other, own, stiffness, out):  # type: ignore[no-untyped-def] # p
         out[x] = byte if own[x] > zero else np.uint8(ZERO)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _geometry(depth, points, normals, sigma, heading, focal_px, floor_z_m, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _geometry(depth, points, normals, sigma, heading, focal_px, floor_z_m, out):
     height, width = depth.shape
     one = np.float32(1.0)
     # Beyond the image there is no return either.
@@ -130,8 +130,8 @@ def _geometry(depth, points, normals, sigma, heading, focal_px, floor_z_m, out):
                 out[10, y, x] = _byte(one)
 
 
-@numba.njit(cache=True, nogil=True)
-def _colors(lab, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _colors(lab, out):
     height, width = lab.shape[:2]
     for y in range(height):
         for x in range(width):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 
@@ -99,8 +99,8 @@ def _two_colors(
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _within(lab, mask):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _within(lab, mask):
     """Return (h, w, 3) the colours within a mask, 0 elsewhere."""
     out = np.zeros(lab.shape, dtype=np.float32)
     for y in range(mask.shape[0]):
@@ -111,8 +111,8 @@ def _within(lab, mask):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _window_colors(total, share, mask):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _window_colors(total, share, mask):
     """Return (N, 3) mean colours of the windows around a mask's pixels, the same centred, and (3, 3) the covariance."""
     count = 0
     for y in range(mask.shape[0]):
@@ -156,8 +156,8 @@ def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:
     return float(edges[best + 1]), float(between[best]) / max(variance, 1e-12)
 
 
-@numba.njit(cache=True, nogil=True)
-def _histogram(values, edges):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _histogram(values, edges):
     """Return the histogram of values over evenly spaced edges that enclose all of them."""
     bins = len(edges) - 1
     counts = np.zeros(bins, dtype=np.int64)

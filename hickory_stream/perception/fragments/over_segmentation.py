@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.portable_kernels import cos
-from hickory_stream.perception.fragments.over_segmentation.union_find import find_root
+from hickory_stream.perception.fragments.union_find import find_root
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.structure.detection.room_structure import RoomStructure
+    from hickory_stream.perception.structure.room_structure import RoomStructure
     from hickory_stream.perception.surface import Surface
 
 
@@ -55,8 +55,8 @@ def support_labels(
     return labels
 
 
-@numba.njit(cache=True, nogil=True)
-def _label_level(points, normals, slack, z_m, min_pixels, label, labels):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _label_level(points, normals, slack, z_m, min_pixels, label, labels):
     """Label the unlabelled pixels of 4-connected regions of a horizontal surface that are large enough."""
     height, width = labels.shape
     waits = np.empty((height, width), dtype=np.bool_)
@@ -123,8 +123,8 @@ def fragments_of(
     return _grow_into(labels, usable, surface.depth_m, supports, config.min_pixels)
 
 
-@numba.njit(cache=True, nogil=True)
-def _creases(points, normals, sigma, structure, reach, cos_crease, step):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _creases(points, normals, sigma, structure, reach, cos_crease, step):
     height, width = sigma.shape
     out = np.zeros((height, width), dtype=np.bool_)
     for y in range(height):
@@ -156,8 +156,8 @@ def _creases(points, normals, sigma, structure, reach, cos_crease, step):  # typ
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _join(depth, points, normals, sigma, structure, supports, creases, step, gap_share):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _join(depth, points, normals, sigma, structure, supports, creases, step, gap_share):
     height, width = depth.shape
     parent = np.arange(height * width)
     for y in range(height):
@@ -187,8 +187,8 @@ def _join(depth, points, normals, sigma, structure, supports, creases, step, gap
     return labels
 
 
-@numba.njit(cache=True, nogil=True)
-def _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_share):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_share):
     a, b = supports[y, x], supports[yy, xx]
     if a != b:  # whether objects on and below a plane are one is decided for whole fragments, in `join`
         return False
@@ -210,8 +210,8 @@ def _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_s
     return out_a < limit or out_b < limit
 
 
-@numba.njit(cache=True, nogil=True)
-def _grow_into(labels, usable, depth, supports, min_pixels):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _grow_into(labels, usable, depth, supports, min_pixels):
     """Assign crease pixels and small fragments to the neighbouring fragment of the most similar depth, ring by ring."""
     height, width = labels.shape
     sizes = np.bincount(labels.ravel())

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 
-@numba.njit(cache=True, nogil=True)
-def find_root(parent, i):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def find_root(parent, i):
     """Return the root of `i`, with path halving."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import log, log1p
 from hickory_stream.perception.regions.features import Features, of_both
 
@@ -63,8 +63,8 @@ def absolute_features(ordered: OrderedPairs) -> tuple[Features, Features]:
     return of_both(_OF_REGIONS, of_regions, large, small), Features(_OF_PAIRS, of_pairs)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_regions(out, sums, extents, floor_z_m):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _fill_regions(out, sums, extents, floor_z_m):
     """Fill in a row of `_OF_REGIONS` for each region."""
     pixels, area_m2, depth_m, members, lab, low, high = sums
     axes_m, low_m, high_m = extents
@@ -87,8 +87,8 @@ def _fill_regions(out, sums, extents, floor_z_m):  # type: ignore[no-untyped-def
         )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_pairs(out, larges, smalls, boxes, extents, union, geometry, contact):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _fill_pairs(out, larges, smalls, boxes, extents, union, geometry, contact):
     """Fill in a row of `_OF_PAIRS` for each pair."""
     low, high = boxes
     axes_m, low_m, high_m = extents
@@ -130,6 +130,6 @@ def _fill_pairs(out, larges, smalls, boxes, extents, union, geometry, contact): 
         )
 
 
-@numba.njit(cache=True, nogil=True)
-def _hypot(x, y):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _hypot(x, y):
     return np.sqrt(x * x + y * y)

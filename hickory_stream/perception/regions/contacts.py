@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -69,8 +69,8 @@ def contacts_of(surface: Surface, scene: NDArray[np.int32], reach_px: int) -> Co
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _contacts(scene, reach):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _contacts(scene, reach):
     """Return (K, 3) int64: flat index, flat index of the next labelled pixel to the right or below, 1 if below."""
     height, width = scene.shape
     out = np.empty((2 * height * width, 3), dtype=np.int64)
@@ -133,8 +133,8 @@ def support_contacts_of(
     return SupportContacts(outline=outline, free=free, on=on)
 
 
-@numba.njit(cache=True, nogil=True)
-def _counted(contacts, marks, edge, pieces, heights, level, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _counted(contacts, marks, edge, pieces, heights, level, count):
     """Return the counts of `SupportContacts`: a first pass finds the foot of each region, a second one counts it."""
     here_labels, there_labels, here_px, there_px = contacts
     is_below, touches, nearer = marks

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, ODDS_UNIT, ODDS_ZERO, OFFSETS
 from hickory_stream.perception.regions.region_graph import merged_keys
 
@@ -111,8 +111,8 @@ def _level_of_byte() -> NDArray[np.int64]:
     return np.searchsorted(np.array(LEVELS) * ODDS_UNIT + ODDS_ZERO, np.arange(256), side="right")
 
 
-@numba.njit(cache=True, nogil=True)
-def _add_pairs(pairs, which, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _add_pairs(pairs, which, out):
     """Add the sums of pairs to those of the pairs of groups; pairs of two members of a group are within the group."""
     (a, sums, levels), (places, numbers), (out_sums, out_levels, inner, num_inner) = pairs, which, out
     for i in range(len(places)):
@@ -127,8 +127,8 @@ def _add_pairs(pairs, which, out):  # type: ignore[no-untyped-def] # pragma: no 
                 out_levels[place, distance, level] += levels[i, distance, level]
 
 
-@numba.njit(cache=True, nogil=True)
-def _add_fragments(fragments, numbers, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _add_fragments(fragments, numbers, out):
     (inner, num_inner, thing, num_pixels), (out_inner, out_num_inner, out_thing, out_num_pixels) = fragments, out
     for i in range(len(numbers)):
         group = numbers[i]
@@ -139,8 +139,8 @@ def _add_fragments(fragments, numbers, out):  # type: ignore[no-untyped-def] # p
             out_num_inner[group, distance] += num_inner[i, distance]
 
 
-@numba.njit(cache=True, nogil=True)
-def _sums(labels, odds, offsets, num_distances, level_of, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _sums(labels, odds, offsets, num_distances, level_of, count):
     """Return the sums and levels of every pair of labels (lower first), and of each label, and the object log-odds."""
     height, width = labels.shape
     sums = np.zeros((count * count, num_distances), dtype=np.int32)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.fragments.over_segmentation.over_segmentation import Fragments
+    from hickory_stream.perception.fragments.over_segmentation import Fragments
     from hickory_stream.perception.regions.fragment_odds import FragmentOdds
     from hickory_stream.perception.regions.map_prior import FragmentOwners
     from hickory_stream.perception.regions.region_graph import RegionGraph

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.voxels import key_of_point, keys_of_points
@@ -124,8 +124,8 @@ def _owners_of_points(
     return found
 
 
-@numba.njit(cache=True, nogil=True)
-def _first_with(points, keys, ends, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _first_with(points, keys, ends, voxel_m):
     """Look up a point's voxel in the sorted keys of each object in turn, then its six face neighbours."""
     steps = np.array([0, 1, -1, 1 << 21, -(1 << 21), 1 << 42, -(1 << 42)], dtype=np.int64)
     owners = np.full(len(points), -1, dtype=np.int64)

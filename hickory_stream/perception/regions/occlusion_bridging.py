@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -72,8 +72,8 @@ def is_bridged(
     return np.asarray((most >= enough) & (other >= config.other_lines))
 
 
-@numba.njit(cache=True, nogil=True)
-def _bridges(depth, points, normals, sigma, labels, origin, rotation, intrinsics, gap, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _bridges(depth, points, normals, sigma, labels, origin, rotation, intrinsics, gap, tolerance):
     """Return (K, 3): two labels and whether the plane is horizontal, for each row or column that bridges the two."""
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, ODDS_UNIT
 from hickory_stream.perception.regions.features import Features
 from hickory_stream.perception.regions.fragment_odds import NUM_NEAR
@@ -46,8 +46,8 @@ def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: in
     return Features(ODDS_FEATURES, rows)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill(rows, pairs, sums, levels, inner, num_inner, thing, num_pixels, best):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _fill(rows, pairs, sums, levels, inner, num_inner, thing, num_pixels, best):
     """Fill in a row of `ODDS_FEATURES` for each pair; counts of 0 give NaN."""
     counts = np.empty(_NUM_DISTANCES, np.int64)
     for k in range(len(pairs)):
@@ -78,8 +78,8 @@ def _fill(rows, pairs, sums, levels, inner, num_inner, thing, num_pixels, best):
             row[at + 14 + side] = _mean(thing[region], num_pixels[region])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _best(a, b, sums, levels, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _best(a, b, sums, levels, count):
     """Return (count,) the highest mean log-odds of each region with any other, from those of pairs a, b."""
     best = np.full(count, -np.inf)
     for n in range(len(a)):
@@ -88,7 +88,7 @@ def _best(a, b, sums, levels, count):  # type: ignore[no-untyped-def] # pragma: 
     return best
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _mean(total, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _mean(total, count):
     """Return mean log-odds from a sum of bytes relative to even odds; NaN where the count is 0."""
     return total / (ODDS_UNIT * count) if count > 0 else np.nan

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.perception.regions.contacts import support_contacts_of
 from hickory_stream.perception.regions.region_extents import extents_of, union_of
 from hickory_stream.perception.regions.region_graph import merged_pairs, merged_regions
@@ -59,8 +59,8 @@ def pair_geometry(
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _fill(regions, pairs, larges, smalls, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _fill(regions, pairs, larges, smalls, out):
     """Fill in a row of each of the five arrays of `PairGeometry` for each pair."""
     (pixels, place, low, high), (touches, contact, contact_squares) = regions, pairs
     aside_m, overlap_m, inset_m, contact_m, spread_m = out

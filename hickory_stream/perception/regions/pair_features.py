@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import log, log1p
 from hickory_stream.perception.regions.absolute_features import absolute_features
 from hickory_stream.perception.regions.features import Features, joined, of_both
@@ -125,8 +125,8 @@ def _contacts(ordered: OrderedPairs) -> NDArray[np.float64]:
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_regions(out, sizes, sums, extents, support):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _fill_regions(out, sizes, sums, extents, support):
     """Fill in a row of `_OF_REGIONS` for each region."""
     pixels, area_m2, outline, cut = sizes
     planes, normals, lab, lab_squares, grain = sums
@@ -157,8 +157,8 @@ def _fill_regions(out, sizes, sums, extents, support):  # type: ignore[no-untype
         )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_relations(out, larges, smalls, regions, extents, union, geometry):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _fill_relations(out, larges, smalls, regions, extents, union, geometry):
     """Fill in a row of `_RELATIONS` for each pair."""
     pixels, area_m2, planes, normals, low, high = regions
     axes_m, width_m, height_m, low_m, high_m = extents
@@ -231,8 +231,8 @@ def _fill_relations(out, larges, smalls, regions, extents, union, geometry):  # 
         )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_contacts(  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _fill_contacts(
     out, larges, smalls, turned, regions, extents, support, seams, places, contact_z_m, spread_m, sigma_m
 ):
     """Fill in a row of `_CONTACTS` for each pair."""
@@ -296,23 +296,23 @@ def _fill_contacts(  # type: ignore[no-untyped-def] # pragma: no cover
         )
 
 
-@numba.njit(cache=True, nogil=True)
-def _length(vector):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _length(vector):
     return np.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
 
 
-@numba.njit(cache=True, nogil=True)
-def _volume(sides, more):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _volume(sides, more):
     return (sides[0] + more) * (sides[1] + more) * (sides[2] + more)
 
 
-@numba.njit(cache=True, nogil=True)
-def _variance(sums, squares, region, channel, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _variance(sums, squares, region, channel, count):
     mean = sums[region, channel] / count
     return max(squares[region, channel] / count - mean * mean, 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
-def _signed_log(value):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _signed_log(value):
     """Return log(1 + |x|) with the sign of x: differences between large multiples of sigma matter little."""
     return np.sign(value) * log1p(abs(value))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import diagonalise
 from hickory_stream.perception.regions.region_graph import HEIGHT_BIN_M
 
@@ -89,8 +89,8 @@ def _arrays(extents: Extents) -> tuple[NDArray[np.float64], ...]:
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _fill_extents(sums, boxes, bottom_m, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _fill_extents(sums, boxes, bottom_m, out):
     pixels, sigma_m, place, products, heights = sums
     (low, high), (axes, low_m, high_m, box_low, box_high, out_sigma_m, width_m, height_m) = boxes, out
     covariance, vectors = np.empty((3, 3)), np.empty((3, 3))
@@ -109,8 +109,8 @@ def _fill_extents(sums, boxes, bottom_m, out):  # type: ignore[no-untyped-def] #
         width_m[i], height_m[i] = _sizes(box_low[i], box_high[i], low_m[i], high_m[i])
 
 
-@numba.njit(cache=True, nogil=True)
-def _fill_unions(sums, extents, larges, smalls, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _fill_unions(sums, extents, larges, smalls, out):
     pixels, place, products = sums
     _, low_m, high_m, box_low_m, box_high_m, sigma_m, _, _ = extents
     axes, out_low_m, out_high_m, box_low, box_high, out_sigma_m, width_m, height_m = out
@@ -130,14 +130,14 @@ def _fill_unions(sums, extents, larges, smalls, out):  # type: ignore[no-untyped
         width_m[i], height_m[i] = _sizes(box_low[i], box_high[i], out_low_m[i], out_high_m[i])
 
 
-@numba.njit(cache=True, nogil=True)
-def _sizes(box_low, box_high, low_m, high_m):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _sizes(box_low, box_high, low_m, high_m):
     x, y = box_high[0] - box_low[0], box_high[1] - box_low[1]
     return max(np.sqrt(x * x + y * y), LEAST_M), max(high_m - low_m, LEAST_M)
 
 
-@numba.njit(cache=True, nogil=True)
-def _principal_axes(pixels, place, products, covariance, vectors, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _principal_axes(pixels, place, products, covariance, vectors, out):
     """Fill `out` (3,) with the standard deviations of points along their principal axes, the smallest first.
 
     `place` (3,) and `products` (6,) are sums over the points; `covariance` and `vectors` (3, 3) are overwritten.

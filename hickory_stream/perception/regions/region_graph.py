@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.perception.regions.contacts import contacts_of
 from hickory_stream.perception.regions.occlusion_bridging import bridges
 from hickory_stream.perception.regions.region_sums import RegionSums, region_sums
@@ -19,7 +19,7 @@ from hickory_stream.perception.regions.region_sums import RegionSums, region_sum
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.fragments.over_segmentation.over_segmentation import Fragments
+    from hickory_stream.perception.fragments.over_segmentation import Fragments
     from hickory_stream.perception.regions.contacts import Contacts
     from hickory_stream.perception.regions.occlusion_bridging import BridgingConfig
     from hickory_stream.perception.surface import Surface
@@ -155,8 +155,8 @@ def _rows(values: list[NDArray[np.float64]]) -> tuple[NDArray[np.float64], ...]:
     return tuple(own if own.ndim > 1 else own[:, None] for own in values)
 
 
-@numba.njit(cache=True, nogil=True)
-def merged_keys(a, b, numbers, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def merged_keys(a, b, numbers, count):
     """Return (M,), (M,) the pairs of merged regions, ordered, and (K,) which of them each pair a, b is part of.
 
     `numbers` (n,) gives the merged region 0..count - 1 of each region; pairs within one are part of none, -1.
@@ -185,8 +185,8 @@ def merged_keys(a, b, numbers, count):  # type: ignore[no-untyped-def] # pragma:
 # All sums are added in the order of their rows, so that rounding is reproducible.
 
 
-@numba.njit(cache=True, nogil=True)
-def _merge_regions(values, sums, boxes, merged_boxes, numbers):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _merge_regions(values, sums, boxes, merged_boxes, numbers):
     (low, high), (merged_low, merged_high) = boxes, merged_boxes
     for i in range(len(numbers)):
         for k in range(3):
@@ -199,8 +199,8 @@ def _merge_regions(values, sums, boxes, merged_boxes, numbers):  # type: ignore[
                 out[numbers[i], k] += rows[i, k]
 
 
-@numba.njit(cache=True, nogil=True)
-def _merge_pairs(values, sums, others, merged_others, which):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _merge_pairs(values, sums, others, merged_others, which):
     """Add up the pairs that are part of one; `nearer` and `above` are by side, and sides may have changed places."""
     (nearer, above, gap_m), (merged_nearer, merged_above, merged_gap_m) = others, merged_others
     a, b, numbers, places = which
@@ -289,8 +289,8 @@ def _pairs(
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _gaps(labels, depth, points, count, reach, limit):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _gaps(labels, depth, points, count, reach, limit):
     """Return (count, count) the minimum distance of each two labels at a stride of 2; infinite beyond the limit."""
     height, width = labels.shape
     out = np.full((count, count), np.inf, dtype=np.float32)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -95,8 +95,8 @@ def region_sums(
     return out, middle, bottom_m
 
 
-@numba.njit(cache=True, nogil=True)
-def _labelled(labels, supports, points):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _labelled(labels, supports, points):
     """Return (N,) the labels of the pixels that have one, (N, 3) their points as float64, and how many planes count."""
     height, width = labels.shape
     names, places = np.empty(height * width, dtype=np.int32), np.empty((height * width, 3))
@@ -112,8 +112,8 @@ def _labelled(labels, supports, points):  # type: ignore[no-untyped-def] # pragm
     return names[:n], places[:n], planes
 
 
-@numba.njit(cache=True, nogil=True)
-def _sums(labels, places, points, areas, depth, lab, normals, sigma, width, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _sums(labels, places, points, areas, depth, lab, normals, sigma, width, count):
     """Return (count, 24) sums and (count, 3) least and greatest coordinates; `places` and `points` of labelled pixels.
 
     Columns: 1, area, depth, lab, squares of lab (in single precision), position, products of positions, normals, sigma,
@@ -155,8 +155,8 @@ def _sums(labels, places, points, areas, depth, lab, normals, sigma, width, coun
     return sums, low, high
 
 
-@numba.njit(cache=True, nogil=True)
-def _histograms(labels, supports, points, count, planes, bins, bottom, bin_m):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _histograms(labels, supports, points, count, planes, bins, bottom, bin_m):
     """Return (count, planes) the pixels of each region in each plane, and (count, bins) at each height."""
     in_plane, at_height = np.zeros((count, planes)), np.zeros((count, bins))
     n = 0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.errors import ModelError
 from hickory_stream.geometry import portable
 from hickory_stream.perception.regions.features import Features
@@ -143,8 +143,8 @@ def _check(trees: Trees, path: Path) -> None:
         raise ModelError(f"{path}: a node asks for an input, or a tree begins at a node, that is not there")
 
 
-@numba.njit(cache=True, nogil=True)
-def _sums_of_leaves(rows, roots, feature, threshold, left, right, nan_left, value):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _sums_of_leaves(rows, roots, feature, threshold, left, right, nan_left, value):
     out = np.zeros(len(rows))
     # A tree stays in the cache while all rows descend it; each row still adds its leaves in the order of the trees.
     for root in roots:

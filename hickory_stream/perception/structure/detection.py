@@ -15,7 +15,7 @@ import numpy as np
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
-from hickory_stream.perception.structure.detection.detection_kernels import (
+from hickory_stream.perception.structure.detection_kernels import (
     along,
     areas_m2,
     bins_of_azimuth,
@@ -30,8 +30,8 @@ from hickory_stream.perception.structure.detection.detection_kernels import (
     weight_below,
     weighted_sum,
 )
-from hickory_stream.perception.structure.detection.ground import Ground, GroundConfig
-from hickory_stream.perception.structure.detection.raised_patches import NearPlane, RaisedPatchConfig
+from hickory_stream.perception.structure.ground import Ground, GroundConfig
+from hickory_stream.perception.structure.raised_patches import NearPlane, RaisedPatchConfig
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

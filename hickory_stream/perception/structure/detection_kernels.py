@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import arctan2
 
 
-@numba.njit(cache=True, nogil=True)
-def areas_m2(points, normals, depth, origin, focal_product):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def areas_m2(points, normals, depth, origin, focal_product):
     """Return (h, w) the surface area of each pixel, with its cosine bounded at 0.15; 0 without depth."""
     height, width = depth.shape
     out = np.zeros((height, width), dtype=np.float32)
@@ -23,8 +23,8 @@ def areas_m2(points, normals, depth, origin, focal_product):  # type: ignore[no-
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def surface_of_area(points, sigma, areas):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def surface_of_area(points, sigma, areas):
     """Return positions (N, 2), areas (N,) and doubled standard deviations (N,) of the pixels with an area."""
     count = 0
     for i in range(len(areas)):
@@ -39,8 +39,8 @@ def surface_of_area(points, sigma, areas):  # type: ignore[no-untyped-def] # pra
     return at, weight, noise
 
 
-@numba.njit(cache=True, nogil=True)
-def upright_pixels(normals, areas):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def upright_pixels(normals, areas):
     """Return flat indices (N,) of the pixels with an area and a horizontal normal, and its direction (N, 2)."""
     pixels = np.empty(len(areas), dtype=np.int64)
     direction = np.empty((len(areas), 2), dtype=np.float32)
@@ -54,8 +54,8 @@ def upright_pixels(normals, areas):  # type: ignore[no-untyped-def] # pragma: no
     return pixels[:count].copy(), direction[:count].copy()
 
 
-@numba.njit(cache=True, nogil=True)
-def along(rows, direction):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def along(rows, direction):
     """Return (N,) the projections of (N, 2) or (N, 3) rows on a horizontal direction (2,), in single precision."""
     out = np.empty(len(rows), dtype=np.float32)
     x, y = direction[0], direction[1]
@@ -64,8 +64,8 @@ def along(rows, direction):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def bins_of_azimuth(directions, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def bins_of_azimuth(directions, count):
     """Return (N,) the bin of each of (N, 2) directions, of `count` equal bins of azimuth from -pi on."""
     azimuths, out = np.empty(len(directions)), np.empty(len(directions), dtype=np.int64)
     for i in range(len(directions)):  # vectorised
@@ -75,8 +75,8 @@ def bins_of_azimuth(directions, count):  # type: ignore[no-untyped-def] # pragma
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def spread_of(at, share):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def spread_of(at, share):
     """Return the mean (2,) of (N, 2) places whose shares add up to 1, and the (2, 2) covariance."""
     middle, spread = np.zeros(2), np.zeros((2, 2))
     for i in range(len(at)):
@@ -90,8 +90,8 @@ def spread_of(at, share):  # type: ignore[no-untyped-def] # pragma: no cover
     return middle, spread
 
 
-@numba.njit(cache=True, nogil=True)
-def places_of(pixels, points, sigma, areas):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def places_of(pixels, points, sigma, areas):
     """Return positions (N, 2), heights, standard deviations and, as float64, areas of (N,) pixels."""
     at, heights = np.empty((len(pixels), 2), np.float32), np.empty(len(pixels), np.float32)
     noise, weight = np.empty(len(pixels), np.float32), np.empty(len(pixels))
@@ -102,8 +102,8 @@ def places_of(pixels, points, sigma, areas):  # type: ignore[no-untyped-def] # p
     return at, heights, noise, weight
 
 
-@numba.njit(cache=True, nogil=True)
-def taken(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def taken(values, mask):
     """Return values[mask] of (N,) values."""
     out = np.empty(len(values), dtype=values.dtype)
     count = 0
@@ -114,8 +114,8 @@ def taken(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
     return out[:count]
 
 
-@numba.njit(cache=True, nogil=True)
-def taken_rows(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def taken_rows(values, mask):
     """Return values[mask] of (N, 2) values."""
     out = np.empty(values.shape, dtype=values.dtype)
     count = 0
@@ -125,8 +125,8 @@ def taken_rows(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
     return out[:count]
 
 
-@numba.njit(cache=True, nogil=True)
-def weighted_sum(rows, weight):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def weighted_sum(rows, weight):
     """Return the weighted sum of (N, 2) rows, added in order."""
     out = np.zeros(2)
     for i in range(len(rows)):
@@ -135,8 +135,8 @@ def weighted_sum(rows, weight):  # type: ignore[no-untyped-def] # pragma: no cov
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def near_offset(along, offset, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def near_offset(along, offset, tolerance):
     """Return (N,) which values lie within their tolerance of an offset."""
     out = np.empty(len(along), dtype=np.bool_)
     for i in range(len(along)):
@@ -144,8 +144,8 @@ def near_offset(along, offset, tolerance):  # type: ignore[no-untyped-def] # pra
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def weight_below(weight, along, offset, noise):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def weight_below(weight, along, offset, noise):
     """Return the total weight of the values that are below an offset by more than their noise."""
     out = np.empty(len(along))
     count = 0
@@ -155,8 +155,8 @@ def weight_below(weight, along, offset, noise):  # type: ignore[no-untyped-def] 
     return out[:count]
 
 
-@numba.njit(cache=True, nogil=True)
-def on_wall(distance, facing, tolerance, is_end):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def on_wall(distance, facing, tolerance, is_end):
     """Return (h, w) which pixels are near and parallel to a wall, or very near; with `is_end`, also all behind it."""
     height, width = distance.shape
     out = np.empty((height, width), dtype=np.bool_)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -132,8 +132,8 @@ def _heights_of(surface: Surface, known: NDArray[np.bool_], highest_m: float, co
     return _Grid(z, slack, share, low)
 
 
-@numba.njit(cache=True, nogil=True)
-def _upward(points, normals, sigma, known, least, highest):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _upward(points, normals, sigma, known, least, highest):
     """Return (N, 3) the points that face upward below a height, (N,) their noise, and whether they are known."""
     height, width = known.shape
     at, noise = np.empty((height * width, 3), dtype=np.float32), np.empty(height * width, dtype=np.float32)
@@ -148,8 +148,8 @@ def _upward(points, normals, sigma, known, least, highest):  # type: ignore[no-u
     return at[:n], noise[:n], is_known[:n]
 
 
-@numba.njit(cache=True, nogil=True)
-def _lowest(points, sigma, known, eye, low, cell, nx, ny):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _lowest(points, sigma, known, eye, low, cell, nx, ny):
     """Return the mean height (nx, ny) of the lowest layer of points in each cell, its noise, and its known share."""
     least = np.full((nx, ny), np.float32(np.inf), dtype=np.float32)
     places = np.empty((len(points), 2), dtype=np.int32)
@@ -181,8 +181,8 @@ def _lowest(points, sigma, known, eye, low, cell, nx, ny):  # type: ignore[no-un
     return z, out_slack, share
 
 
-@numba.njit(cache=True, nogil=True)
-def _regions(z, slack, rise):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _regions(z, slack, rise):
     """Return (nx, ny) the region of each cell, from 1 (0: no height): connected cells within the slope limit."""
     nx, ny = z.shape
     out = np.zeros((nx, ny), dtype=np.int32)
@@ -281,8 +281,8 @@ def _is_a_step_away(
     return bool(-2 * most_m <= rise_m <= most_m and (rise_m < 0 or was_ground or has_room))
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearest_step(at, there, z, cell):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _nearest_step(at, there, z, cell):
     """Return the mean rise from the ground to the cells of a region that are nearest to it, and their distance."""
     nearest = np.float32(np.inf)
     for i in range(len(at)):
@@ -299,8 +299,8 @@ def _nearest_step(at, there, z, cell):  # type: ignore[no-untyped-def] # pragma:
     return total / max(count, 1), np.sqrt(nearest) * cell
 
 
-@numba.njit(cache=True, nogil=True)
-def _filled(z, steps):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _filled(z, steps):
     """Return heights (nx, ny) with unknown cells filled by the mean of their known neighbours, `steps` times."""
     out = z.copy()
     for _ in range(steps):
@@ -320,8 +320,8 @@ def _filled(z, steps):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _above(points, z, low, cell, step):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _above(points, z, low, cell, step):
     """Return (h, w) the height of points above the ground, interpolated between cells of one level.
 
     At the edge of a step the higher level counts, also in a cell that contains both: the face of a kerb is ground.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 
@@ -122,8 +122,8 @@ def _borders_objects(
     return touch >= config.min_border_px if is_floor else touch > config.min_border_share * int(outline.sum())
 
 
-@numba.njit(cache=True, nogil=True)
-def _marked(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _marked(values, mask):
     """Return (h, w) the values inside a mask, 0 elsewhere, and the mask as float."""
     out, marks = np.zeros(values.shape, dtype=np.float32), np.zeros(values.shape, dtype=np.float32)
     for y in range(values.shape[0]):
@@ -133,8 +133,8 @@ def _marked(values, mask):  # type: ignore[no-untyped-def] # pragma: no cover
     return out, marks
 
 
-@numba.njit(cache=True, nogil=True)
-def _is_high(near, total, share, sigma, area, least, sigmas):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _is_high(near, total, share, sigma, area, least, sigmas):
     """Return (h, w) which pixels near a plane lie in windows whose mean offset exceeds the noise.
 
     `total` and `share` (h, w) are window means, over `area` pixels, of the distance to the plane (0 for pixels that are

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.voxels import first_not_below, key_of_point
-from hickory_stream.perception.structure.detection.detection import (
+from hickory_stream.perception.structure.detection import (
     HorizontalPlane,
     StructureConfig,
     floor_height_m,
@@ -17,8 +17,8 @@ from hickory_stream.perception.structure.detection.detection import (
     pixel_areas_m2,
     structure_mask,
 )
-from hickory_stream.perception.structure.detection.ground import uneven_ground
-from hickory_stream.perception.structure.detection.raised_patches import raised_patches
+from hickory_stream.perception.structure.ground import uneven_ground
+from hickory_stream.perception.structure.raised_patches import raised_patches
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -79,8 +79,8 @@ def _known_structure(surface: Surface, prior: ObservedSpace | None) -> NDArray[n
     return mask
 
 
-@numba.njit(cache=True, nogil=True)
-def _in_voxels(points, sorted_keys, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _in_voxels(points, sorted_keys, voxel_m):
     """Return (h, w) which points lie in voxels of sorted keys; False for NaN. Neighbours mostly share one look-up."""
     height, width, _ = points.shape
     mask = np.zeros((height, width), dtype=np.bool_)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
 
@@ -87,8 +87,8 @@ def _raised(
     return portable.nearest_orthogonal(raised.transpose(2, 0, 1))
 
 
-@numba.njit(cache=True, nogil=True)
-def _raised_sums(axes, normals, weighted):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _raised_sums(axes, normals, weighted):
     """Return (3, 3, S) sums over (P, 3) normals of the weighted normal times the cubes of its coordinates in a frame.
 
     `axes` (3, 3, S) are frames, in columns.
@@ -108,8 +108,8 @@ def _raised_sums(axes, normals, weighted):  # type: ignore[no-untyped-def] # pra
     return raised
 
 
-@numba.njit(cache=True, nogil=True)
-def _raised_sum(axes, normals, weighted):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _raised_sum(axes, normals, weighted):
     """Return the same (3, 3) sum for one frame (3, 3)."""
     raised = np.zeros((3, 3))
     for n in range(len(normals)):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import exp, log, log1p, power
 
 _ROOM = 64
@@ -20,8 +20,8 @@ _COLUMNS = 4
 _HALF = 0.5
 
 
-@numba.njit(cache=True, nogil=True)
-def occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def occupancies(row, low, high):
     """Return the shares that a primitive (`quadric_lm.ROW`) fills of the cells from `low` up to `high`, float32."""
     size_y, size_z = high[1] - low[1], high[2] - low[2]
     body = body_of(row)
@@ -54,14 +54,14 @@ def occupancies(row, low, high):  # type: ignore[no-untyped-def] # pragma: no co
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def occupancy(d):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def occupancy(d):
     """Return the share of a cell within a primitive, linear near its surface."""
     return min(max(0.5 - d, 0.0), 1.0)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def distance_bound(body, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def distance_bound(body, x, y, z):
     """Return a bound of a cell's distance to a `body_of` a primitive, without logarithms.
 
     It is beyond half a cell, in or out; 0 if there is none.
@@ -82,8 +82,8 @@ def distance_bound(body, x, y, z):  # type: ignore[no-untyped-def] # pragma: no 
     return outside if outside > 0.5 else (-inside if inside > 0.5 else 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
-def body_of(row):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def body_of(row):
     """Return what `distance_bound` needs of a primitive, as numbers: an array is counted whenever it is passed on."""
     return (
         row[5], row[6], row[7],
@@ -92,14 +92,14 @@ def body_of(row):  # type: ignore[no-untyped-def] # pragma: no cover
     )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True)
-def inscribed(row):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def inscribed(row):
     """Return s such that the box of s times the semi-axes touches the primitive with its corners."""
     return exp(-0.5 * row[0] * log1p(power(2.0, row[1] / row[0])))
 
 
-@numba.njit(cache=True, nogil=True)
-def _put_distances(block, where, count, row, distances):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _put_distances(block, where, count, row, distances):
     if count > 0:
         _fill_distances(block, row)
     for n in range(count):
@@ -107,8 +107,8 @@ def _put_distances(block, where, count, row, distances):  # type: ignore[no-unty
         distances[where[n]] = max(block[_DISTANCE + n], -_HALF)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_distances(block, row):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _fill_distances(block, row):
     """Fill in the distances of a block; those deeper than half a cell are some value deeper than that."""
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = row[8], row[9], row[10], row[11], row[12], row[13], row[14], row[15], row[16]
     log_a, log_b, log_c, cx, cy, cz = row[2], row[3], row[4], row[5], row[6], row[7]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.shapes.sdf import DistanceGrid
 
 _WAYS = 16
@@ -48,8 +48,8 @@ def filled(grid: DistanceGrid) -> DistanceGrid | None:
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _blocked(walls, directions):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _blocked(walls, directions):
     """Return for each cell whether all lines of a plane are blocked both ways, and how many of the 26 ways are."""
     shape = walls.shape[1:]
     size = shape[0] * shape[1] * shape[2]
@@ -68,8 +68,8 @@ def _blocked(walls, directions):  # type: ignore[no-untyped-def] # pragma: no co
     return planes.reshape(shape), ways.reshape(shape)
 
 
-@numba.njit(cache=True, nogil=True)
-def _met(is_wall, direction, is_backward):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _met(is_wall, direction, is_backward):
     """Return for each cell whether a wall lies on the way from it against the direction, or along it."""
     shape = is_wall.shape
     met = np.zeros(shape, np.bool_)

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import exp, log
 from hickory_stream.shapes.connected import piece_around
-from hickory_stream.shapes.fit.marching_primitives.cell_shares import body_of, distance_bound, occupancies, occupancy
-from hickory_stream.shapes.fit.marching_primitives.quadric_lm import lm_fit
-from hickory_stream.shapes.fit.marching_primitives.seeds import chessboard_depth
-from hickory_stream.shapes.fit.marching_primitives.tangent_planes import (
+from hickory_stream.shapes.fit.cell_shares import body_of, distance_bound, occupancies, occupancy
+from hickory_stream.shapes.fit.quadric_lm import lm_fit
+from hickory_stream.shapes.fit.seeds import chessboard_depth
+from hickory_stream.shapes.fit.tangent_planes import (
     BLOCK,
     DISTANCE,
     X,
@@ -22,7 +22,7 @@ from hickory_stream.shapes.fit.marching_primitives.tangent_planes import (
     fill_distances,
     new_block,
 )
-from hickory_stream.shapes.fit.marching_primitives.thinning import share_of, thinned
+from hickory_stream.shapes.fit.thinning import share_of, thinned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -149,8 +149,8 @@ class FitField:
         return _window(row, margin, self._object.shape)
 
 
-@numba.njit(cache=True, nogil=True)
-def _window(row, margin, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _window(row, margin, shape):
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for i in range(3):
         reach = margin
@@ -161,8 +161,8 @@ def _window(row, margin, shape):  # type: ignore[no-untyped-def] # pragma: no co
     return low, high
 
 
-@numba.njit(cache=True, nogil=True)
-def _gain(inside, covered, row, max_samples, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _gain(inside, covered, row, max_samples, waste_weight):
     low, high = _window(row, 1.0, inside.shape)
     stride = max((high[0] - low[0]) * (high[1] - low[1]) * (high[2] - low[2]) // max_samples, 1) | 1
     body = body_of(row)
@@ -209,8 +209,8 @@ def _gain(inside, covered, row, max_samples, waste_weight):  # type: ignore[no-u
     return total * stride
 
 
-@numba.njit(cache=True, nogil=True)
-def _gain_of_block(block, count, row, shares, befores, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _gain_of_block(block, count, row, shares, befores, waste_weight):
     if count == 0:
         return 0.0
     fill_distances(block, count, row, 0.5)
@@ -220,16 +220,16 @@ def _gain_of_block(block, count, row, shares, befores, waste_weight):  # type: i
     return total
 
 
-@numba.njit(cache=True, nogil=True)
-def _gain_of(d, share, before, waste_weight):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _gain_of(d, share, before, waste_weight):
     """Return the gain of one cell at a distance `d`, of which the object fills a `share` and `before` is covered."""
     after = max(occupancy(d), before)
     more = min(after, share) - min(before, share)
     return more - waste_weight * (max(after - share, 0.0) - max(before - share, 0.0))
 
 
-@numba.njit(cache=True, nogil=True)
-def _speaking(distance, covered, band):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _speaking(distance, covered, band):
     """Return the (N, 3) cells used for a fit, and where those of each row along z begin.
 
     They are those near the surface, and one in eight of those deep inside.
@@ -250,10 +250,8 @@ def _speaking(distance, covered, band):  # type: ignore[no-untyped-def] # pragma
     return out[:count].copy(), starts
 
 
-@numba.njit(cache=True, nogil=True)
-def _fitted(  # type: ignore[no-untyped-def] # pragma: no cover
-    row, speaking, starts, distance, covered, band, max_samples, iterations, max_log_axis
-):
+@kernel
+def _fitted(row, speaking, starts, distance, covered, band, max_samples, iterations, max_log_axis):
     """Return a primitive fitted to the cells that speak around it, and trimmed; as it is where these are too few."""
     low, high = _window(row, band + 2.0, distance.shape)
     near = np.empty(len(speaking), np.int64)
@@ -278,8 +276,8 @@ def _fitted(  # type: ignore[no-untyped-def] # pragma: no cover
     return _trimmed(lm_fit(row, points, distances, weights, band, iterations, max_log_axis), distance, 2 * max_samples)
 
 
-@numba.njit(cache=True, nogil=True)
-def _trimmed(row, distance, max_samples):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _trimmed(row, distance, max_samples):
     """Return a primitive cut back, along its own axes, to the part of the object that lies in it.
 
     Distances are only known on the grid: beyond it nothing limits the growth of a thin primitive.

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import exp_each
-from hickory_stream.shapes.fit.marching_primitives.quadric_lm import OUTER_BAND, cut_distances, normal_step
-from hickory_stream.shapes.fit.marching_primitives.thinning import thinned
+from hickory_stream.shapes.fit.quadric_lm import OUTER_BAND, cut_distances, normal_step
+from hickory_stream.shapes.fit.thinning import thinned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -131,8 +131,8 @@ def _turned(row: NDArray[np.float64], turn: int) -> NDArray[np.float64]:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _near(row, points, band):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _near(row, points, band):
     """Return which points may be within the band of a primitive: those near its box."""
     out = np.empty(len(points), np.bool_)
     reach = exp_each(row[2:5]) + band + 1.0
@@ -146,16 +146,16 @@ def _near(row, points, band):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _union(rows, points, band):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _union(rows, points, band):
     out = np.full(len(points), OUTER_BAND)
     for k in range(len(rows)):
         out = np.minimum(out, cut_distances(rows[k], points, band))
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _misfit(found, targets, band):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _misfit(found, targets, band):
     """Return the root mean square of the misfit, in cells."""
     total = 0.0
     for n in range(len(found)):
@@ -164,8 +164,8 @@ def _misfit(found, targets, band):  # type: ignore[no-untyped-def] # pragma: no 
     return np.sqrt(total / max(len(found), 1))
 
 
-@numba.njit(cache=True, nogil=True)
-def _swept(rows, points, targets, band, sweeps, max_log_axis, with_exponents):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _swept(rows, points, targets, band, sweeps, max_log_axis, with_exponents):
     rows = rows.copy()
     count = len(rows)
     distances = np.empty((count, len(points)))
@@ -193,10 +193,8 @@ def _swept(rows, points, targets, band, sweeps, max_log_axis, with_exponents):  
     return rows
 
 
-@numba.njit(cache=True, nogil=True)
-def _stepped_beside(  # type: ignore[no-untyped-def] # pragma: no cover
-    row, points, targets, others, band, steps, max_log_axis, with_exponents
-):
+@kernel
+def _stepped_beside(row, points, targets, others, band, steps, max_log_axis, with_exponents):
     """Return one primitive refined with the others held fixed, and the misfit of the union."""
     damping = np.full(1, 1e-3)
     found = cut_distances(row, points, band)

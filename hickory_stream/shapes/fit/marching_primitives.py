@@ -20,20 +20,20 @@ from hickory_stream.geometry.portable_kernels import exp_each
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, canonical, moved, volumes_m3
 from hickory_stream.shapes.connected import pieces_of
-from hickory_stream.shapes.fit.marching_primitives.bounding_superquadric import around_all
-from hickory_stream.shapes.fit.marching_primitives.canonical_frame import object_axes
-from hickory_stream.shapes.fit.marching_primitives.envelope import filled
-from hickory_stream.shapes.fit.marching_primitives.fit_field import FitField
-from hickory_stream.shapes.fit.marching_primitives.joint import jointly_refined, refined_beside, simplified
-from hickory_stream.shapes.fit.marching_primitives.panels import panels, sheet_thickness
-from hickory_stream.shapes.fit.marching_primitives.quadric_lm import ROW, row_of
-from hickory_stream.shapes.fit.marching_primitives.seeds import (
+from hickory_stream.shapes.fit.bounding_superquadric import around_all
+from hickory_stream.shapes.fit.canonical_frame import object_axes
+from hickory_stream.shapes.fit.envelope import filled
+from hickory_stream.shapes.fit.fit_field import FitField
+from hickory_stream.shapes.fit.joint import jointly_refined, refined_beside, simplified
+from hickory_stream.shapes.fit.panels import panels, sheet_thickness
+from hickory_stream.shapes.fit.quadric_lm import ROW, row_of
+from hickory_stream.shapes.fit.seeds import (
     bounds_along,
     chessboard_depth,
     grown_box,
     principal_axes,
 )
-from hickory_stream.shapes.fit.marching_primitives.thin_parts import with_thin_parts
+from hickory_stream.shapes.fit.thin_parts import with_thin_parts
 from hickory_stream.shapes.mesh_validation import usable
 from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
 

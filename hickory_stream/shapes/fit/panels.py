@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import diagonalise
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, joined, moved, volumes_m3
 from hickory_stream.shapes.connected import joined_faces
-from hickory_stream.shapes.fit.marching_primitives.bounding_superquadric import around_all, surface_samples
-from hickory_stream.shapes.fit.marching_primitives.canonical_frame import object_axes
+from hickory_stream.shapes.fit.bounding_superquadric import around_all, surface_samples
+from hickory_stream.shapes.fit.canonical_frame import object_axes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -196,8 +196,8 @@ def _box(corners: NDArray[np.float64], thickness: float) -> tuple[NDArray[np.flo
     return extents + thickness, axes
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _principal_box(points):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _principal_box(points):
     """Return the extents of (N, 3) points along their principal axes, and these, the longest one last."""
     middle, products, axes = np.zeros(3), np.zeros((3, 3)), np.empty((3, 3))
     for n in range(len(points)):

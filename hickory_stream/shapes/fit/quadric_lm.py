@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, exp, exp_each, log, sin, solve_in_place, times_3
-from hickory_stream.shapes.fit.marching_primitives.tangent_planes import (
+from hickory_stream.shapes.fit.tangent_planes import (
     BLOCK,
     DISTANCE,
     JACOBIAN,
@@ -80,10 +80,8 @@ def distances_to(row: NDArray[np.float64], points: NDArray[np.float64]) -> NDArr
     return np.asarray(distances_of(row, points, np.inf))
 
 
-@numba.njit(cache=True, nogil=True)
-def tangent_distance(  # type: ignore[no-untyped-def] # pragma: no cover
-    row, x, y, z, local, gradient, shape, with_shape, depth
-):
+@kernel
+def tangent_distance(row, x, y, z, local, gradient, shape, with_shape, depth):
     """Return the signed distance of a point to a tangent plane near it; fill the local point and the derivatives there.
 
     `gradient` (3,) is that of ln h at the point of `local` (3,), `shape` (5,) its derivatives by e1, e2, ln a1, ln a2
@@ -137,8 +135,8 @@ def tangent_distance(  # type: ignore[no-untyped-def] # pragma: no cover
     return -best
 
 
-@numba.njit(cache=True, nogil=True)
-def _softmax(log_a, log_b, exponent):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _softmax(log_a, log_b, exponent):
     """Return ln (a^(2/e) + b^(2/e))^(e/2) and the shares of both in the sum, without overflow."""
     gap = 2.0 / exponent * (log_b - log_a)
     small = exp(-abs(gap))
@@ -148,8 +146,8 @@ def _softmax(log_a, log_b, exponent):  # type: ignore[no-untyped-def] # pragma: 
     return (log_sum, small * large, large) if gap > 0.0 else (log_sum, large, small * large)
 
 
-@numba.njit(cache=True, nogil=True)
-def _fill_shape(share_x, share_y, share_r, share_z, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _fill_shape(share_x, share_y, share_r, share_z, shape):
     """Fill d ln h / d (e1, e2, ln a1, ln a2, ln a3)."""
     shape[0] = 0.5 * _entropy(share_r, share_z)
     shape[1] = 0.5 * share_r * _entropy(share_x, share_y)
@@ -158,15 +156,13 @@ def _fill_shape(share_x, share_y, share_r, share_z, shape):  # type: ignore[no-u
     shape[4] = -share_z
 
 
-@numba.njit(cache=True, nogil=True)
-def _entropy(p, q):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _entropy(p, q):
     return -(p * log(max(p, 1e-300)) + q * log(max(q, 1e-300)))
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearest_along_axes(  # type: ignore[no-untyped-def] # pragma: no cover
-    row, px, py, pz, log_rho, log_h, share_x, share_y, share_r, share_z
-):
+@kernel
+def _nearest_along_axes(row, px, py, pz, log_rho, log_h, share_x, share_y, share_r, share_z):
     """Return the nearest surface point along the axes from an inner point: axis, distance, and the shares there."""
     e1, e2 = row[0], row[1]
     whole = exp(2.0 / e1 * log_h)
@@ -191,8 +187,8 @@ def _nearest_along_axes(  # type: ignore[no-untyped-def] # pragma: no cover
     return best_axis, best, 1.0 - rest_y, rest_y, rest_r, along_z
 
 
-@numba.njit(cache=True, nogil=True)
-def _cost(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _cost(d, targets, weights, band, sigma2):
     """Return the robust cost of distances `d`: the negative log likelihood of the mixture, up to constants."""
     total = 0.0
     for n in range(len(d)):
@@ -204,8 +200,8 @@ def _cost(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # 
     return total
 
 
-@numba.njit(cache=True, nogil=True)
-def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _normal_equations(row, points, targets, weights, band, sigma2):
     a, b = np.zeros((11, _PADDED)), np.zeros(11)
     block, which = new_block(), np.empty(BLOCK, np.int64)
     own, residuals = np.empty(BLOCK), np.empty(BLOCK)
@@ -231,8 +227,8 @@ def _normal_equations(row, points, targets, weights, band, sigma2):  # type: ign
     return a[:, :11].copy(), b
 
 
-@numba.njit(cache=True, nogil=True)
-def _add(a, b, block, which, weights, residuals, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _add(a, b, block, which, weights, residuals, count):
     """Add points of a block to the normal equations; rows are padded to a length that fits registers."""
     jacobian = np.zeros(_PADDED)
     for m in range(count):
@@ -245,8 +241,8 @@ def _add(a, b, block, which, weights, residuals, count):  # type: ignore[no-unty
                 a[p, q] += wj * jacobian[q]
 
 
-@numba.njit(cache=True, nogil=True)
-def _stepped(row, step, max_log_axis):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _stepped(row, step, max_log_axis):
     out = row.copy()
     for p in range(2):
         out[p] = min(max(row[p] + min(max(step[p], -0.4), 0.4), 0.1), 2.0)
@@ -267,8 +263,8 @@ def _stepped(row, step, max_log_axis):  # type: ignore[no-untyped-def] # pragma:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _sigma2(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _sigma2(d, targets, weights, band, sigma2):
     """Return the mixture's variance, the maximisation step; never below half a cell squared."""
     total, count = 0.0, 0.0
     for n in range(len(d)):
@@ -282,10 +278,8 @@ def _sigma2(d, targets, weights, band, sigma2):  # type: ignore[no-untyped-def] 
     return max(total / max(count, 1e-9), 0.25)
 
 
-@numba.njit(cache=True, nogil=True)
-def lm_fit(  # type: ignore[no-untyped-def] # pragma: no cover
-    row, points, distances, weights, band, iterations, max_log_axis
-):
+@kernel
+def lm_fit(row, points, distances, weights, band, iterations, max_log_axis):
     """Return what `refined` does."""
     targets = np.minimum(np.maximum(distances, -band), OUTER_BAND)
     d = distances_of(row, points, band)
@@ -316,13 +310,13 @@ def lm_fit(  # type: ignore[no-untyped-def] # pragma: no cover
     return row
 
 
-@numba.njit(cache=True, nogil=True)
-def _loss(r):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _loss(r):
     return r * r if r <= _HUBER else _HUBER * (2.0 * r - _HUBER)
 
 
-@numba.njit(cache=True, nogil=True)
-def cut_distances(row, points, band):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def cut_distances(row, points, band):
     """Return the (N,) distances to a primitive, truncated at the band; points outside its box are skipped."""
     out = np.full(len(points), OUTER_BAND)
     reach = exp_each(row[2:5]) + OUTER_BAND
@@ -346,10 +340,8 @@ def cut_distances(row, points, band):  # type: ignore[no-untyped-def] # pragma: 
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def normal_step(  # type: ignore[no-untyped-def] # pragma: no cover
-    row, points, targets, others, found, band, damping, k, max_log_axis, with_exponents
-):
+@kernel
+def normal_step(row, points, targets, others, found, band, damping, k, max_log_axis, with_exponents):
     """Return the row after one step with the others held fixed, its distances, and the relative gain (0: no step).
 
     `others` (N,) are the distances to the union of the others, `found` (N,) those to this one; `damping[k]` is updated.

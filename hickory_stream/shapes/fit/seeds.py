@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import diagonalise
 
@@ -37,8 +37,8 @@ def principal_axes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
     return axes
 
 
-@numba.njit(cache=True, nogil=True)
-def _principal_axes(cells):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _principal_axes(cells):
     middle, products, axes = np.zeros(3), np.zeros((3, 3)), np.empty((3, 3))
     for n in range(len(cells)):
         for i in range(3):
@@ -55,8 +55,8 @@ def _principal_axes(cells):  # type: ignore[no-untyped-def] # pragma: no cover
     return axes
 
 
-@numba.njit(cache=True, nogil=True)
-def bounds_along(cells, axes):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def bounds_along(cells, axes):
     """Return (2, 3) the least and the greatest coordinates of (N, 3) cells along the columns of `axes` (3, 3)."""
     bounds = np.empty((2, 3))
     bounds[0], bounds[1] = np.inf, -np.inf
@@ -68,8 +68,8 @@ def bounds_along(cells, axes):  # type: ignore[no-untyped-def] # pragma: no cove
     return bounds
 
 
-@numba.njit(cache=True, nogil=True)
-def _grow(solid, seed, min_fill):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _grow(solid, seed, min_fill):
     box = np.empty((2, 3), np.int64)
     box[0], box[1] = seed, seed
     blocked = np.zeros((2, 3), np.bool_)
@@ -100,8 +100,8 @@ def _grow(solid, seed, min_fill):  # type: ignore[no-untyped-def] # pragma: no c
     return box
 
 
-@numba.njit(cache=True, nogil=True)
-def _depth(solid):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _depth(solid):
     """Rosenfeld and Pfaltz: one pass forwards, one backwards; each looks at the 13 neighbours before a cell."""
     nx, ny, nz = solid.shape
     far = np.int32(nx + ny + nz)

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
-from hickory_stream.shapes.fit.marching_primitives.quadric_lm import tangent_distance
-from hickory_stream.shapes.fit.marching_primitives.tangent_planes import distances_of
+from hickory_stream.base.compiled import kernel
+from hickory_stream.shapes.fit.quadric_lm import tangent_distance
+from hickory_stream.shapes.fit.tangent_planes import distances_of
 
 _MOST_PIECES = 20_000
 
 
-@numba.njit(cache=True, nogil=True)
-def owned_pieces(vertices, faces, rows, tolerance, min_edge):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def owned_pieces(vertices, faces, rows, tolerance, min_edge):
     """Return the vertices, with those that bisection adds, (P, 3) triangles, and the owner and distance (P,) of each.
 
     `rows` (K, 17) as in `quadric_lm`, in the unit of the vertices. The distance is that of the farthest corner to the
@@ -64,8 +64,8 @@ def owned_pieces(vertices, faces, rows, tolerance, min_edge):  # type: ignore[no
     return points[:num_points], pieces[:count], owners[:count], outsides[:count]
 
 
-@numba.njit(cache=True, nogil=True)
-def owners_of(points, rows):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def owners_of(points, rows):
     """Return (N,) the primitive that each of (N, 3) points is nearest to, and (N,) its distance, negative inside."""
     owners, nearest = np.zeros(len(points), np.int64), np.full(len(points), np.inf)
     for k in range(len(rows)):
@@ -76,15 +76,15 @@ def owners_of(points, rows):  # type: ignore[no-untyped-def] # pragma: no cover
     return owners, nearest
 
 
-@numba.njit(cache=True, nogil=True)
-def _distances(point, rows, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _distances(point, rows, out):
     local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
     for k in range(len(rows)):
         out[k] = tangent_distance(rows[k], point[0], point[1], point[2], local, gradient, shape, False, np.inf)
 
 
-@numba.njit(cache=True, nogil=True)
-def _owner(distances, a, b, c):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _owner(distances, a, b, c):
     """Return the primitive whose farthest corner is the nearest, and how far outside that one is."""
     best, least = 0, 1e300
     for k in range(distances.shape[1]):
@@ -94,8 +94,8 @@ def _owner(distances, a, b, c):  # type: ignore[no-untyped-def] # pragma: no cov
     return best, least
 
 
-@numba.njit(cache=True, nogil=True)
-def _longest_edge(points, corners):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _longest_edge(points, corners):
     """Return the first corner of the longest edge, and its length."""
     longest, most = 0, -1.0
     for c in range(3):

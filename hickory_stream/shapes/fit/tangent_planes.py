@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import exp
 
 _LOG_2 = 0.6931471805599453
@@ -23,8 +23,8 @@ _LOG_2_HIGH, _LOG_2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 _ROOT_HALF_BITS = 0x3FE6A09E667F3BCD
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def quick_log(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def quick_log(x):
     """Return ln x of a normal positive number, by the artanh series of the mantissa in 1/sqrt 2 .. sqrt 2."""
     bits = np.float64(x).view(np.int64)
     exponent = np.int64(bits - np.int64(_ROOT_HALF_BITS)) >> np.int64(52)
@@ -38,8 +38,8 @@ def quick_log(x):  # type: ignore[no-untyped-def] # pragma: no cover
     return np.float64(exponent) * _LOG_2 + 2.0 * s * p
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def quick_exp(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def quick_exp(x):
     """Return e^x, with x clipped to +-700, by the Taylor series about the nearest multiple of ln 2."""
     x = min(max(x, -700.0), 700.0)
     n = np.floor(x * (1.0 / _LOG_2) + 0.5)
@@ -68,14 +68,14 @@ JACOBIAN = 23 * BLOCK
 _COLUMNS = 34
 
 
-@numba.njit(cache=True, nogil=True)
-def new_block():  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def new_block():
     """Return a block; points go to its columns X, Y, Z."""
     return np.ones(_COLUMNS * BLOCK)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_distances(block, count, row, depth):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def fill_distances(block, count, row, depth):
     """Fill distances, local points, gradients and shares of the first `count` points of a block.
 
     For points deeper than `depth` only the distance is filled, and it may be any value deeper than `depth`.
@@ -112,8 +112,8 @@ def fill_distances(block, count, row, depth):  # type: ignore[no-untyped-def] # 
             block[SR + n], block[SZ + n] = block[_IN_SR + m], block[_IN_SZ + m]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _from_centre(block, row):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _from_centre(block, row):
     """Fill in all columns by the tangent planes where the rays from the centre meet the surface."""
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = row[8], row[9], row[10], row[11], row[12], row[13], row[14], row[15], row[16]
     log_a, log_b, log_c, cx, cy, cz = row[2], row[3], row[4], row[5], row[6], row[7]
@@ -149,8 +149,8 @@ def _from_centre(block, row):  # type: ignore[no-untyped-def] # pragma: no cover
         block[DISTANCE + n] = (1.0 - min(inverse, 1e200)) / slope
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _along_axes(block, count, row):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _along_axes(block, count, row):
     """Find the surface along the axes of points inside: gradients in place of points, 1 in place of rho if nearer."""
     log_a, log_b, log_c = row[2], row[3], row[4]
     half_1, half_2 = 0.5 * row[0], 0.5 * row[1]
@@ -191,8 +191,8 @@ def _along_axes(block, count, row):  # type: ignore[no-untyped-def] # pragma: no
         block[_IN_RHO + n] = 1.0 if is_nearer else 0.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_jacobian(block):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def fill_jacobian(block):
     """Fill the derivatives of the distances: the plane moves with the surface, its direction held fixed.
 
     dd = d ln h / |grad ln h|, by e1, e2, ln a (3), the centre and the rotation in the local frame (3 and 3).
@@ -217,8 +217,8 @@ def fill_jacobian(block):  # type: ignore[no-untyped-def] # pragma: no cover
         block[JACOBIAN + 10 * BLOCK + n] = (gx * py - gy * px) * scale
 
 
-@numba.njit(cache=True, nogil=True)
-def distances_of(row, points, depth):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def distances_of(row, points, depth):
     """Return the (N,) signed distances of (N, 3) points."""
     out = np.empty(len(points))
     block = new_block()

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.superquadric import Superquadrics, joined
-from hickory_stream.shapes.fit.marching_primitives.panels import loose_panels
-from hickory_stream.shapes.fit.marching_primitives.quadric_lm import row_of
-from hickory_stream.shapes.fit.marching_primitives.surface_partition import owned_pieces
+from hickory_stream.shapes.fit.panels import loose_panels
+from hickory_stream.shapes.fit.quadric_lm import row_of
+from hickory_stream.shapes.fit.surface_partition import owned_pieces
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

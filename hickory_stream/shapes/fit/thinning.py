@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 
-@numba.njit(cache=True, nogil=True)
-def thinned(count, most):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def thinned(count, most):
     """Return the indices of about `most` of `count` samples; all of them if there are fewer.
 
     One sample of each interval is taken, at an offset by the golden ratio: a constant stride through the cells of a
@@ -23,8 +23,8 @@ def thinned(count, most):  # type: ignore[no-untyped-def] # pragma: no cover
     return chosen
 
 
-@numba.njit(cache=True, nogil=True)
-def share_of(n):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def share_of(n):
     """Return where in its interval the n-th sample is taken, 0..1: the fraction of n times the golden ratio."""
     golden = n * 0.6180339887498949
     # Exact, as the remainder is, which takes ten times as long.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import ndimage
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -75,8 +75,8 @@ def distance_field(vertices: NDArray[Any], faces: NDArray[np.int32], cells: int)
     return DistanceField(distance=np.sqrt(squares).astype(np.float32), origin=origin, cell=cell)
 
 
-@numba.njit(cache=True, nogil=True)
-def field_at(distance, origin, cell, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def field_at(distance, origin, cell, x, y, z):
     """Return the distance at a point, interpolated; beyond the grid that at its border and the way there."""
     beyond = 0.0
     base = np.empty(3, np.int64)

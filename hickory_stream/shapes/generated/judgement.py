@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
 from hickory_stream.ports import Reconstruction
-from hickory_stream.shapes.generated.reconstructor.distance_field import even_samples
-from hickory_stream.shapes.generated.reconstructor.placement_evidence import (
+from hickory_stream.shapes.generated.distance_field import even_samples
+from hickory_stream.shapes.generated.placement_evidence import (
     evidence_of,
     noise_of,
     shown_surface_of,
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.ports import Reconstructor, ShapeInputs
-    from hickory_stream.shapes.generated.reconstructor.placement_evidence import Evidence
+    from hickory_stream.shapes.generated.placement_evidence import Evidence
 
 
 _SAMPLES = 30_000
@@ -177,8 +177,8 @@ def _view_counts(
     return np.asarray(_counted(drawn, depth, beside, tolerance))
 
 
-@numba.njit(cache=True, nogil=True)
-def _draw(points, pose, intrinsics, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _draw(points, pose, intrinsics, out):
     """Put the least depth of (N, 3) points into an image; each covers the four pixels around its place."""
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -195,8 +195,8 @@ def _draw(points, pose, intrinsics, out):  # type: ignore[no-untyped-def] # prag
                     out[r, c] = depth
 
 
-@numba.njit(cache=True, nogil=True)
-def _counted(drawn, depth, beside, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _counted(drawn, depth, beside, tolerance):
     """Return (6,) how many pixels agree, miss the shape, have it behind, before, beside; and those of both masks."""
     counts = np.zeros(_NUM_FATES, np.int64)
     for r in range(drawn.shape[0]):

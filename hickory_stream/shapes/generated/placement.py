@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import rotation_from_quaternion
 from hickory_stream.ports import MeshPlacement, NotPlaced
-from hickory_stream.shapes.generated.reconstructor.distance_field import distance_field, even_samples, field_at
-from hickory_stream.shapes.generated.reconstructor.placement_evidence import Evidence, evidence_of
-from hickory_stream.shapes.generated.reconstructor.placement_fit import cost_of, descend, residuals
+from hickory_stream.shapes.generated.distance_field import distance_field, even_samples, field_at
+from hickory_stream.shapes.generated.placement_evidence import Evidence, evidence_of
+from hickory_stream.shapes.generated.placement_fit import cost_of, descend, residuals
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -270,16 +270,16 @@ def _surface_apart(a: _Pose, b: _Pose, model: _Model) -> float:
     return float(_distances(own, model.field, model.origin, model.cell).mean())
 
 
-@numba.njit(cache=True, nogil=True)
-def _distances(points, field, origin, cell):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _distances(points, field, origin, cell):
     out = np.empty(len(points))
     for i in range(len(points)):
         out[i] = field_at(field, origin, cell, points[i, 0], points[i, 1], points[i, 2])
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _costs(rotations, shifts, factors, model, views, weights, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _costs(rotations, shifts, factors, model, views, weights, tolerance):
     out = np.empty(len(rotations))
     values = np.empty(len(model[0]) + len(model[1]) + 1)
     for i in range(len(rotations)):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.rigid import apply, invert
@@ -140,8 +140,8 @@ def noise_of(crop: Crop) -> float:
     return float(sigma_at(float(np.median(depth)), crop.sensor.law)) if len(depth) else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
-def violation_m(point, depth, beside, size, intrinsics, pose, is_cut, noise):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def violation_m(point, depth, beside, size, intrinsics, pose, is_cut, noise):
     """Return by how much a point (3,) of a surface contradicts a view: metres beside the mask, or before its depth."""
     x, y, z = point[0], point[1], point[2]
     depth_z = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import cos, exp, log, sin, solve_in_place
-from hickory_stream.shapes.generated.reconstructor.distance_field import field_at
-from hickory_stream.shapes.generated.reconstructor.placement_evidence import violation_m
+from hickory_stream.shapes.generated.distance_field import field_at
+from hickory_stream.shapes.generated.placement_evidence import violation_m
 
 _STEP = 1e-4
 _RIGID, _STRETCHED = 7, 9
 _ROOT_6, _ROOT_2 = 2.449489742783178, 1.4142135623730951
 
 
-@numba.njit(cache=True, nogil=True)
-def residuals(rotation, shift, factors, model, views, weights, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def residuals(rotation, shift, factors, model, views, weights, out):
     """Fill `out` (N + M + 1) with metres: how far surface points are from the mesh, how far samples contradict views.
 
     `model` is (surface (N, 3), samples (M, 3), field, origin, cell); `views` (depth, beside, sizes, intrinsics, poses,
@@ -54,8 +54,8 @@ def residuals(rotation, shift, factors, model, views, weights, out):  # type: ig
     out[-1] = abs(gap) if abs(gap) < np.inf else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
-def cost_of(values, num_surface, tolerance, weights):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def cost_of(values, num_surface, tolerance, weights):
     """Return the robust cost of residuals in 0..1 of each kind, summed with `weights` (surface, free, support)."""
     squares = tolerance * tolerance
     near, free = 0.0, 0.0
@@ -71,8 +71,8 @@ def cost_of(values, num_surface, tolerance, weights):  # type: ignore[no-untyped
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def moved_by(rotation, shift, factors, step, pivot, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def moved_by(rotation, shift, factors, step, pivot, out):
     """Put a pose after a step (7 or 9) into `out` (rotation, shift, factors): turn about the pivot, shift, sizes."""
     new_rotation, new_shift, new_factors = out
     angle = np.sqrt(step[0] * step[0] + step[1] * step[1] + step[2] * step[2])
@@ -98,15 +98,15 @@ def moved_by(rotation, shift, factors, step, pivot, out):  # type: ignore[no-unt
         new_shift[i] = pivot[i] + turn[i, 0] * a + turn[i, 1] * b + turn[i, 2] * c + step[3 + i]
 
 
-@numba.njit(cache=True, nogil=True)
-def within(factors, most):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def within(factors, most):
     """Return whether no factor exceeds another by more than `most`."""
     low, high = min(factors[0], factors[1], factors[2]), max(factors[0], factors[1], factors[2])
     return high <= most * low
 
 
-@numba.njit(cache=True, nogil=True)
-def descend(rotation, shift, factors, model, views, weights, tolerance, size, num, most, rounds):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def descend(rotation, shift, factors, model, views, weights, tolerance, size, num, most, rounds):
     """Improve a pose in place by Levenberg-Marquardt on its `num` (7 or 9) numbers; return cost and normal matrix.
 
     `size` is the object's: turns are scaled by it, so that all steps are lengths. The factors stay within `most`.

@@ -16,14 +16,14 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.ports import GeneratedMesh, NoShape, NotPlaced, Reconstruction
-from hickory_stream.shapes.generated.reconstructor.blend import blended
-from hickory_stream.shapes.generated.reconstructor.judgement import by_other_views, judged, replaces, shape_evidence
+from hickory_stream.shapes.generated.blend import blended
+from hickory_stream.shapes.generated.judgement import by_other_views, judged, replaces, shape_evidence
 from hickory_stream.shapes.mesh_validation import usable
 
 if TYPE_CHECKING:
     from hickory_stream.ports import MeshGenerator, MeshPlacement, PoseRefiner, Reconstructor, ShapeInputs
-    from hickory_stream.shapes.generated.reconstructor.blend import BlendConfig
-    from hickory_stream.shapes.generated.reconstructor.judgement import JudgementConfig
+    from hickory_stream.shapes.generated.blend import BlendConfig
+    from hickory_stream.shapes.generated.judgement import JudgementConfig
     from hickory_stream.shapes.reconstruct.fused import VolumeConfig
 
 _MIN_POINTS = 20

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import exp, exp_each, log, log1p
 
 # Subdivisions n per side of the net of directions over the octant: (n + 1)(n + 2) / 2 directions.
@@ -51,8 +51,8 @@ NET, _factor = _net()
 NET_FACTOR = _factor * (1 + 1e-12)
 
 
-@numba.njit(cache=True, nogil=True)
-def log_gauge(x, y, z, axes, e1, e2):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def log_gauge(x, y, z, axes, e1, e2):
     """Return ln h at a local point with coordinates of at least 0; `axes` are semi-axes, three numbers."""
     u, v, w = log(max(x / axes[0], 1e-200)), log(max(y / axes[1], 1e-200)), log(max(z / axes[2], 1e-200))
     high = max(u, v)
@@ -61,8 +61,8 @@ def log_gauge(x, y, z, axes, e1, e2):  # type: ignore[no-untyped-def] # pragma: 
     return top + 0.5 * e1 * log1p(exp(2.0 / e1 * (min(log_rho, w) - top)))
 
 
-@numba.njit(cache=True, nogil=True)
-def log_gauge_of_ball(x, y, z, radius, axes, e1, e2, limit, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def log_gauge_of_ball(x, y, z, radius, axes, e1, e2, limit, net, factor):
     """Return an upper bound of ln h over a ball around a local point, exact enough to tell whether it is <= limit.
 
     Where the bound exceeds the limit, the first value found above it is returned.
@@ -73,8 +73,8 @@ def log_gauge_of_ball(x, y, z, radius, axes, e1, e2, limit, net, factor):  # typ
     return _worst_over_net(x, y, z, radius * factor, axes, e1, e2, limit, net)
 
 
-@numba.njit(cache=True, nogil=True)
-def _worst_over_net(x, y, z, r, axes, e1, e2, limit, net):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _worst_over_net(x, y, z, r, axes, e1, e2, limit, net):
     worst = -1e300
     for m in range(len(net)):
         value = log_gauge(x + r * net[m, 0], y + r * net[m, 1], z + r * net[m, 2], axes, e1, e2)
@@ -85,8 +85,8 @@ def _worst_over_net(x, y, z, r, axes, e1, e2, limit, net):  # type: ignore[no-un
     return worst
 
 
-@numba.njit(cache=True, nogil=True)
-def least_axes(points, before, e1, e2, limit):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def least_axes(points, before, e1, e2, limit):
     """Return the semi-axes of about the least volume, none below `before`, with ln h <= limit at (N, 3) points >= 0.
 
     A simplex search over the two ratios of the axes. Containment is exact: the scale follows from the worst point.
@@ -139,13 +139,13 @@ def least_axes(points, before, e1, e2, limit):  # type: ignore[no-untyped-def] #
     return exp_each(found if found.sum() < start.sum() else start)
 
 
-@numba.njit(cache=True, nogil=True)
-def _size(ratios, logs, floor, e1, e2, limit):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _size(ratios, logs, floor, e1, e2, limit):
     return _scaled(logs, np.array([0.0, ratios[0], ratios[1]]), floor, e1, e2, limit).sum()
 
 
-@numba.njit(cache=True, nogil=True)
-def _scaled(logs, axes, floor, e1, e2, limit):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _scaled(logs, axes, floor, e1, e2, limit):
     """Return the log axes of these ratios, at the scale that holds all points, raised to the floor."""
     worst = -1e300
     for n in range(len(logs)):
@@ -157,8 +157,8 @@ def _scaled(logs, axes, floor, e1, e2, limit):  # type: ignore[no-untyped-def] #
     return np.maximum(axes + (worst - limit), floor)
 
 
-@numba.njit(cache=True, nogil=True)
-def local_abs(points, pose):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def local_abs(points, pose):
     """Return (N, 3) absolute local coordinates of world points in a (4, 4) pose."""
     out = np.empty((len(points), 3))
     for n in range(len(points)):
@@ -168,8 +168,8 @@ def local_abs(points, pose):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def extremes(points, directions):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def extremes(points, directions):
     """Return which of (N, 3) points are the farthest in any of the directions."""
     chosen = np.zeros(len(points), np.bool_)
     for m in range(len(directions)):
@@ -182,8 +182,8 @@ def extremes(points, directions):  # type: ignore[no-untyped-def] # pragma: no c
     return chosen
 
 
-@numba.njit(cache=True, nogil=True)
-def with_net(points, radii, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def with_net(points, radii, net, factor):
     """Return the points that represent balls: (N, 3) centres >= 0 moved along the net; only the centre for radius 0."""
     out = np.empty((len(points) * len(net), 3))
     count = 0
@@ -195,8 +195,8 @@ def with_net(points, radii, net, factor):  # type: ignore[no-untyped-def] # prag
     return out[:count]
 
 
-@numba.njit(cache=True, nogil=True)
-def worst_balls(points, radii, axes, e1, e2, limit, net, factor, most):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def worst_balls(points, radii, axes, e1, e2, limit, net, factor, most):
     """Return up to `most` of the balls that protrude, evenly spread over all of these, and their number."""
     out = np.empty(len(points), np.int64)
     count = 0
@@ -217,8 +217,8 @@ def worst_balls(points, radii, axes, e1, e2, limit, net, factor, most):  # type:
     return out[:count:step].copy(), count
 
 
-@numba.njit(cache=True, nogil=True)
-def undominated(points):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def undominated(points):
     """Return (N,) which of (N, 3) points, of coordinates of at least 0, have no other one beyond them in all three.
 
     Of equal points at least one is kept.
@@ -235,14 +235,14 @@ def undominated(points):  # type: ignore[no-untyped-def] # pragma: no cover
     return kept
 
 
-@numba.njit(cache=True, nogil=True)
-def new_stairs(most):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def new_stairs(most):
     """Return (most, 3) room for the steps of a staircase: y, z, and a number that goes with them."""
     return np.empty((most, 3))
 
 
-@numba.njit(cache=True, nogil=True)
-def place_of(stairs, count, y):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def place_of(stairs, count, y):
     """Return the first of `count` steps that reaches as far along y: if any dominates a point there, it does."""
     low, high = 0, count
     while low < high:
@@ -254,8 +254,8 @@ def place_of(stairs, count, y):  # type: ignore[no-untyped-def] # pragma: no cov
     return low
 
 
-@numba.njit(cache=True, nogil=True)
-def put(stairs, count, at, y, z, number):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def put(stairs, count, at, y, z, number):
     """Put a step that none dominates where `place_of` says, in place of those it dominates; return the new count."""
     first = at
     while first > 0 and stairs[first - 1, 1] <= z:

@@ -26,9 +26,9 @@ from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, joined, volumes_m3
 from hickory_stream.records import Containment
 from hickory_stream.shapes.certify import Certificate, Inside, certify, inside_of, uncovered_cells
-from hickory_stream.shapes.fit.marching_primitives.quadric_lm import row_of
-from hickory_stream.shapes.fit.marching_primitives.surface_partition import owned_pieces, owners_of
-from hickory_stream.shapes.inflate.inflation.cover import (
+from hickory_stream.shapes.fit.quadric_lm import row_of
+from hickory_stream.shapes.fit.surface_partition import owned_pieces, owners_of
+from hickory_stream.shapes.inflate.cover import (
     NET,
     NET_FACTOR,
     extremes,
@@ -38,7 +38,7 @@ from hickory_stream.shapes.inflate.inflation.cover import (
     with_net,
     worst_balls,
 )
-from hickory_stream.shapes.inflate.inflation.residual_boxes import boxes_around
+from hickory_stream.shapes.inflate.residual_boxes import boxes_around
 from hickory_stream.shapes.mesh_validation import used_surface
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 
 if TYPE_CHECKING:
@@ -90,8 +90,8 @@ def _of_corners(reduced: np.ufunc, triangles: NDArray[np.float64]) -> NDArray[np
     return np.asarray(reduced(reduced(triangles[:, :, 0], triangles[:, :, 1]), triangles[:, :, 2]))
 
 
-@numba.njit(cache=True, nogil=True)
-def _best_cut(lows, highs, margin):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _best_cut(lows, highs, margin):
     """Return (N,) which triangles are on the first side of the best plane, and the volume of the boxes of both sides.
 
     `lows` and `highs` (F, N, 3) bound the triangles in each of F frames; planes are normal to the axes of all frames.
@@ -116,8 +116,8 @@ def _best_cut(lows, highs, margin):  # type: ignore[no-untyped-def] # pragma: no
     return side, least
 
 
-@numba.njit(cache=True, nogil=True)
-def _volumes_from_first(lows, highs, order, margin, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _volumes_from_first(lows, highs, order, margin, out):
     """Fill in the volume of the smallest box, of all frames, around the first 1, 2, ... N triangles of an order."""
     out[:] = np.inf
     for frame in range(len(lows)):

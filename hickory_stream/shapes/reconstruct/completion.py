@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 
 if TYPE_CHECKING:
@@ -165,8 +165,8 @@ def _large_pieces(solid: NDArray[np.bool_], min_share: float) -> NDArray[np.bool
     return np.asarray((sizes >= min_share * sizes.max())[labels] & solid)
 
 
-@numba.njit(cache=True, nogil=True)
-def _add_first_known(states, step, first, hits, frees):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _add_first_known(states, step, first, hits, frees):
     """Count for each voxel whether the first known state met along `step` is SOLID, or FREE.
 
     `first` is room for these states; they are UNKNOWN where the block ends first.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.mesh import Mesh
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from hickory_stream.shapes.reconstruct.tsdf import Evidence, VoxelGrid
 
 
-@numba.njit(cache=True, nogil=True)
-def rough_distance(solid, reach):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def rough_distance(solid, reach):
     """Return the signed distances to the faces between solid and other cells, in cells, negative inside, float32.
 
     They are those between the middles of cells, less half a cell; what is farther away than `reach` cells, that far.
@@ -43,8 +43,8 @@ def rough_distance(solid, reach):  # type: ignore[no-untyped-def] # pragma: no c
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _squared_distance(solid, to_solid, reach):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _squared_distance(solid, to_solid, reach):
     """Return the squared distance of each cell to the nearest that is solid, or the nearest that is not, int32."""
     nx, ny, nz = solid.shape
     most = np.int32(reach * reach)
@@ -73,8 +73,8 @@ def _squared_distance(solid, to_solid, reach):  # type: ignore[no-untyped-def] #
     return along_z
 
 
-@numba.njit(cache=True, nogil=True)
-def _lower(values, others, more):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _lower(values, others, more):
     for n in range(len(values)):
         values[n] = min(values[n], np.int32(others[n] + more))
 
@@ -123,8 +123,8 @@ def taubin_smoothed(vertices: NDArray[np.float64], faces: NDArray[np.int32], ite
     return vertices
 
 
-@numba.njit(cache=True, nogil=True)
-def _means_of_neighbours(vertices, faces):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _means_of_neighbours(vertices, faces):
     """Return (V, 3) the mean of the vertices that follow each one in a face; the vertex itself if it is in no face."""
     means, counts = np.zeros(vertices.shape), np.zeros(len(vertices), np.int64)
     for f in range(len(faces)):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
@@ -102,8 +102,8 @@ def shares_against(mirrored: NDArray[np.float64], views: list[DepthView], tolera
     return float(on_surface.mean()), float(in_free.mean())
 
 
-@numba.njit(cache=True, nogil=True)
-def _against(points, depth, mask, intrinsics, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _against(points, depth, mask, intrinsics, tolerance):
     """Compare camera points with a depth image: 1 on the object's surface, 2 in free space, 0 occluded or unknown."""
     fx, fy, cx, cy = intrinsics
     out = np.zeros(len(points), np.uint8)

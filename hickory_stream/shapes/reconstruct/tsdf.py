@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy import ndimage
 
-from hickory_stream.base.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.rigid import apply, compose
@@ -125,8 +125,8 @@ def smoothed_depth(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], law: L
     return np.asarray(_smooth(depth_m, mask, law))
 
 
-@numba.njit(cache=True, nogil=True)
-def _smooth(depth, mask, law):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _smooth(depth, mask, law):
     height, width = depth.shape
     out = np.full_like(depth, np.nan)
     for row in range(height):
@@ -145,8 +145,8 @@ def _smooth(depth, mask, law):  # type: ignore[no-untyped-def] # pragma: no cove
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _cosine(depth, intrinsics):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _cosine(depth, intrinsics):
     """Return the cosine between surface normal and optical axis, in 0.25..1; it converts depths to true distances."""
     height, width = depth.shape
     fx, fy = intrinsics[0], intrinsics[1]
@@ -170,8 +170,8 @@ def _cosine(depth, intrinsics):  # type: ignore[no-untyped-def] # pragma: no cov
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _carving_depth(depth):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _carving_depth(depth):
     """Return the nearest depth among 3 x 3 pixels, up to which space is certainly free, even beside an edge."""
     height, width = depth.shape
     out = np.full_like(depth, np.nan)
@@ -188,8 +188,8 @@ def _carving_depth(depth):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _inner(mask):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _inner(mask):
     """Return the pixels whose four neighbours are in the mask too; others may have a depth from behind the object."""
     height, width = mask.shape
     out = np.zeros_like(mask)
@@ -205,10 +205,8 @@ def _inner(mask):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _integrate(  # type: ignore[no-untyped-def] # pragma: no cover
-    total, near, free, camera_from_grid, voxel, depth, cosine, carve, mask, inner, intrinsics, law, trust
-):
+@kernel
+def _integrate(total, near, free, camera_from_grid, voxel, depth, cosine, carve, mask, inner, intrinsics, law, trust):
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     m = camera_from_grid

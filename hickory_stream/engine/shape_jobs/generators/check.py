@@ -15,7 +15,7 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject, project
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import Crop, MeshPlacement, NoShape, ShapeInputs
-from hickory_stream.shapes.generated.reconstructor.placement import EmbeddedPlacement, PlacementConfig
+from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
 
 if TYPE_CHECKING:
     from pathlib import Path

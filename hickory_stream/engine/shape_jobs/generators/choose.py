@@ -25,7 +25,7 @@ from hickory_stream.engine.shape_jobs.generators.spec import (
 from hickory_stream.errors import ConfigError, WorkerError
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import make_reconstructor
-from hickory_stream.shapes.generated.reconstructor.placement import EmbeddedPlacement
+from hickory_stream.shapes.generated.placement import EmbeddedPlacement
 
 if TYPE_CHECKING:
     from hickory_stream.config import MapperConfig
