@@ -9,7 +9,7 @@ from textwrap import fill
 from typing import Any
 
 from hickory_stream import __version__
-from hickory_stream.cli import completion, evaluate_alignment, evaluate_navigation, evaluate_views
+from hickory_stream.cli import completion
 from hickory_stream.cli.examples import TEXTS
 from hickory_stream.cli.logs import doctor, odometry, segment
 from hickory_stream.cli.maps import (
@@ -53,9 +53,6 @@ _COMMANDS = (
     reconstruct,
     explain,
     evaluate,
-    evaluate_views,
-    evaluate_alignment,
-    evaluate_navigation,
     segment,
     models,
     generators,

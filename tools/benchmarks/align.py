@@ -22,7 +22,6 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.methods import METHODS
 from hickory_stream.alignment.object_map import object_map
-from hickory_stream.evaluation.alignment_table import error_of
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.map_folder.saved_map import open_map
 from tools.benchmarks.align_unknown import (
@@ -40,6 +39,7 @@ from tools.benchmarks.align_unknown import (
 from tools.benchmarks.apartment_maps import apartment_map, frame_of
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT
+from tools.evaluation.alignment_table import error_of
 from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
 from tools.evaluation.simulated_maps.trial import noise_floor, run_trial
 from tools.evaluation.simulated_maps.variants import bent_map

@@ -16,10 +16,10 @@ import numpy as np
 
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.evaluation.alignment_table import error_of
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.furnished_maps import furnished, shared_apartment, unrelated_apartments
 from tools.benchmarks.intervals import wilson
+from tools.evaluation.alignment_table import error_of
 from tools.evaluation.simulated_maps.ambiguous import AmbiguousConfig, simulate_ambiguous, uniform
 from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
 from tools.evaluation.simulated_maps.trial import normalised_square, overlap_b

@@ -20,7 +20,6 @@ from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
 from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.evaluation.alignment_table import error_of
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, rotation_of_vector
 from hickory_stream.map_folder.manifest import is_map_folder
@@ -31,6 +30,7 @@ from tools.benchmarks.drift_logs import FACTORS, drifting_walks, second_walks
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.intervals import bootstrap, wilson
 from tools.benchmarks.kept import state_folder
+from tools.evaluation.alignment_table import error_of
 from tools.evaluation.simulated_maps.trial import normalised_square
 from tools.evaluation.simulated_maps.variants import moved_map, random_frame
 

@@ -13,9 +13,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hickory_stream.evaluation.evaluate import true_mesh_world
-from hickory_stream.evaluation.navigation_methods import built
-from hickory_stream.evaluation.navigation_scene import R_SAFE_M, score_saved_map, true_obstacles, truth_of
-from hickory_stream.evaluation.navigation_table import MethodScore, TrueScene, draw_pairs, format_table, table_of
 from hickory_stream.evaluation.truth import Truth, load_truth
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.navigation.free_space import CELL_M
@@ -27,14 +24,26 @@ from hickory_stream.worlds.cache import cached_recording
 from tools.benchmarks.apartment_maps import apartment_map, apartment_recording
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.true_shapes import true_inflated
+from tools.evaluation.navigation_methods import built
+from tools.evaluation.navigation_table import (
+    R_SAFE_M,
+    MethodScore,
+    TrueScene,
+    draw_pairs,
+    format_table,
+    score_saved_map,
+    table_of,
+    true_obstacles,
+    truth_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.navigation_methods import Obstacles
     from hickory_stream.navigation.robot import Robot
+    from tools.evaluation.navigation_methods import Obstacles
 
 _APARTMENTS = 4
 _TABLES = ("table", "desk", "coffee_table", "side_table")

@@ -20,8 +20,6 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.page import write_page
 from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
-from hickory_stream.evaluation.views.comparison import compare, verdict
-from hickory_stream.evaluation.views.trials import BEST, OURS, try_views
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
@@ -31,6 +29,8 @@ from players import open_source
 from tools.benchmarks.baseline import QUICK
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT, play
+from tools.evaluation.views.comparison import compare, verdict
+from tools.evaluation.views.trials import BEST, OURS, try_views
 
 if TYPE_CHECKING:
     from hickory_stream.evaluation.evaluate import Evaluation

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.config import MapperConfig
 from hickory_stream.evaluation.surface_score import SurfaceScore
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.evaluation.views.comparison import compare, format_comparison
-from hickory_stream.evaluation.views.trials import BEST, OURS, ViewTrial, try_views
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.worlds.cache import cached_recording
@@ -25,6 +23,8 @@ from players import open_source
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.foreign_logs import foreign_log, worlds_folder
 from tools.benchmarks.kept import kept, state_folder
+from tools.evaluation.views.comparison import compare, format_comparison
+from tools.evaluation.views.trials import BEST, OURS, ViewTrial, try_views
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
