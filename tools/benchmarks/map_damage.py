@@ -137,7 +137,7 @@ def _toml_text(kind: str) -> str:
 
 def _commands(path: Path, out: Path, kind: str, rng: np.random.Generator) -> list[list[str]]:
     """Return the commands that meet a change: those that read such files."""
-    name, proof = str(path), ["--unproven"]
+    name, proof = str(path), ["--allow-unverified"]
     looks = [["inspect", name, "--json"]]
     exports = [["export", name, "--format", f, "-o", str(out / f / "scene"), *proof] for f in ("mjcf", "urdf")]
     exports += [["export", name, "--format", f, "-o", str(out / f"scene.{f}"), *proof] for f in ("json", "ply", "glb")]
