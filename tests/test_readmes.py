@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import pytest
 
+from hickory_stream.settings import Settings
 from tests.readmes import blocks_of, prose_of
 from tools.readmes import READMES, RESULTS, ROOT
 
@@ -53,6 +55,23 @@ def test_named_files_exist(readme: Path) -> None:
     named = set(re.findall(r"`([\w./-]+\.(?:py|toml))`", text)) | set(re.findall(r"`(tools/\w+)[` ]", text))
     places = (readme.parent, *readme.parent.parents, *PLACES)
     assert sorted(name for name in named if not any((place / name).exists() for place in places)) == []
+
+
+def test_the_table_of_keys_has_the_defaults() -> None:
+    """A name without a section shares the section before it."""
+    text = (ROOT / "hickory_stream" / "cli" / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`(?:mapper|disk|rerun)\..*?) \| (.*?) ?\|", text, flags=re.MULTILINE)
+    assert len(rows) >= 30
+    for names, defaults in rows:
+        keys = re.findall(r"`([\w.]+)`", names)
+        sections = [key.rpartition(".")[0] or keys[0].rpartition(".")[0] for key in keys]
+        values = [
+            attrgetter(f"{section}.{key.rpartition('.')[2]}")(Settings())
+            for section, key in zip(sections, keys, strict=True)
+        ]
+        if defaults and defaults != "profile":
+            shown = [text.strip("`").split()[0] for text in defaults.split(", ")]
+            assert shown == [f"{value:g}" if isinstance(value, float) else str(value) for value in values], names
 
 
 @pytest.mark.parametrize("readme", READMES, ids=NAMES)
