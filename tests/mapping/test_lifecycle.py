@@ -53,7 +53,7 @@ CONFIG = MappingConfig(
 )
 SPACE_M = CONFIG.lattice.space_m
 TENTATIVE, ACTIVE, DORMANT, ARCHIVED, ROOM = Phase
-README = Path(__file__).resolve().parent.parent.parent / "hickory_stream" / "mapping" / "README.md"
+PAGE = Path(__file__).resolve().parent.parent.parent / "hickory_stream" / "mapping" / "LIFE_CYCLE.md"
 BOX = box_surface((0, 0, 0.1))
 LARGE = box_surface((0, 0, 1.5), (3.2, 3.0, 0.4))
 FREE = np.unique(keys_of_points(BOX, SPACE_M))
@@ -312,7 +312,7 @@ def test_without_the_last_word_on_tracks_nothing_is_merged_for_want_of_support()
 def test_the_table_is_printed_in_the_documentation() -> None:
     table = life_cycle_table()
     assert len(table.splitlines()) == len(LIFE_CYCLE) + 2
-    assert table in README.read_text(encoding="utf-8"), "run tools/write_life_cycle"
+    assert table in PAGE.read_text(encoding="utf-8"), "run tools/write_life_cycle"
 
 
 @pytest.mark.parametrize(
