@@ -26,17 +26,12 @@ from hickory_stream.evaluation.truth import (
     truth_record,
 )
 from hickory_stream.geometry.mesh import write_glb
-from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
-from hickory_stream.worlds.days import placed_otherwise
-from hickory_stream.worlds.drift import drifted
-from hickory_stream.worlds.layouts import drawn_mounting, layout_files, open_layout
+from hickory_stream.geometry.rigid import invert
 from hickory_stream.worlds.object_models import model_mesh
-from hickory_stream.worlds.person import PERSON_ID
-from hickory_stream.worlds.scenes import BUILDING
-from hickory_stream.worlds.shots import Filming, Sensors, WorldChange, shots_of
-from hickory_stream.worlds.trajectory import STEP_S, Trajectory
+from hickory_stream.worlds.scene import placed_otherwise
+from hickory_stream.worlds.shots import OCCLUDER_ID, Filming, shots_of
+from hickory_stream.worlds.trajectory import STEP_S
 from hickory_stream.worlds.visibility import SeenSurface
-from hickory_stream.worlds.walkable import change_on_the_way, person_of, walkable_world
 from hickory_stream.worlds.zed_log import encode_png
 
 if TYPE_CHECKING:
@@ -47,11 +42,11 @@ if TYPE_CHECKING:
     from hickory_stream.pictures.ray_caster import CasterName
     from hickory_stream.worlds.recording_config import RecordingConfig
     from hickory_stream.worlds.scene import World, WorldObject
+    from hickory_stream.worlds.shots import Stage
+    from hickory_stream.worlds.trajectory import Trajectory
 
 _START_NS = 1_752_400_000_000_000_000
 _ODOMETRY_HZ = 30
-# Where robots of a fleet start by their own reckoning, and by how much their clocks differ.
-_FRAME_REACH_M, _CLOCK_REACH_NS = 8.0, 3_600_000_000_000
 
 
 def make_recording(
@@ -64,7 +59,7 @@ def make_recording(
     seen: SeenSurface | None = None,
     processes: int = 1,
 ) -> Truth:
-    """Write NAME.mcap (or the layout's files) and NAME.truth/ into a folder, replacing older ones; return the truth.
+    """Write the log's files and NAME.truth/ into a folder, replacing older ones; return the truth.
 
     `seen` collects what several recordings of one world show. `processes` render frames at the same time, which needs a
     scene whose frames can be made in any order; they do not change a byte.
@@ -79,19 +74,14 @@ def make_recording(
     """
     if processes < 1 or (processes > 1 and not config.is_by_frame):
         raise ConfigError(
-            f"{processes} processes for the scene {config.scene}; expected 1: only the frames of a {BUILDING} "
-            "can be made side by side"
+            f"{processes} processes for the scene {config.scene}; expected 1: its frames draw their noise one after "
+            "the other"
         )
-    world, trajectory = walkable_world(config)
-    return film_world(
-        world, trajectory, config, folder, name, progress, caster=caster, seen=seen, processes=processes,
-        change=change_on_the_way(world, trajectory, config),
-    )  # fmt: skip
+    return film(config.stage(), config, folder, name, progress, caster=caster, seen=seen, processes=processes)
 
 
-def film_world(
-    world: World,
-    trajectory: Trajectory,
+def film(
+    stage: Stage,
     config: RecordingConfig,
     folder: Path,
     name: str,
@@ -100,11 +90,8 @@ def film_world(
     caster: CasterName | None = "open3d",
     seen: SeenSurface | None = None,
     processes: int = 1,
-    change: WorldChange | None = None,
 ) -> Truth:
     """Write a recording of any world, as `make_recording` does of one from a seed; `config.scene` is not looked at.
-
-    `change` is what the world becomes on the way.
 
     Raises:
         ConfigError: NAME.truth exists and is no truth folder.
@@ -114,16 +101,13 @@ def film_world(
     if truth_folder.exists() and not (truth_folder / TRUTH_FILE).is_file():
         raise ConfigError(f"{truth_folder} is there and has no {TRUTH_FILE}; choose another --name or --out")
     folder.mkdir(parents=True, exist_ok=True)
-    filming = Filming(
-        sensors=sensors_of(config), world=world, trajectory=trajectory, caster=caster, person=person_of(world, config),
-        change=change,
-    )  # fmt: skip
+    filming = Filming(sensors=config.sensors(), stage=stage, caster=caster)
     with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as unfinished:
         truth = _make(config, filming, Path(unfinished), name, progress, seen, processes)
         if truth_folder.exists():
             shutil.rmtree(truth_folder)
         truth.folder.rename(truth_folder)
-        for file in layout_files(config.layout, name):
+        for file in config.log_files(name):
             if (folder / file).is_dir():
                 shutil.rmtree(folder / file)
             (Path(unfinished) / file).replace(folder / file)
@@ -139,13 +123,13 @@ def _make(
     seen_by_all: SeenSurface | None,
     processes: int,
 ) -> Truth:
-    world = filming.world if filming.change is None else filming.change.world
-    elsewhere = () if filming.change is None else placed_otherwise(filming.world, world)
+    stage = filming.stage
+    world = stage.world if stage.change is None else stage.change.world
+    elsewhere = () if stage.change is None else placed_otherwise(stage.world, world)
     truth_folder = folder / f"{name}.truth"
     for part in ("meshes", "instances"):
         (truth_folder / part).mkdir(parents=True)
-    robot_from_world = drawn_frame(config)
-    structure = _write_meshes(world, elsewhere, truth_folder, robot_from_world)
+    structure = _write_meshes(world, elsewhere, truth_folder, stage.robot_from_world)
     recorded = _record(config, filming, world, elsewhere, (folder, name, truth_folder), progress, processes)
     if seen_by_all is not None:
         seen_by_all.include(recorded.seen)
@@ -156,7 +140,7 @@ def _make(
                 id=item.id,
                 kind=item.model.kind,
                 mesh=f"meshes/{item.id}.glb",
-                world_from_object=_in_frame(robot_from_world, item.world_from_object),
+                world_from_object=_in_frame(stage.robot_from_world, item.world_from_object),
                 seen_fraction=round(seen.fraction(item.id), 4),
                 frames=tuple(recorded.shown[item.id]),
             )
@@ -164,7 +148,7 @@ def _make(
         )
 
     change = None
-    if filming.change is not None:
+    if stage.change is not None:
         change = TruthChange(stamp_ns=recorded.change_ns, before=true_objects(elsewhere, recorded.seen_before))
     truth = Truth(
         folder=truth_folder,
@@ -176,15 +160,6 @@ def _make(
     )
     (truth_folder / TRUTH_FILE).write_text(dumps_exactly(truth_record(truth), indent=1) + "\n", encoding="utf-8")
     return truth
-
-
-def drawn_frame(config: RecordingConfig) -> NDArray[np.float64] | None:
-    """Return robot_from_world (4, 4), level: where a robot of a fleet starts by its own reckoning; None: alone."""
-    if not config.robots:
-        return None
-    rng = np.random.default_rng([config.seed, 8, config.walk_index])
-    shift_m = rng.uniform(-_FRAME_REACH_M, _FRAME_REACH_M, 3) * (1.0, 1.0, 0.1)
-    return from_rotation_translation(yaw_rotation(float(rng.uniform(0.0, 2 * np.pi))), shift_m)
 
 
 def _in_frame(robot_from_world: NDArray[np.float64] | None, world_from_a: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -206,18 +181,6 @@ def _write_meshes(
         mesh = model_mesh(model)
         write_glb(mesh if robot_from_world is None else moved_mesh(mesh, robot_from_world), truth_folder / path)
     return tuple(paths)
-
-
-def sensors_of(config: RecordingConfig) -> Sensors:
-    """Return the cameras of a recording."""
-    return Sensors(
-        camera=config.camera,
-        color_noise=config.color_noise,
-        color=config.color,
-        depth=config.depth,
-        seeds=(config.seed, 3, config.walk_index) if config.walk_index or config.is_by_frame else (config.seed, 3),
-        is_by_frame=config.is_by_frame,
-    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -245,7 +208,7 @@ def _record(
 ) -> _Recorded:
     """Render and write frame by frame; `world` is that at the end, `elsewhere` what is not there as it was before."""
     folder, name, truth_folder = targets
-    trajectory = filming.trajectory
+    stage, trajectory = filming.stage, filming.stage.trajectory
     camera = config.camera
     reach_m = (config.depth.min_depth_m, config.depth.max_depth_m)
     seen = SeenSurface(world, *reach_m, np.random.default_rng([config.seed, 4]))
@@ -253,20 +216,16 @@ def _record(
     seen_before = SeenSurface(past, *reach_m, np.random.default_rng([config.seed, 4, 1]))
     shown: dict[int, list[int]] = {item.id: [] for item in (*elsewhere, *world.objects)}
     frames: list[TruthFrame] = []
-    stamps_ns, every = _stamps_ns(config, float(trajectory.times_s[-1]))
-    odometry = trajectory
-    if config.drift is not None:
-        odometry = drifted(trajectory, config.drift, np.random.default_rng([config.seed, 6, config.walk_index]))
+    stamps_ns, every = _stamps_ns(config, float(trajectory.times_s[-1]), stage.clock_offset_ns)
+    odometry = stage.odometry or trajectory
     times_s = [(stamp_ns - stamps_ns[0]) / 1e9 for stamp_ns in stamps_ns]
-    changes_at_s = np.inf if filming.change is None else filming.change.at_s
+    changes_at_s = np.inf if stage.change is None else stage.change.at_s
     change_ns = next((stamp for stamp, time_s in zip(stamps_ns, times_s, strict=True) if time_s >= changes_at_s), 0)
-    robot_from_world = drawn_frame(config)
-    mounting = drawn_mounting(config.seed) if config.camera_offset else None
-    with open_layout(config.layout, folder, name, camera, config.jpeg_quality, stamps_ns[-1], mounting) as log:
+    with config.open_log(folder, name, stamps_ns[-1]) as log:
         log.write_static(stamps_ns[0])
         shots = shots_of(replace(filming, view=log.depth_view), times_s[::every], processes)
         for i, (stamp_ns, time_s) in enumerate(zip(stamps_ns, times_s, strict=True)):
-            estimated = _in_frame(robot_from_world, odometry.pose_at(time_s))
+            estimated = _in_frame(stage.robot_from_world, odometry.pose_at(time_s))
             log.write_pose(stamp_ns, estimated, _velocity(odometry, time_s))
             if i % every:
                 continue
@@ -275,13 +234,13 @@ def _record(
             seen.add(shot.exact_depth_m, shot.instances, camera, world_from_camera)
             if time_s < changes_at_s:
                 seen_before.add(shot.exact_depth_m, shot.instances, camera, world_from_camera)
-            for item_id in np.setdiff1d(shot.instances, (0, PERSON_ID)):
+            for item_id in np.setdiff1d(shot.instances, (0, OCCLUDER_ID)):
                 shown[int(item_id)].append(index)
             log.write_images(stamp_ns, shot.rgb, shot.depth_m)
             frame = TruthFrame(
                 index=index,
                 stamp_ns=stamp_ns,
-                world_from_camera=_in_frame(robot_from_world, world_from_camera),
+                world_from_camera=_in_frame(stage.robot_from_world, world_from_camera),
                 instances=f"instances/{index:06d}.png",
             )
             (truth_folder / frame.instances).write_bytes(encode_png(shot.instances))
@@ -290,16 +249,13 @@ def _record(
     return _Recorded(frames=frames, seen=seen, seen_before=seen_before, shown=shown, change_ns=change_ns)
 
 
-def _stamps_ns(config: RecordingConfig, walk_s: float) -> tuple[list[int], int]:
+def _stamps_ns(config: RecordingConfig, walk_s: float, clock_offset_ns: int) -> tuple[list[int], int]:
     """Return the stamps of all grabs, and the number of grabs per image."""
     seconds = walk_s - 2 * STEP_S if config.seconds is None else config.seconds
     every = max(1, int(np.ceil(_ODOMETRY_HZ / config.rate_hz)))
     num_frames = int(np.floor(seconds * config.rate_hz + 1e-9))
     num_grabs = (num_frames - 1) * every + 1
-    start_ns = _START_NS + 1_000_003 * config.seed
-    if config.robots:
-        rng = np.random.default_rng([config.seed, 9, config.walk_index])
-        start_ns += int(rng.integers(-_CLOCK_REACH_NS, _CLOCK_REACH_NS))
+    start_ns = _START_NS + 1_000_003 * config.seed + clock_offset_ns
     return [start_ns + round(i * 1e9 / (config.rate_hz * every)) for i in range(num_grabs)], every
 
 

@@ -130,3 +130,9 @@ def numbered(placements: Sequence[Placement]) -> tuple[WorldObject, ...]:
         WorldObject(id=i, model=placed.model, world_from_object=placed.world_from_object)
         for i, placed in enumerate(placements, start=1)
     )
+
+
+def placed_otherwise(world: World, other: World) -> tuple[WorldObject, ...]:
+    """Return the objects of a world that are elsewhere in another one, or not in it at all."""
+    places = {item.id: item.world_from_object.tolist() for item in other.objects}
+    return tuple(item for item in world.objects if places.get(item.id) != item.world_from_object.tolist())

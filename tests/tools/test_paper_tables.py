@@ -14,10 +14,7 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import load_truth, mesh_of
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.worlds.clearance import clearance_of_surfaces
-from hickory_stream.worlds.recording import drawn_frame, make_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
-from hickory_stream.worlds.scenes import make_world
+from hickory_stream.worlds.recording import make_recording
 from tools.paper_tables import hope
 from tools.paper_tables.chart import chart
 from tools.paper_tables.data_sets import DATA_SETS, HOPE, KIMERA_MULTI
@@ -29,6 +26,9 @@ from tools.paper_tables.tables import Cell, Column, Table, as_csv, as_json, mark
 from tools.paper_tables.workshop import Workshop
 from tools.paper_tables.write_hope import write_hope
 from tools.paper_tables.write_replica_cad import write_replica_cad
+from tools.worlds.recording_config import RecordingConfig, drawn_frame
+from tools.worlds.routes import clearance_of_surfaces
+from tools.worlds.scenes import make_world
 
 if TYPE_CHECKING:
     from pathlib import Path
