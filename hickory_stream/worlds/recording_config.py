@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import TypeAlias
 
-    from hickory_stream.worlds.log_writer import LogWriter
     from hickory_stream.worlds.scene import World
     from hickory_stream.worlds.trajectory import Trajectory
+    from hickory_stream.worlds.zed_log import LogWriter
 
     # Returns a walk by its number through a world, which may differ from the drawn one by what was moved in it.
     Walk: TypeAlias = Callable[[World, int], Trajectory | NoWalk]

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.pictures.ray_caster import CasterName
     from hickory_stream.worlds.depth_camera import DepthCameraConfig
-    from hickory_stream.worlds.log_writer import DepthView
     from hickory_stream.worlds.rendering import Rendered
     from hickory_stream.worlds.scene import World
     from hickory_stream.worlds.trajectory import Trajectory
+    from hickory_stream.worlds.zed_log import DepthView
 
 # Frames that are made ahead of the one that is written, for each process.
 _AHEAD = 3

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Self
 
-import cv2
 import numpy as np
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
-from hickory_stream.worlds.log_writer import DepthView, LogWriter
-from hickory_stream.worlds.zed_log import ZedLog
+from hickory_stream.worlds.zed_log import COLOR_ENCODING, DepthView, LogWriter, ZedLog, encode_jpeg
 from tools.worlds.ros_messages import RosMessages
 
 if TYPE_CHECKING:
@@ -163,8 +161,8 @@ class KimeraMultiLog:
         m, view = self._messages, self.depth_view
         assert view is not None
         color_frame, depth_frame = (f"{self.prefix}/forward_{name}_optical_frame" for name in ("color", "depth"))
-        jpeg = _jpeg(rgb, self._jpeg_quality)
-        color = m.compressed(stamp_ns, color_frame, "rgb8; jpeg compressed bgr8", jpeg)
+        jpeg = encode_jpeg(rgb, self._jpeg_quality)
+        color = m.compressed(stamp_ns, color_frame, COLOR_ENCODING, jpeg)
         self._put(0, "forward/color/image_raw/compressed", stamp_ns, color)
         info = m.camera_info(stamp_ns, color_frame, self._camera, "plumb_bob", 5)
         self._put(0, "forward/color/camera_info", stamp_ns, info)
@@ -297,7 +295,7 @@ class NusClbLog:
             bgra = np.dstack([rgb[..., ::-1], np.full(rgb.shape[:2], 255, dtype=np.uint8)])
             color = m.image(stamp_ns, self._frame, "bgra8", bgra)
         else:
-            color = m.compressed(stamp_ns, self._frame, "jpeg", _jpeg(rgb, self._jpeg_quality))
+            color = m.compressed(stamp_ns, self._frame, "jpeg", encode_jpeg(rgb, self._jpeg_quality))
         self._put(self._color, stamp_ns, color)
         depth = depth_m.copy()
         lost = np.flatnonzero(~np.isfinite(depth))
@@ -338,9 +336,3 @@ def _orthogonal(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a pose with an exactly orthogonal rotation, which printed calibrations do not have."""
     u, _, vt = np.linalg.svd(pose[:3, :3])
     return from_rotation_translation(u @ vt, pose[:3, 3])
-
-
-def _jpeg(rgb: NDArray[np.uint8], quality: int) -> bytes:
-    done, data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    assert done, f"JPEG of {rgb.shape}"
-    return data.tobytes()

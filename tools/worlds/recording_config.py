@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.camera import Camera
-    from hickory_stream.worlds.log_writer import LogWriter
     from hickory_stream.worlds.recording_config import Walk
     from hickory_stream.worlds.scene import World, WorldObject
+    from hickory_stream.worlds.zed_log import LogWriter
     from tools.worlds.color_camera import ColorCameraConfig
 
 MAX_ROBOTS = 16
