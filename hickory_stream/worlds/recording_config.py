@@ -15,8 +15,7 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.worlds.depth_camera import DepthCameraConfig
 from hickory_stream.worlds.room import furnished_room
 from hickory_stream.worlds.shots import Sensors, Stage
-from hickory_stream.worlds.trajectory import NoWalk, walk_round
-from hickory_stream.worlds.walk_config import WalkConfig
+from hickory_stream.worlds.trajectory import NoWalk, WalkConfig, walk_round
 from hickory_stream.worlds.zed_log import ZedLog
 
 if TYPE_CHECKING:

@@ -39,14 +39,6 @@ _AHEAD = 3
 OCCLUDER_ID = 60000
 
 
-class ColorCamera(Protocol):
-    """The defects of a colour camera."""
-
-    def photographed(self, rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Return an image (H, W, 3) as the camera reports it."""
-        ...
-
-
 class Occluder(Protocol):
     """What moves through the images without being an object."""
 
@@ -64,14 +56,13 @@ class Occluder(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sensors:
-    """The cameras and their defects; `color_noise` in grey levels, `color` None has no others.
+    """The cameras and their defects; `color_noise` in grey levels.
 
     The noise is drawn from `seeds`; `is_by_frame`: each frame draws for itself.
     """
 
     camera: Camera
     color_noise: float
-    color: ColorCamera | None = None
     depth: DepthCameraConfig
     seeds: tuple[int, ...]
     is_by_frame: bool
@@ -196,8 +187,6 @@ def _sensed(
     """Return colour and depth with the defects of the cameras."""
     noise = sensors.color_noise * rng.standard_normal(rendered.rgb.shape)
     rgb = np.clip(rendered.rgb + noise, 0, 255).round().astype(np.uint8)
-    if sensors.color is not None:
-        rgb = sensors.color.photographed(rgb, rng)
     return rgb, _depth(rendered, sensors.camera, sensors, rng)
 
 

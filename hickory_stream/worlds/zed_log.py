@@ -1,4 +1,4 @@
-"""The interface of writers of synthetic logs, and one: an MCAP of ROS 2 messages with the topics and frames of the ZED wrapper (from v5.1).
+"""The interface of writers of logs, and one: an MCAP with the topics and frames of the ZED wrapper (from v5.1).
 
 Image stamps are grab stamps. Odometry and TF are written for every grab, at 30 Hz at least, so that each image has a
 pose of the same stamp. Log times lag behind the stamps as on a robot.

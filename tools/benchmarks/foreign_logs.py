@@ -20,7 +20,7 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE
 from tools.benchmarks.processes import ROOT
 from tools.worlds.cache import cache_folder, cached_recording
-from tools.worlds.outdoor.recordings import outdoors
+from tools.worlds.outdoor.walk import outdoors
 from tools.worlds.recording_config import RecordingConfig
 
 PROGRAM = "make_world_log.py"

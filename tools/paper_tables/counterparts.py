@@ -23,7 +23,7 @@ from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CA
 from tools.paper_tables.write_hope import write_hope
 from tools.paper_tables.write_replica_cad import write_replica_cad
 from tools.worlds.layouts import KimeraMultiLog
-from tools.worlds.outdoor.recordings import outdoors
+from tools.worlds.outdoor.walk import outdoors
 from tools.worlds.recording_config import RecordingConfig, drawn_frame, walkable_world
 
 if TYPE_CHECKING:

@@ -10,11 +10,9 @@ from hickory_stream.base import caches
 from hickory_stream.base.json_text import dumps
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
 from hickory_stream.worlds.recording import make_recording
-from hickory_stream.worlds.walk_config import WalkConfig
-from tools.worlds.drift import DriftConfig
+from hickory_stream.worlds.trajectory import WalkConfig
 from tools.worlds.layouts import layout_files
-from tools.worlds.recording_config import RecordingConfig
-from tools.worlds.scenes import CLUTTER
+from tools.worlds.recording_config import CLUTTER, RecordingConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,9 +26,8 @@ CLUTTER_VERSION = 2
 
 # Fields that were added to configs later: their defaults are left out of a name, so that older recordings stay valid.
 _LATER = {
-    "": (RecordingConfig(), ("layout", "family", "color", "camera_offset", "robots", "building", "day", "change_at_s")),
+    "": (RecordingConfig(), ("layout", "family", "camera_offset", "robots", "building", "day", "change_at_s")),
     "walk": (WalkConfig(), ("pitch_deg",)),
-    "drift": (DriftConfig(), ("jitter_m", "jitter_deg")),
 }
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from hickory_stream.worlds.trajectory import Trajectory
@@ -24,9 +23,6 @@ class DriftConfig:
     scale: float = 0.01
     yaw_deg_per_m: float = 0.05
     correlation_m: float = 8.0
-    jitter_m: float = 0.0
-    """Independent error of each pose along each axis, as of odometry without smoothing."""
-    jitter_deg: float = 0.0
 
 
 def drifted(trajectory: Trajectory, config: DriftConfig, rng: np.random.Generator) -> Trajectory:
@@ -46,9 +42,4 @@ def drifted(trajectory: Trajectory, config: DriftConfig, rng: np.random.Generato
         # A rotation about the vertical axis through the camera: it changes the heading, not the position.
         turn = yaw_rotation(np.radians(config.yaw_deg_per_m) * yaw * moved_m)
         poses[i] = from_rotation_translation(turn @ pose[:3, :3], pose[:3, 3])
-    if config.jitter_m or config.jitter_deg:
-        for pose in poses[1:]:
-            pose[:3, 3] += config.jitter_m * rng.standard_normal(3)
-            turn = Rotation.from_rotvec(np.radians(config.jitter_deg) * rng.standard_normal(3))
-            pose[:3, :3] = pose[:3, :3] @ turn.as_matrix()
     return Trajectory(times_s=trajectory.times_s, world_from_camera=poses)

@@ -15,7 +15,7 @@ from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_
 from hickory_stream.worlds.recording_config import RecordingConfig as PlainConfig
 from hickory_stream.worlds.recording_config import Scene, register_scene, walkable
 from hickory_stream.worlds.scene import placed_otherwise
-from hickory_stream.worlds.shots import Sensors, Stage, WorldChange
+from hickory_stream.worlds.shots import Stage, WorldChange
 from hickory_stream.worlds.trajectory import NoWalk, Trajectory, walk_round
 from tools.worlds.apartment import apartment
 from tools.worlds.building.building import BuildingSize, building
@@ -26,13 +26,11 @@ from tools.worlds.clutter.walk import wander
 from tools.worlds.days import world_of_day
 from tools.worlds.drift import DriftConfig, drifted
 from tools.worlds.layouts import LAYOUTS, drawn_mounting, layout_camera, layout_files, open_layout
-from tools.worlds.orbit import orbit
 from tools.worlds.outdoor.street import street
 from tools.worlds.outdoor.walk import stroll
 from tools.worlds.person import Person
-from tools.worlds.scenes import APARTMENT, BUILDING, CLUTTER, OUTDOOR, TABLETOP
-from tools.worlds.tabletop import tabletop
-from tools.worlds.tour import tour
+from tools.worlds.routes import tour
+from tools.worlds.tabletop import orbit, tabletop
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -43,8 +41,8 @@ if TYPE_CHECKING:
     from hickory_stream.worlds.recording_config import Walk
     from hickory_stream.worlds.scene import World, WorldObject
     from hickory_stream.worlds.zed_log import LogWriter
-    from tools.worlds.color_camera import ColorCameraConfig
 
+APARTMENT, TABLETOP, CLUTTER, OUTDOOR, BUILDING = "apartment", "tabletop", "clutter", "outdoor", "building"
 MAX_ROBOTS = 16
 _WITHOUT_DAYS = (BUILDING, CLUTTER, OUTDOOR)
 _LEAST_CLUTTER = 6
@@ -81,8 +79,6 @@ class RecordingConfig(PlainConfig):
     """
     person: bool = False
     """Whether a person walks through the scene."""
-    color: ColorCameraConfig | None = None
-    """The defects of the colour camera in addition to `color_noise`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,10 +102,6 @@ class RecordingConfig(PlainConfig):
     def camera(self) -> Camera:
         """The colour camera."""
         return layout_camera(self.layout, super().camera)
-
-    def sensors(self) -> Sensors:
-        """Return the cameras."""
-        return replace(super().sensors(), color=self.color)
 
     def stage(self) -> Stage:
         """Return what is filmed; raises `ConfigError` as `walkable_world`, or for a change after the walk's end."""

@@ -12,8 +12,7 @@ from hickory_stream.evaluation.truth import instances_of, load_truth
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.shots import Filming, shots_of
-from hickory_stream.worlds.trajectory import Trajectory
-from hickory_stream.worlds.walk_config import WalkConfig
+from hickory_stream.worlds.trajectory import Trajectory, WalkConfig
 from tools.worlds.building.building import Building, BuildingSize, building
 from tools.worlds.building.route import route_through
 from tools.worlds.building.stairwell import STOREY_M

@@ -19,7 +19,7 @@ from hickory_stream.worlds.clearance import clearance_among
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from hickory_stream.worlds.object_models import model_triangles
 from hickory_stream.worlds.scene import part_boxes
-from hickory_stream.worlds.trajectory import Trajectory
+from hickory_stream.worlds.trajectory import Trajectory, WalkConfig
 from tools.worlds.cache import cached_recording, recording_name
 from tools.worlds.clutter.contents import CONTENTS
 from tools.worlds.clutter.families import FAMILIES, TABLE, Recipes
@@ -30,11 +30,10 @@ from tools.worlds.clutter.heaps import heap
 from tools.worlds.clutter.kit import SHAPES, any_material
 from tools.worlds.clutter.objects.cloths import curtain, hung_cloth, tablecloth
 from tools.worlds.clutter.objects.materials import MATERIALS
-from tools.worlds.clutter.recordings import clutter_recording
 from tools.worlds.clutter.room import clutter_room
+from tools.worlds.clutter.sensors import ColorCameraConfig
 from tools.worlds.clutter.walk import wander
-from tools.worlds.color_camera import ColorCameraConfig
-from tools.worlds.drift import DriftConfig, drifted
+from tools.worlds.drift import DriftConfig
 from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
@@ -136,7 +135,9 @@ def test_an_unknown_family_is_refused_with_the_known_ones() -> None:
 
 
 def test_a_log_of_a_random_room_shows_what_its_truth_says(tmp_path: Path) -> None:
-    config = clutter_recording(7, "training", seconds=1.0, rate_hz=2.0, width=96, height=72)
+    config = RecordingConfig(
+        scene="clutter", seed=7, seconds=1.0, rate_hz=2.0, width=96, height=72, walk=WalkConfig(clearance_m=0.22)
+    )
     log, truth = cached_recording(config, tmp_path)
     assert log.is_file()
     assert cached_recording(config, tmp_path)[0] == log
@@ -144,41 +145,16 @@ def test_a_log_of_a_random_room_shows_what_its_truth_says(tmp_path: Path) -> Non
     shown = {int(i) for frame in truth.frames for i in np.unique(instances_of(truth, frame)) if i}
     assert shown == {item.id for item in truth.objects if item.frames}
     assert shown
-    assert all(0.25 < frame.world_from_camera[2, 3] < 1.85 for frame in truth.frames)
+    assert all(1.3 < frame.world_from_camera[2, 3] < 1.5 for frame in truth.frames)
 
 
 def test_a_walk_keeps_its_distance_from_everything() -> None:
-    config = clutter_recording(2, "training")
     room = next(room for i in range(20) if len((room := clutter_room(2, "training", i)).world.objects) >= 6)
-    walk = wander(room, 20.0, config.walk, np.random.default_rng(0))
+    walk = wander(room, 20.0, WalkConfig(clearance_m=0.22), np.random.default_rng(0))
     assert isinstance(walk, Trajectory)
     boxes = [box for item in room.world.objects for box in part_boxes(item.model, item.world_from_object)]
     clearance = clearance_among(boxes, room.plan.bounds_m, room.plan.outline_m)
     assert clearance.at(walk.world_from_camera[::30, :2, 3]).min() > 0.1
-
-
-def test_heights_fields_of_view_and_sizes_of_logs_are_drawn_within_their_ranges() -> None:
-    configs = [clutter_recording(seed, "tuning", width=None) for seed in range(30)]
-    heights = [config.walk.eye_height_m for config in configs]
-    fields_deg = [config.horizontal_fov_deg for config in configs]
-    assert min(heights) >= 0.3
-    assert max(heights) <= 1.8
-    assert max(heights) - min(heights) > 1.0
-    assert min(fields_deg) >= 49.9
-    assert max(fields_deg) <= 100.1
-    assert len({(config.width, config.height) for config in configs}) > 3
-    assert {config.drift is None for config in configs} == {True, False}
-    assert clutter_recording(3, "tuning") == clutter_recording(3, "tuning")
-
-
-def test_odometry_that_shakes_stays_about_the_true_poses() -> None:
-    poses = np.tile(np.eye(4), (200, 1, 1))
-    walk = Trajectory(times_s=np.arange(200.0), world_from_camera=poses)
-    config = DriftConfig(scale=0.0, yaw_deg_per_m=0.0, jitter_m=0.002, jitter_deg=0.1)
-    told = drifted(walk, config, np.random.default_rng(0)).world_from_camera
-    assert np.array_equal(told[0], np.eye(4))
-    assert told[1:, :3, 3].std() == pytest.approx(0.002, rel=0.15)
-    assert np.allclose(told[:, :3, :3] @ told[:, :3, :3].transpose(0, 2, 1), np.eye(3), atol=1e-12)
 
 
 def test_names_of_recordings_from_before_there_were_families_stay() -> None:

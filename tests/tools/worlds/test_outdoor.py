@@ -12,12 +12,10 @@ from hickory_stream.geometry.mesh import Mesh, is_closed
 from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.worlds.clearance import clearance_of
 from hickory_stream.worlds.rendering import Renderer
-from hickory_stream.worlds.trajectory import NoWalk
-from hickory_stream.worlds.walk_config import WalkConfig
+from hickory_stream.worlds.trajectory import NoWalk, WalkConfig
 from tools.worlds.outdoor import street_things
-from tools.worlds.outdoor.recordings import outdoors
 from tools.worlds.outdoor.street import Street, street
-from tools.worlds.outdoor.walk import stroll
+from tools.worlds.outdoor.walk import outdoors, stroll
 from tools.worlds.recording_config import RecordingConfig, walkable_world
 
 SEEDS = (2, 77)

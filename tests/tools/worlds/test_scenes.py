@@ -16,13 +16,13 @@ from hickory_stream.worlds.scene import part_boxes, shared_volume_m3
 from hickory_stream.worlds.shots import OCCLUDER_ID
 from hickory_stream.worlds.trajectory import Trajectory
 from tools.worlds import big_things, table_things
+from tools.worlds.apartment import apartment
 from tools.worlds.cache import cached_recording
 from tools.worlds.drift import DriftConfig, drifted
-from tools.worlds.orbit import orbit
 from tools.worlds.person import figure
 from tools.worlds.recording_config import RecordingConfig, walkable_world
 from tools.worlds.routes import joins_rooms
-from tools.worlds.scenes import make_world
+from tools.worlds.tabletop import orbit, tabletop
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -67,7 +67,7 @@ KINDS = [
 
 @pytest.fixture(scope="module")
 def apartments() -> list[World]:
-    return [make_world("apartment", seed) for seed in SEEDS]
+    return [apartment(seed) for seed in SEEDS]
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: str(kind.__name__))
@@ -101,7 +101,7 @@ def test_an_apartment_has_25_to_45_objects_of_at_least_20_kinds(apartments: list
 
 def test_a_table_top_has_10_to_20_things_on_its_table() -> None:
     for seed in SEEDS:
-        world = make_world("tabletop", seed)
+        world = tabletop(seed)
         table, *things = world.objects
         assert table.model.kind == "table"
         assert 10 <= len(things) <= 20
@@ -110,7 +110,7 @@ def test_a_table_top_has_10_to_20_things_on_its_table() -> None:
 
 
 def test_no_two_objects_cut_into_one_another(apartments: list[World]) -> None:
-    for world in [*apartments, make_world("tabletop", 5)]:
+    for world in [*apartments, tabletop(5)]:
         # A ball lies within the box of its basket.
         solid = [item for item in world.objects if item.model.kind != "basket"]
         boxes = [part_boxes(item.model, item.world_from_object) for item in solid]
@@ -122,10 +122,10 @@ def test_the_same_seed_makes_the_same_apartment_and_another_seed_another() -> No
     def told(world: World) -> list[tuple[str, list[float]]]:
         return [(item.model.kind, item.world_from_object.ravel().round(9).tolist()) for item in world.objects]
 
-    assert told(make_world("apartment", 5)) == told(make_world("apartment", 5))
-    assert told(make_world("apartment", 5)) != told(make_world("apartment", 6))
+    assert told(apartment(5)) == told(apartment(5))
+    assert told(apartment(5)) != told(apartment(6))
     with pytest.raises(ConfigError, match="expected one of room, apartment, tabletop"):
-        make_world("castle", 1)
+        RecordingConfig(scene="castle")
 
 
 def test_one_can_walk_into_every_room_and_the_two_walks_differ(apartments: list[World]) -> None:
@@ -146,7 +146,7 @@ def test_one_can_walk_into_every_room_and_the_two_walks_differ(apartments: list[
 
 
 def test_an_orbit_looks_down_at_the_table_from_every_side() -> None:
-    world = make_world("tabletop", 5)
+    world = tabletop(5)
     walk = orbit(world, None, 0, np.random.default_rng(1))
     eyes, forward = walk.world_from_camera[:, :3, 3], walk.world_from_camera[:, :3, 2]
     assert (forward[:, 2] < -0.2).all()

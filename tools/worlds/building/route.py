@@ -12,8 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.worlds.clearance import CELL_M, Clearance, clearance_of
 from tools.worlds.building.stairwell import STOREY_M
-from tools.worlds.routes import way_between
-from tools.worlds.tour import corners_of
+from tools.worlds.routes import corners_of, way_between
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from hickory_stream.worlds.gaze import gaze
-from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses
+from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses, gaze
 from tools.worlds.building.route import STAIRS, route_through
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.worlds.walk_config import WalkConfig
+    from hickory_stream.worlds.trajectory import WalkConfig
     from tools.worlds.building.building import Building
 
 _CUT = 0.6

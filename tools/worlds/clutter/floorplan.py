@@ -16,8 +16,7 @@ from hickory_stream.worlds.textures import Texture
 from tools.worlds.clutter.draws import about_x, about_y, chance, count, log_uniform, one_of, uniform
 from tools.worlds.clutter.footprints import rectangle
 from tools.worlds.clutter.objects.solids import block, cylinder
-from tools.worlds.clutter.paints import quiet
-from tools.worlds.clutter.walls import wall_frame, wall_models
+from tools.worlds.clutter.walls import quiet, wall_frame, wall_models
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,13 +11,11 @@ from tools.worlds.clutter.draws import chance, one_of
 from tools.worlds.clutter.families import recipes_of
 from tools.worlds.clutter.objects.bodies import BODIES
 from tools.worlds.clutter.objects.materials import CALM, MATERIALS
-from tools.worlds.clutter.objects.seats import SEATS
 from tools.worlds.clutter.objects.small_frames import SMALL_FRAMES
-from tools.worlds.clutter.objects.small_soft import SMALL_SOFT
-from tools.worlds.clutter.objects.small_solids import SMALL_SOLIDS
+from tools.worlds.clutter.objects.small_solids import SMALL_SOFT, SMALL_SOLIDS
 from tools.worlds.clutter.objects.solids import stretched
 from tools.worlds.clutter.objects.supports import SUPPORTS
-from tools.worlds.clutter.objects.units import UNITS
+from tools.worlds.clutter.objects.units import SEATS, UNITS
 from tools.worlds.clutter.objects.usual_kinds import USUAL_LARGE, USUAL_SMALL
 
 if TYPE_CHECKING:

@@ -1,13 +1,89 @@
-"""Random cameras: field of view, and defects of colour and depth."""
+"""Random cameras: field of view, and defects of colour and depth.
+
+The defects of a colour camera, applied to a rendered image.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
 import numpy as np
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.worlds.depth_camera import DepthCameraConfig
 from tools.worlds.clutter.draws import chance, log_uniform, uniform
-from tools.worlds.color_camera import ColorCameraConfig
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ColorCameraConfig:
+    """The defects of a colour image; the defaults are none.
+
+    `shift_px` (x, y) is the displacement of colour against depth, `skew_px` the additional displacement of the last row
+    (a rolling shutter in motion), `wobble_px` the amplitude of a smooth variation of it over the image.
+    """
+
+    exposure: float = 1.0
+    gamma: float = 1.0
+    warmth: float = 0.0
+    """The gain of red over that of blue, as a share."""
+    vignette: float = 0.0
+    """Vignetting: the share of the light that is missing in the corners."""
+    blur_px: float = 0.0
+    motion_px: tuple[float, float] = (0.0, 0.0)
+    noise: float = 0.0
+    """Standard deviation of the noise in grey levels, at mid-grey."""
+    shift_px: tuple[float, float] = (0.0, 0.0)
+    skew_px: float = 0.0
+    wobble_px: float = 0.0
+
+    def photographed(self, rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+        """Return the (H, W, 3) image as the camera reports it."""
+        height, width = rgb.shape[:2]
+        image = _displaced(rgb.astype(np.float32) / np.float32(255), self, rng)
+        if self.blur_px > 0.1:
+            image = cv2.GaussianBlur(image, (0, 0), self.blur_px)
+        if max(abs(v) for v in self.motion_px) >= 1.0:
+            image = _smeared(image, self.motion_px)
+        v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
+        gain = self.exposure * (1.0 - self.vignette * (u * u + v * v) / 2)
+        tint = np.array([1 + self.warmth / 2, 1.0, 1 - self.warmth / 2], dtype=np.float32)
+        image = np.clip(image * gain[..., None] * tint, 0.0, 1.0) ** np.float32(self.gamma)
+        if self.noise:
+            # Photon noise grows with the light; read noise does not.
+            level = self.noise / 255 * np.sqrt(0.35 + 1.3 * image)
+            image = image + level * rng.standard_normal(image.shape, dtype=np.float32)
+        return np.asarray((np.clip(image, 0.0, 1.0) * 255 + 0.5).astype(np.uint8))
+
+
+def _displaced(image: NDArray[np.float32], config: ColorCameraConfig, rng: np.random.Generator) -> NDArray[np.float32]:
+    if config.shift_px == (0.0, 0.0) and config.skew_px == 0.0 and config.wobble_px == 0.0:
+        return image
+    height, width = image.shape[:2]
+    v, u = np.mgrid[0:height, 0:width].astype(np.float32)
+    u = u + np.float32(config.shift_px[0]) + np.float32(config.skew_px / height) * v
+    v = v + np.float32(config.shift_px[1])
+    if config.wobble_px:
+        coarse = config.wobble_px * rng.standard_normal((2, 4, 5))
+        u, v = (
+            at + cv2.resize(field, (width, height), interpolation=cv2.INTER_CUBIC).astype(np.float32)
+            for at, field in zip((u, v), coarse, strict=True)
+        )
+    return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _smeared(image: NDArray[np.float32], motion_px: tuple[float, float]) -> NDArray[np.float32]:
+    """Return an image with motion blur."""
+    size = 2 * int(np.ceil(max(abs(v) for v in motion_px) / 2)) + 1
+    kernel = np.zeros((size, size), dtype=np.float32)
+    for share in np.linspace(-0.5, 0.5, 4 * size):
+        x, y = (round(size // 2 + share * v) for v in motion_px)
+        kernel[y, x] += 1
+    return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE))
 
 
 def random_camera(rng: np.random.Generator, width: int, height: int) -> Camera:

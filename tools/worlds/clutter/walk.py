@@ -8,9 +8,8 @@ import numpy as np
 from scipy.ndimage import label
 
 from hickory_stream.worlds.clearance import CELL_M, clearance_among
-from hickory_stream.worlds.gaze import gaze
 from hickory_stream.worlds.scene import part_boxes
-from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses
+from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses, gaze
 from tools.worlds.routes import smoothed, way_between
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.worlds.clearance import Clearance
     from hickory_stream.worlds.scene import World
-    from hickory_stream.worlds.walk_config import WalkConfig
+    from hickory_stream.worlds.trajectory import WalkConfig
     from tools.worlds.clutter.room import ClutterRoom
 
 _STOPS = 6

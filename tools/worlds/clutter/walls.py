@@ -1,6 +1,8 @@
 """Walls with doors, windows, niches and passages, skirting, dados and pictures, in the frame of each wall.
 
 A wall's x points into the room, its y along the wall; the wall itself lies at x <= 0.
+
+Paint for what belongs to a building.
 """
 
 from __future__ import annotations
@@ -17,13 +19,22 @@ from hickory_stream.worlds.support_placement import Wall
 from hickory_stream.worlds.textures import Texture
 from tools.worlds.clutter.draws import chance, count, one_of, uniform
 from tools.worlds.clutter.objects.solids import block
-from tools.worlds.clutter.paints import quiet
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.worlds.textures import Color
     from tools.worlds.clutter.kit import Kit
+
+
+def quiet(rng: np.random.Generator, kit: Kit, *, dim: float = 0.0) -> Texture:
+    """Return a paint as walls and ceilings have: pale and even, at times any material of the family."""
+    if chance(rng, 0.15):
+        return kit.skin(rng)
+    grey = uniform(rng, 0.6 - dim, 0.95 - dim)
+    tone: Color = (grey, grey * uniform(rng, 0.92, 1.02), grey * uniform(rng, 0.8, 1.02))
+    darker: Color = (tone[0] * 0.94, tone[1] * 0.94, tone[2] * 0.94)
+    return Texture(pattern="plain", first=tone, second=darker, period_m=0.4, grain=uniform(rng, 0.01, 0.1))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,23 +1,29 @@
-"""A walk along a street: down the pavement, over the road where the kerb is lowered, back over the lawn."""
+"""A walk along a street: down the pavement, over the road where the kerb is lowered, back over the lawn.
+
+What records a street: a depth camera of short range, carried at a slow walk.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from hickory_stream.worlds.clearance import clearance_of
-from hickory_stream.worlds.gaze import gaze
-from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses
+from hickory_stream.worlds.depth_camera import D455
+from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses, gaze
 from tools.worlds.routes import smoothed, way_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.worlds.clearance import Clearance
-    from hickory_stream.worlds.walk_config import WalkConfig
+    from hickory_stream.worlds.trajectory import WalkConfig
     from tools.worlds.outdoor.street import Street
+    from tools.worlds.recording_config import RecordingConfig
+
 
 # The distance over which the camera's height follows a kerb.
 _STEP_M = 0.25
@@ -75,3 +81,9 @@ def _clear_place(clearance: Clearance, wanted: NDArray[np.float64]) -> NDArray[n
     grid = wanted + np.stack(np.meshgrid(spread, spread, indexing="ij"), axis=-1).reshape(-1, 2)
     value = np.minimum(clearance.at(grid), 0.6) - 0.25 * np.linalg.norm(grid - wanted, axis=1)
     return np.asarray(grid[int(np.argmax(value))])
+
+
+def outdoors(config: RecordingConfig) -> RecordingConfig:
+    """Return a config with the camera and the walk of a street: a D455 at 0.7 m/s, which looks a little downwards."""
+    walk = replace(config.walk, speed_mps=0.7, pitch_deg=(-28.0, -10.0))
+    return replace(config, depth=D455, walk=walk)

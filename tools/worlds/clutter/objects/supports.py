@@ -13,8 +13,8 @@ import numpy as np
 
 from hickory_stream.worlds.object_models import Model, Surface
 from tools.worlds.clutter.draws import about_x, chance, count, log_uniform, uniform
-from tools.worlds.clutter.objects.fittings import FREE_M, four_legs, fronts, level_top
 from tools.worlds.clutter.objects.solids import block, cylinder, open_box, regular, sweep, warped
+from tools.worlds.clutter.objects.units import FREE_M, four_legs, fronts, level_top
 
 if TYPE_CHECKING:
     from collections.abc import Callable
