@@ -1,7 +1,6 @@
 """A synthetic recording from a seed: the log and, beside it, the truth.
 
-Room, walk, camera and samples draw from separate generators, so that a longer log of a seed begins like a shorter one,
-and another camera sees the same room.
+Room, walk, camera and samples draw from separate generators: a longer log of a seed begins like a shorter one.
 """
 
 from __future__ import annotations
@@ -59,13 +58,10 @@ def make_recording(
     seen: SeenSurface | None = None,
     processes: int = 1,
 ) -> Truth:
-    """Write the log's files and NAME.truth/ into a folder, replacing older ones; return the truth.
+    """Write the log's files and NAME.truth/ into a folder, replacing older ones when complete; return the truth.
 
-    `seen` collects what several recordings of one world show. `processes` render frames at the same time, which needs a
-    scene whose frames can be made in any order; they do not change a byte.
-
-    Both are made in a hidden folder beside their destination and moved when complete, so that a failure leaves the old
-    ones. The same `caster` gives the same bytes; None takes the available one (`ray_caster`).
+    `seen` collects what several recordings of one world show. `processes` and `caster` (None: the available one) change
+    how frames are rendered; the number of processes changes no byte.
 
     Raises:
         ConfigError: NAME.truth exists and is no truth folder, none of the seed's rooms can be walked through, or there
@@ -163,7 +159,7 @@ def _make(
 
 
 def _in_frame(robot_from_world: NDArray[np.float64] | None, world_from_a: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a pose in a robot's frame; where it has none of its own, as it is, to the last bit."""
+    # Without a frame of its own, a pose keeps its last bit.
     return world_from_a if robot_from_world is None else robot_from_world @ world_from_a
 
 
@@ -173,7 +169,6 @@ def _write_meshes(
     truth_folder: Path,
     robot_from_world: NDArray[np.float64] | None,
 ) -> tuple[str, ...]:
-    """Write every mesh and return the paths of the structure's, which are in the frame of the poses."""
     for item in (*elsewhere, *world.objects):
         write_glb(model_mesh(item.model), truth_folder / f"meshes/{item.id}.glb")
     paths = [f"meshes/structure_{i}_{model.kind}.glb" for i, model in enumerate(world.structure)]
@@ -185,11 +180,7 @@ def _write_meshes(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Recorded:
-    """The true frames, what they show of the objects, where each object shows, and the first stamp after the change.
-
-    `seen_before` is of what stood elsewhere before the change, or is gone.
-    """
-
+    # `shown`: frames in which each object shows; `seen_before`: of what stood elsewhere before the change, or is gone.
     frames: list[TruthFrame]
     seen: SeenSurface
     seen_before: SeenSurface
@@ -206,7 +197,7 @@ def _record(
     progress: Callable[[int, int], None],
     processes: int,
 ) -> _Recorded:
-    """Render and write frame by frame; `world` is that at the end, `elsewhere` what is not there as it was before."""
+    # `world` is the one at the end; `elsewhere` are the objects that stood elsewhere before, or are gone.
     folder, name, truth_folder = targets
     stage, trajectory = filming.stage, filming.stage.trajectory
     camera = config.camera
@@ -250,7 +241,6 @@ def _record(
 
 
 def _stamps_ns(config: RecordingConfig, walk_s: float, clock_offset_ns: int) -> tuple[list[int], int]:
-    """Return the stamps of all grabs, and the number of grabs per image."""
     seconds = walk_s - 2 * STEP_S if config.seconds is None else config.seconds
     every = max(1, int(np.ceil(_ODOMETRY_HZ / config.rate_hz)))
     num_frames = int(np.floor(seconds * config.rate_hz + 1e-9))
@@ -260,7 +250,7 @@ def _stamps_ns(config: RecordingConfig, walk_s: float, clock_offset_ns: int) -> 
 
 
 def _velocity(trajectory: Trajectory, time_s: float) -> NDArray[np.float64]:
-    """Return the (6,) linear and angular velocity of the camera at a time, in the body's frame (x forward, z up)."""
+    # (6,) linear and angular velocity of the camera, in the body's frame (x forward, z up).
     step_s = 0.01
     world_from_now, world_from_next = trajectory.pose_at(time_s), trajectory.pose_at(time_s + step_s)
     now_from_next = invert(world_from_now) @ world_from_next

@@ -1,7 +1,4 @@
-"""One furnished room from a seed: a laid table in the middle, a group of furniture along each wall.
-
-The order of the groups along the walls is drawn by the seed; a layout with overlaps is drawn again.
-"""
+"""One furnished room from a seed: a laid table in the middle, a group of furniture along each wall."""
 
 from __future__ import annotations
 
@@ -77,7 +74,6 @@ def _all_fit(placed: Sequence[Placement], half_x: float, half_y: float) -> bool:
 
 
 def _dining_group(rng: np.random.Generator, middle: tuple[float, float]) -> list[Placement]:
-    """Return the table with its long side along the room, three chairs pushed in, and what stands on it."""
     world_from_table = at_place(*middle, REST_M, np.pi / 2 + float(rng.uniform(-0.05, 0.05)))
     table = Placement(model=furniture.table(rng), world_from_object=world_from_table)
     edge = float(table.model.bounds_m()[1, 0])
@@ -126,7 +122,6 @@ def _desk_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
 
 
 def _box_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
-    """Return a box with a smaller one on it, a third one a few centimetres beside them, and a free-standing chair."""
     side = 1 if rng.random() < 0.5 else -1
     lower = wall.place(small_things.box(rng), away_m=float(rng.uniform(0.04, 0.1)), along_m=0.75 * side)
     upper = stood_on(rng, lower, lower.model.surfaces[0], [small_things.small_box(rng)], turn_rad=0.3)

@@ -1,7 +1,6 @@
-"""The frames of a recording, one by one or by several processes: what the cameras give, and what is truly there.
+"""The frames of a recording: what the cameras give, and what is truly there.
 
-Processes do not change a frame: each is made of the world, the walk and its own number alone. Where frames draw their
-noise one after the other (`Sensors.is_by_frame`), one process makes them all.
+Where each frame draws its own noise (`Sensors.is_by_frame`), several processes make the same frames as one.
 """
 
 from __future__ import annotations
@@ -56,15 +55,14 @@ class Occluder(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sensors:
-    """The cameras and their defects; `color_noise` in grey levels.
-
-    The noise is drawn from `seeds`; `is_by_frame`: each frame draws for itself.
-    """
+    """The cameras and their defects; noise is drawn from `seeds`."""
 
     camera: Camera
+    #: In grey levels.
     color_noise: float
     depth: DepthCameraConfig
     seeds: tuple[int, ...]
+    #: Each frame draws for itself.
     is_by_frame: bool
 
 
@@ -152,7 +150,6 @@ def _shoot(index: int, time_s: float) -> Shot:
 
 
 def _shooter(filming: Filming) -> Callable[[int, float], Shot]:
-    """Return what makes a frame of its number and its time."""
     sensors = filming.sensors
     camera = sensors.camera
     stage, trajectory = filming.stage, filming.stage.trajectory
@@ -184,7 +181,6 @@ def _shooter(filming: Filming) -> Callable[[int, float], Shot]:
 def _sensed(
     rendered: Rendered, sensors: Sensors, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Return colour and depth with the defects of the cameras."""
     noise = sensors.color_noise * rng.standard_normal(rendered.rgb.shape)
     rgb = np.clip(rendered.rgb + noise, 0, 255).round().astype(np.uint8)
     return rgb, _depth(rendered, sensors.camera, sensors, rng)

@@ -1,12 +1,4 @@
-"""A person's walk in a room: a closed loop around its centre along the line of largest clearance.
-
-The viewing direction of a camera that is carried through a world.
-
-The gaze is planned a few looks ahead. It turns to the objects that have been seen least, and to unseen sides of them,
-at no more than the angular rate of a head. Objects in other rooms are ignored.
-
-The configuration of a person's walk through a world.
-"""
+"""A person's walk in a room, along the line of largest clearance, and where the camera looks."""
 
 from __future__ import annotations
 
@@ -38,7 +30,10 @@ def gaze(
     *,
     first_yaw: float | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return smooth (N,) yaw and pitch angles of the optical axis; `first_yaw` None looks at the middle of the room."""
+    """Return smooth (N,) yaw and pitch of the optical axis; `first_yaw` None looks at the middle of the room.
+
+    The gaze turns to objects seen least, and to their unseen sides, at the angular rate of a head.
+    """
     steps = round(_DECISION_S / step_s)
     attention = _Attention(world)
     if first_yaw is None:
@@ -68,8 +63,6 @@ def _heading(direction: NDArray[np.float64]) -> float:
 
 
 class _Attention:
-    """Which objects have been seen from which sides, and the gain of a further look at each."""
-
     _TURNS = (-1.0, -0.5, 0.0, 0.5, 1.0)
     _SIDES = 8
 
@@ -93,16 +86,14 @@ class _Attention:
         self._room_of = np.array([self._room(center[:2]) for center in self._centers])
 
     def middle_of_room(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the centre (2,) of the room that contains a position."""
         return np.asarray(self._middles[self._room(position)])
 
     def _room(self, position: NDArray[np.float64]) -> int:
-        """Return the room that contains an (x, y) position, or the nearest one."""
         outside = np.maximum(0.0, np.maximum(self._rooms[:, :2] - position, position - self._rooms[:, 2:]))
         return int(np.argmin((outside**2).sum(axis=1)))
 
     def best_turn(self, stops: NDArray[np.float64], yaw: float, turn_rad: float) -> float:
-        """Return the turn in -1..1 that starts the best sequence of looks from the next few stops."""
+        # The turn in -1..1 that starts the best sequence of looks from the next few stops.
         return self._search(stops, yaw, turn_rad)[1]
 
     def _search(self, stops: NDArray[np.float64], yaw: float, turn_rad: float) -> tuple[float, float]:
@@ -116,7 +107,7 @@ class _Attention:
         return max(options, key=lambda option: option[0])
 
     def _view(self, position: NDArray[np.float64], yaw: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return for each object how well it is seen (N,), 0 if it is not visible, and from which side (N,)."""
+        # How well each object is seen (N,), 0 if it is not visible, and from which side (N,).
         offset = self._centers[:, :2] - position
         distance = np.linalg.norm(offset, axis=1)
         bearing = np.arctan2(offset[:, 1], offset[:, 0])
@@ -127,18 +118,15 @@ class _Attention:
         return quality, side
 
     def _gains(self, position: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
-        """Return (N,) what a look adds to each object."""
         quality, side = self._view(position, yaw)
         novelty = 1.0 / (1.0 + 2.0 * self._looks[np.arange(len(side)), side] + self._looks.sum(axis=1))
         return quality * novelty * self._weights
 
     def look(self, position: NDArray[np.float64], yaw: float) -> None:
-        """Record a look from a position in a direction."""
         quality, side = self._view(position, yaw)
         self._looks[np.arange(len(side)), side] += quality
 
     def pitch(self, position: NDArray[np.float64], yaw: float, config: WalkConfig) -> float:
-        """Return the pitch (negative = down) that centres the objects worth looking at, within its limits."""
         weight = self._gains(position, yaw) + 1e-3
         distance = np.linalg.norm(self._centers[:, :2] - position, axis=1)
         angles = np.arctan2(self._centers[:, 2] - config.eye_height_m, distance)
@@ -189,7 +177,7 @@ def walk_round(world: World, seconds: float, config: WalkConfig, rng: np.random.
 
 
 def _clear_loop(world: World) -> tuple[NDArray[np.float64], float]:
-    """Return (360, 2) points around the centre on the ridge of the clearance map, and the least clearance on it."""
+    # Points (360, 2) on the ridge of the clearance around the centre, and the least clearance on it.
     clearance = clearance_of(world)
     radii = np.arange(0.6, 2.6, 0.03)
     angles = 2 * np.pi * np.arange(360) / 360
@@ -203,7 +191,6 @@ def _clear_loop(world: World) -> tuple[NDArray[np.float64], float]:
 
 
 def _along_loop(loop: NDArray[np.float64], distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (N, 2) points at given distances along a closed polyline."""
     closed = np.vstack([loop, loop[:1]])
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
     on = np.mod(distances_m, arc[-1])

@@ -1,8 +1,4 @@
-"""An apartment from a seed: four rooms around a crossing of walls, joined by open doors, each furnished by its use.
-
-Furniture is drawn piece by piece, at places that keep doors and earlier pieces free. A layout in which one cannot walk
-through all rooms is drawn again.
-"""
+"""An apartment from a seed: four rooms around a crossing of walls, joined by open doors."""
 
 from __future__ import annotations
 
@@ -28,8 +24,6 @@ _MIN_OBJECTS, _MAX_OBJECTS, _MIN_KINDS = 25, 45, 20
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Plan:
-    """Rectangles between the walls, and the door ways between them."""
-
     rooms_m: tuple[tuple[float, float, float, float], ...]
     doors: tuple[DoorWay, ...]
 
@@ -38,7 +32,7 @@ def apartment(seed: int, attempt: int = 0) -> World:
     """Return apartment number `attempt` of a seed, with 25 to 45 objects of at least 20 kinds.
 
     Raises:
-        ConfigError: no valid layout was found; this has not happened with any seed so far.
+        ConfigError: no draw fits, which no seed has shown so far.
     """
     rng = np.random.default_rng([seed, 11, attempt])
     for _ in range(_ATTEMPTS):
@@ -70,7 +64,6 @@ def _draw(rng: np.random.Generator) -> World:
 
 
 def _thinned(rng: np.random.Generator, placed: list[Placement]) -> list[Placement]:
-    """Return the placements without some of the things that stand on furniture; a random number of these remain."""
     target = int(rng.integers(_MAX_OBJECTS - 7, _MAX_OBJECTS + 1))
     loose = [i for i, one in enumerate(placed) if one.world_from_object[2, 3] > 0.1]
     gone = rng.choice(loose, size=min(len(loose), max(0, len(placed) - target)), replace=False)
@@ -78,7 +71,6 @@ def _thinned(rng: np.random.Generator, placed: list[Placement]) -> list[Placemen
 
 
 def _plan(rng: np.random.Generator) -> _Plan:
-    """Return four rooms and the doors in the four pieces of wall between them; one plan in three lacks one door."""
     left, right = float(rng.uniform(4.5, 5.2)), float(rng.uniform(3.6, 4.2))
     near, far = float(rng.uniform(4.1, 4.6)), float(rng.uniform(3.5, 4.0))
     if rng.random() < 0.5:
@@ -96,7 +88,6 @@ def _plan(rng: np.random.Generator) -> _Plan:
 
 
 def _door(rng: np.random.Generator, *, axis: int, at_m: float, span_m: tuple[float, float]) -> DoorWay:
-    """Return a doorway in the wall at `at_m` on an axis, at a random position along the piece of wall."""
     width = float(rng.uniform(0.88, 1.0))
     low, high = span_m[0] + 0.35 + width / 2, span_m[1] - 0.35 - width / 2
     return DoorWay(axis=axis, at_m=at_m, middle_m=float(rng.uniform(low, high)), width_m=width)

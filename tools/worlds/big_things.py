@@ -137,7 +137,6 @@ def kitchen_counter(rng: np.random.Generator) -> Model:
 
 
 def _chest(kind: str, rng: np.random.Generator, size: tuple[float, float], drawers: int, drawer_m: float) -> Model:
-    """Return a body of drawers with knobs on a plinth."""
     depth, width = size
     timber = wood(rng, axis=1) if rng.random() < 0.6 else coat(rng)
     knob, height = coat(rng), 0.06 + drawers * drawer_m

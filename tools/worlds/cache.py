@@ -1,4 +1,4 @@
-"""Recordings that are made when they are first asked for, and kept."""
+"""Recordings that are made at first use, and kept."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def cached_recording(
     folder: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Path, Truth]:
-    """Return the log and the truth of a config, which are recorded if they are not in the cache.
+    """Return the log and the truth of a config, from the cache or made now.
 
     Raises:
         ConfigError: no world of the config can be walked through.
@@ -70,7 +70,6 @@ def recording_name(config: RecordingConfig) -> str:
 
 
 def _forget_defaults(values: dict[str, Any]) -> None:
-    """Remove those fields that were added later and have their defaults from the values of a config."""
     for part, (defaults, fields) in _LATER.items():
         held = values if not part else values[part]
         for field in fields if held is not None else ():

@@ -1,7 +1,4 @@
-"""Scans of a LiDAR with 32 beams in empty rooms: a corridor, which does not constrain motion along it, and a room.
-
-Rooms are boxes seen from inside, optionally with door frames in the walls; a ray ends where it leaves the box.
-"""
+"""Scans of a LiDAR with 32 beams in an empty box: a corridor, which does not constrain motion along it, or a room."""
 
 from __future__ import annotations
 
@@ -22,15 +19,13 @@ _FRAME_WIDE_M, _FRAME_DEEP_M = 0.12, 0.08
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CorridorConfig:
-    """A walk through a box, `length_m` along x and `width_m` along y; door frames every `frames_every_m` (0: none).
-
-    The walk begins `margin_m` from one end and is `way_m` long, with a gentle sway, at `speed_mps`. It is scanned at
-    `rate_hz` by `beams` x `columns` rays with noise `sigma_m` and range `range_m`.
-    """
+    """A walk with a gentle sway through a box, `length_m` along x and `width_m` along y."""
 
     length_m: float = 30.0
     width_m: float = 2.0
+    #: Door frames in the walls; 0: none.
     frames_every_m: float = 0.0
+    #: From the box's end to the start of the walk.
     margin_m: float = 6.0
     way_m: float = 18.0
     speed_mps: float = 1.0
@@ -69,7 +64,7 @@ def scan_from(
 
 
 def _directions(config: CorridorConfig) -> NDArray[np.float64]:
-    """Return the unit directions (N, 3) of the rays of a Velodyne HDL-32E: from 10.67 degrees up to 30.67 down."""
+    # Rays (N, 3) of a Velodyne HDL-32E: from 10.67 degrees up to 30.67 down.
     elevation = np.radians(np.linspace(-30.67, 10.67, config.beams))[:, None]
     azimuth = np.linspace(-np.pi, np.pi, config.columns, endpoint=False)[None, :]
     flat = np.cos(elevation)
@@ -85,7 +80,6 @@ def _directions(config: CorridorConfig) -> NDArray[np.float64]:
 
 
 def _ranges(origin: NDArray[np.float64], rays: NDArray[np.float64], config: CorridorConfig) -> NDArray[np.float64]:
-    """Return the lengths of the rays (N, 3) from inside the box to a wall or a door frame."""
     low = np.array([0.0, -config.width_m / 2, 0.0])
     high = np.array([config.length_m, config.width_m / 2, _HEIGHT_M])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -105,7 +99,7 @@ def _ranges(origin: NDArray[np.float64], rays: NDArray[np.float64], config: Corr
 def _box_ranges(
     origin: NDArray[np.float64], rays: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the distances at which the rays (N, 3) enter a box from outside, inf if they miss it (slab method)."""
+    # Where the rays (N, 3) enter a box from outside, inf if they miss it (slab method).
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = (low - origin) / rays, (high - origin) / rays
     near = np.nanmax(np.minimum(first, second), axis=1)

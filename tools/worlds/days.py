@@ -1,7 +1,6 @@
-"""The same world on another day: some things were moved, some are gone, some are new, and some were exchanged.
+"""The same world on another day: things were moved, removed, added and exchanged.
 
-Ids stay: an object that was moved keeps its own, and what is new gets one that no earlier day had. So the changes
-between two days are what differs between their truths (`evaluation.true_changes`).
+A moved object keeps its id, a new one gets one that no earlier day had.
 """
 
 from __future__ import annotations
@@ -42,9 +41,7 @@ _LARGE = (big_things.basket, big_things.suitcase, big_things.stool)
 
 
 def world_of_day(world: World, seed: int, day: int, is_walkable: Callable[[World], bool]) -> World:
-    """Return the world after so many days, each of which makes up to eight changes; day 0 is the world itself.
-
-    A change for which no place is found is left out. A small world changes by a third of its objects at most.
+    """Return the world after a number of days, each with up to eight changes, and a third of the objects at most.
 
     Raises:
         ConfigError: no draw of a day leaves the world walkable.
@@ -100,7 +97,7 @@ def _added(world: World, rng: np.random.Generator, objects: Sequence[WorldObject
 def _elsewhere(
     world: World, rng: np.random.Generator, model: Model, others: Sequence[WorldObject], before: WorldObject | None
 ) -> Placement | None:
-    """Return a place for a model: on furniture where it is small, else on the floor; away from where it was before."""
+    # On furniture if it is small, else on the floor; away from its place before.
     placements = [Placement(model=item.model, world_from_object=item.world_from_object) for item in others]
     lower, upper = model.bounds_m()
     if float((upper - lower).max()) < 0.4:
@@ -124,7 +121,6 @@ def _elsewhere(
 
 
 def _in_place_of(rng: np.random.Generator, one: WorldObject, others: Sequence[WorldObject]) -> Placement | None:
-    """Return another model where an object stands, about as large; None where none of ten fits."""
     placements = [Placement(model=item.model, world_from_object=item.world_from_object) for item in others]
     lower, upper = one.model.bounds_m()
     recipes = _SMALL if float((upper - lower).max()) < 0.4 else _LARGE
@@ -148,7 +144,6 @@ def _as_object(placed: Placement, object_id: int) -> WorldObject:
 
 
 def _carries(item: WorldObject, objects: Sequence[WorldObject]) -> bool:
-    """Return whether something stands on an object, or in it."""
     lower, upper = item.model.bounds_m()
     for other in objects:
         local = np.linalg.solve(item.world_from_object, other.world_from_object)[:3, 3]

@@ -12,16 +12,12 @@ from hickory_stream.worlds.trajectory import Trajectory
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DriftConfig:
-    """Standard deviations of the drift of odometry; 0 is exact.
+    """Standard deviations of the drift of odometry; 0 is exact."""
 
-    Attributes:
-        scale: error of the distance travelled, as a share of it.
-        yaw_deg_per_m: error of the heading for each metre.
-        correlation_m: the distance over which both errors are correlated.
-    """
-
+    #: Error of the distance travelled, as a share of it.
     scale: float = 0.01
     yaw_deg_per_m: float = 0.05
+    #: The distance over which both errors are correlated.
     correlation_m: float = 8.0
 
 

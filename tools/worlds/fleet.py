@@ -1,8 +1,6 @@
 """A synthetic fleet: several robots in one world, each with a walk, a log, a frame and a clock of its own.
 
-Every robot's truth is in its own frame, as the poses of its log are, under the same object ids: where two frames lie
-follows from any object that both truths have. NAME.truth is the truth of the whole fleet in the first robot's frame,
-NAME.toml what `hickory-stream fleet` plays.
+Truths share object ids: where two frames lie follows from any object that both have.
 """
 
 from __future__ import annotations
@@ -45,10 +43,9 @@ def make_fleet(
     caster: CasterName | None = "open3d",
     processes: int = 1,
 ) -> Truth:
-    """Write NAME-1, NAME-2, ... with a truth each, NAME.truth of all of them, and NAME.toml; return that truth.
+    """Write NAME-1, NAME-2, ... with truths, NAME.truth of all in the first frame, and NAME.toml; return that truth.
 
-    Robot i goes on walk i of the config's scene, whatever its `walk_index`; `progress` counts each robot's frames, and
-    `processes` make them (`recording.make_recording`).
+    Robot i goes on walk i; `progress` counts each robot's frames.
 
     Raises:
         ConfigError: too many robots or too few, or no world of the seed can be walked by all of them.
@@ -71,7 +68,6 @@ def make_fleet(
 
 
 def _truth_of_all(first: Truth, target: Path, seen: SeenSurface) -> Truth:
-    """Write the first robot's truth with what all robots have seen; its frames are the first robot's."""
     truth = replace(
         first,
         folder=target,

@@ -201,7 +201,6 @@ def against_wall(
 
 
 def _has_free_front(room: Room, placement: Placement, front_m: float) -> bool:
-    """Return whether the strip before a model is free, so that the model is accessible."""
     if front_m <= 0:
         return True
     lower, upper = placement.model.bounds_m()
@@ -220,7 +219,6 @@ def _has_free_front(room: Room, placement: Placement, front_m: float) -> bool:
 
 
 def _in_the_middle(rng: np.random.Generator, room: Room, model: Model, spread_m: float) -> Placement | None:
-    """Place a model near the middle of the room, parallel to one of its sides, with space to walk around it."""
     x0, y0, x1, y1 = room.rectangle_m
     for _ in range(_DRAWS):
         x, y = rng.uniform(-spread_m, spread_m, size=2) / 2 + ((x0 + x1) / 2, (y0 + y1) / 2)
@@ -263,5 +261,4 @@ def _front(model: Model) -> float:
 
 
 def _half(model: Model) -> float:
-    """Return the extent of a model behind its origin."""
     return -float(model.bounds_m()[0, 0])

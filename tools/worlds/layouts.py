@@ -1,7 +1,6 @@
 """Synthetic logs in the exact layouts of public data sets, quirks included, to test the players with.
 
-Topics, frames and quirks are those of `players/profiles/kimera_multi.toml` and `nus_clb.toml`; the numbers of the rig
-are repeated here on purpose, so that an error in a profile cannot cancel itself out.
+The numbers of the rigs are repeated here, so that an error in a profile of `players` cannot cancel itself out.
 """
 
 from __future__ import annotations
@@ -43,8 +42,7 @@ def layout_camera(layout: str, camera: Camera) -> Camera:
 def drawn_mounting(seed: int) -> NDArray[np.float64]:
     """Return body_from_camera (4, 4) of a camera 0.4 m from the body's origin, 10 degrees off its axes, by a seed.
 
-    The camera's pose on a Unitree B2 was not published; it is drawn to be mostly ahead, with about the body's
-    direction.
+    The pose on a Unitree B2 was not published; the camera is mostly ahead.
     """
     rng = np.random.default_rng([seed, 7])
     ahead = np.array([1.0, 0.5, 0.5]) * rng.standard_normal(3) + np.array([1.5, 0.0, 0.5])
@@ -62,10 +60,7 @@ def open_layout(
     end_ns: int,
     mounting: NDArray[np.float64] | None = None,
 ) -> LogWriter:
-    """Return the writer of a layout; `end_ns` is the last stamp, which determines the time of a loop closure.
-
-    `mounting` is body_from_camera (4, 4) of a NUS-CLB robot; None: body and camera have one origin.
-    """
+    """Return the writer of a layout; `mounting` is body_from_camera (4, 4) of a NUS-CLB robot, None: one origin."""
     if layout == "kimera_multi":
         return KimeraMultiLog(folder, name, camera, jpeg_quality)
     if layout.startswith("nus_clb"):
@@ -77,9 +72,8 @@ def open_layout(
 class KimeraMultiLog:
     """A robot's bag and, beside it, the bag of its visual odometry.
 
-    Frame names have another robot's prefix; there is no TF; bags were recorded two minutes after the stamps;
-    depth is 16UC1, unregistered, of the left infrared camera, with stamps of its own; odometry is of the IMU in optical
-    axes, at 5 Hz at most.
+    No TF, frames with another robot's prefix, bags recorded two minutes late; depth is 16UC1, unregistered, of the left
+    infrared camera; odometry is of the IMU in optical axes, at 5 Hz at most.
     """
 
     robot = "acl_jackal"
@@ -122,7 +116,6 @@ class KimeraMultiLog:
         self._odometry_ns = 0
 
     def __enter__(self) -> Self:
-        """Open both bags."""
         for bag in self._bags:
             bag.open()
         return self
@@ -130,7 +123,6 @@ class KimeraMultiLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Finish both bags."""
         for bag in self._bags:
             bag.close()
 
@@ -185,9 +177,8 @@ class KimeraMultiLog:
 class NusClbLog:
     """A ROS 2 bag (sqlite3) of a Unitree B2 with a ZED 2i.
 
-    Colour is bgra8, or JPEG under the raw name; depth 32FC1 metres with NaN, +inf beyond the range and -inf before it.
-    The pose is LiDAR odometry in FLU axes under the frame names of LIO-SAM; it jumps permanently by a loop closure at
-    four fifths of the log. Unitree's own types lie beside it, without definitions.
+    Colour is bgra8, or JPEG under the raw name; depth has NaN, +inf beyond the range and -inf before it. The pose is
+    LiDAR odometry in FLU axes with a jump by a loop closure. Unitree's own types lie beside it, without definitions.
     """
 
     jump_at = 0.8
@@ -217,7 +208,6 @@ class NusClbLog:
         self._lidar_ns = 0
 
     def __enter__(self) -> Self:
-        """Make the folder and the database."""
         import sqlite3
 
         self._folder.mkdir(parents=True)
@@ -240,7 +230,6 @@ class NusClbLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Finish the database, and write metadata.yaml."""
         self._database.execute("COMMIT")
         counts = dict(self._database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
         (low, high), *_ = self._database.execute("SELECT min(timestamp), max(timestamp) FROM messages")
@@ -320,7 +309,7 @@ class NusClbLog:
 
 
 def _resized(camera: Camera, like: Camera) -> Camera:
-    """Return a camera for images of another size: scaled to the width, cropped to the middle of the height."""
+    # Scaled to the width, cropped to the middle of the height.
     factor = like.width / camera.width
     return Camera(
         width=like.width,
@@ -333,6 +322,6 @@ def _resized(camera: Camera, like: Camera) -> Camera:
 
 
 def _orthogonal(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a pose with an exactly orthogonal rotation, which printed calibrations do not have."""
+    # Rotations of printed calibrations are not exactly orthogonal.
     u, _, vt = np.linalg.svd(pose[:3, :3])
     return from_rotation_translation(u @ vt, pose[:3, 3])

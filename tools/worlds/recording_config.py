@@ -1,7 +1,4 @@
-"""Configs of recordings of all scenes, with the layouts, flaws, people and changes that only developers need.
-
-An import registers the scenes with `hickory_stream.worlds`.
-"""
+"""Configs of recordings of all scenes, with layouts, drift, people and changes; an import registers the scenes."""
 
 from __future__ import annotations
 
@@ -135,8 +132,7 @@ class RecordingConfig(PlainConfig):
 def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
     """Return the first of the seed's worlds that one can walk through, on the config's day, and the walk.
 
-    Both of the first two walks through an apartment, and those of all robots of a fleet, must be possible, so that they
-    share one world. Of buildings and random rooms only the config's own walk counts.
+    The first two walks through an apartment, and those of a fleet, share one world: all must be possible.
 
     Raises:
         ConfigError: none of the seed's worlds can be walked.
@@ -156,7 +152,6 @@ def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
 
 
 def _change_on_the_way(world: World, trajectory: Trajectory, config: RecordingConfig) -> WorldChange | None:
-    """Return what the world becomes during a recording: the next day's, of which nothing stands in the camera's way."""
     if config.change_at_s is None:
         return None
     times_s = trajectory.times_s[trajectory.times_s >= config.change_at_s]
@@ -185,10 +180,7 @@ def _keeps_clear(way_m: NDArray[np.float64], item: WorldObject, clearance_m: flo
 
 
 def person_of(world: World, config: RecordingConfig) -> Person | None:
-    """Return the person of a config: on another walk through the same world, faster than the camera.
-
-    Random rooms, streets and buildings have no person.
-    """
+    """Return the person of a config, on another walk than the camera and faster; None in scenes without people."""
     if not config.person or config.scene in _WITHOUT_DAYS:
         return None
     faster = replace(config.walk, speed_mps=2 * config.walk.speed_mps)

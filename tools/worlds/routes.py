@@ -1,7 +1,4 @@
-"""Routes over a floor with clearance from the objects on it.
-
-A walk through every room of an apartment: around each of them, through the doors, and back to the start.
-"""
+"""Routes over free floor, and a tour through all rooms of an apartment."""
 
 from __future__ import annotations
 
@@ -45,7 +42,7 @@ def smoothed(route: NDArray[np.float64]) -> NDArray[np.float64]:
 def clearance_of_surfaces(world: World) -> Clearance:
     """Return the clearance of a world of any meshes: free is floor at z = 0 with no surface up to 1.8 m above it.
 
-    Surfaces are looked at in points of half a cell; what is lower than a doorstep can be walked over.
+    A doorstep can be walked over.
     """
     x0, y0, x1, y1 = world.interior_m
     shape = (int(np.ceil((x1 - x0) / CELL_M)), int(np.ceil((y1 - y0) / CELL_M)))
@@ -66,7 +63,7 @@ def clearance_of_surfaces(world: World) -> Clearance:
 
 
 def _points_on(triangles: NDArray[np.float64], spacing_m: float) -> NDArray[np.float64]:
-    """Return (N, 3) points on (F, 3, 3) triangles, on every triangle on a grid of at most the spacing."""
+    # Points (N, 3) on (F, 3, 3) triangles, on each of them on a grid of at most the spacing.
     a, edges = triangles[:, 0], triangles[:, 1:] - triangles[:, :1]
     sides_m = np.linalg.norm(np.concatenate([edges, edges[:, 1:] - edges[:, :1]], axis=1), axis=2)
     steps = np.maximum(1, np.ceil(sides_m.max(axis=1, initial=0.0) / spacing_m)).astype(np.int64)
@@ -101,7 +98,7 @@ _ROUND = (0, 1, 3, 2)
 def tour(world: World, seconds: float | None, config: WalkConfig, walk_index: int) -> Trajectory | NoWalk:
     """Return a walk through all rooms; `walk_index` selects its start and direction.
 
-    `seconds` None is the duration of the tour, and at least a minute; a longer walk is repeated.
+    `seconds` None is the duration of the tour, and at least a minute.
     """
     clearance = clearance_of(world)
     route = _route(world, clearance, walk_index)
@@ -123,7 +120,6 @@ def tour(world: World, seconds: float | None, config: WalkConfig, walk_index: in
 
 
 def _route(world: World, clearance: Clearance, walk_index: int) -> NDArray[np.float64] | None:
-    """Return (N, 2) points through the corners of all rooms, None if two of them are not connected."""
     order: tuple[int, ...] = _ROUND if walk_index % 2 == 0 else _ROUND[::-1]
     start = (walk_index // 2 + walk_index) % len(order)
     order = order[start:] + order[:start]

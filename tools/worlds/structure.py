@@ -1,4 +1,4 @@
-"""The structure of a room: floor, walls, ceiling, doorways, and the pictures on its walls."""
+"""The structure of an apartment: floors, walls, ceiling, doorways, and pictures."""
 
 from __future__ import annotations
 
@@ -41,10 +41,7 @@ class DoorWay:
 def apartment_structure(
     rng: np.random.Generator, rooms_m: Sequence[tuple[float, float, float, float]], doors: Sequence[DoorWay]
 ) -> tuple[Model, ...]:
-    """Return the floors of the rooms, the ceiling, outer and inner walls with their doorways, and pictures on them.
-
-    The rooms are a grid of two by two, each given by its rectangle between the walls.
-    """
+    """Return floors, ceiling, walls with doorways, and pictures of a grid of two by two rooms (x0, y0, x1, y1)."""
     white = Texture(pattern="plain", first=(0.93, 0.93, 0.92), second=(0.9, 0.9, 0.89), period_m=0.5, grain=0.03)
     x0, y0, x1, y1 = (f(r[i] for r in rooms_m) for i, f in ((0, min), (1, min), (2, max), (3, max)))
     models = [floor_of(rng, room) for room in rooms_m]
@@ -136,7 +133,7 @@ def inner_wall(
 
 
 def _pictures(rng: np.random.Generator, room: tuple[float, float, float, float]) -> list[Model]:
-    """Return up to two pictures high on the outer walls of a room; they are flat and count as structure."""
+    # Pictures are flat and count as structure.
     x0, y0, x1, y1 = room
     models = []
     for axis in (0, 1):

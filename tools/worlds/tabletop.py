@@ -1,7 +1,4 @@
-"""A table in a small room with many small things on it, from a seed.
-
-A camera that circles a table and looks at what is on it.
-"""
+"""A table in a small room with many small things on it, and a camera that circles it."""
 
 from __future__ import annotations
 
@@ -52,7 +49,7 @@ def tabletop(seed: int, attempt: int = 0) -> World:
     """Return table number `attempt` of a seed: the table and 10 to 19 objects on it, some stacked.
 
     Raises:
-        ConfigError: no valid layout was found; this has not happened with any seed so far.
+        ConfigError: no draw fits, which no seed has shown so far.
     """
     rng = np.random.default_rng([seed, 12, attempt])
     for _ in range(_ATTEMPTS):
@@ -94,10 +91,7 @@ _TURNS_A_MINUTE = 1.35
 
 
 def orbit(world: World, seconds: float | None, walk_index: int, rng: np.random.Generator) -> Trajectory:
-    """Return a slow orbit of the middle of the world, 0.8 to 1.1 m away and 0.4 to 0.75 m above the table's top.
-
-    `seconds` None is a minute; odd walks go the other way round.
-    """
+    """Return an orbit 0.8 to 1.1 m from the middle, 0.4 to 0.75 m above the table; `seconds` None is a minute."""
     lasts = _SECONDS if seconds is None else seconds
     times_s = np.arange(0.0, lasts + 2 * STEP_S, STEP_S)
     top = max(s.center_m[2] for item in world.objects if item.model.kind == "table" for s in item.model.surfaces)

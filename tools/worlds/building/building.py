@@ -1,9 +1,4 @@
-"""A building from a seed: one to eight storeys of rooms along a corridor, joined by a stairwell.
-
-Floors, walls, door ways and ceiling of a storey, and the pictures on its outer walls; its floor is at z = 0.
-
-What stands in the rooms and corridors of a building, beyond the uses of rooms in an apartment.
-"""
+"""A building from a seed: one to eight storeys of furnished rooms along a corridor, joined by a stairwell."""
 
 from __future__ import annotations
 
@@ -39,7 +34,7 @@ _WHITE = Texture(pattern="plain", first=(0.93, 0.93, 0.92), second=(0.9, 0.9, 0.
 
 
 def storey_structure(rng: np.random.Generator, plan: StoreyPlan) -> tuple[Model, ...]:
-    """Return the structure of a storey, without that of the stairwell."""
+    """Return the structure of a storey with its floor at z = 0, without the stairwell."""
     outline = plan.outline
     width, length = outline.width_m, outline.length_m
     low, high = -WALL_M - outline.depths_m[0], width + WALL_M + outline.depths_m[1]
@@ -78,7 +73,7 @@ def _is_within(y: float, room: Rectangle) -> bool:
 
 
 def _picture(rng: np.random.Generator, room: Rectangle, side: int) -> Model:
-    """Return a picture high on the outer wall of a room; it is flat and counts as structure."""
+    # Pictures are flat and count as structure.
     x0, y0, x1, y1 = room
     width, height = float(rng.uniform(0.4, 0.7)), float(rng.uniform(0.3, 0.45))
     first, second = (tuple(float(v) for v in rng.uniform(0.3, 0.9, size=3)) for _ in range(2))
@@ -165,7 +160,7 @@ _SWING_M = 0.9
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BuildingSize:
-    """How large a building is: `floors` storeys, and `rooms` in all of them, as evenly as they can be shared out."""
+    """How large a building is: `floors` storeys share `rooms` as evenly as they can."""
 
     floors: int = 2
     rooms: int = 12
@@ -184,10 +179,7 @@ class BuildingSize:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Storey:
-    """One storey: its `world` with the floor at z = 0, and its height `floor_m` in the building.
-
-    The first of the world's rooms are those of the plan; sections of the corridor follow.
-    """
+    """One storey: its `world` with the floor at z = 0, the rooms of the plan first, and its height `floor_m`."""
 
     world: World
     plan: StoreyPlan
@@ -207,7 +199,7 @@ def building(seed: int, size: BuildingSize, attempt: int = 0) -> Building:
     """Return building number `attempt` of a seed.
 
     Raises:
-        ConfigError: no furnishing of a storey leaves a way into all of its rooms; no seed has shown this so far.
+        ConfigError: no draw fits, which no seed has shown so far.
     """
     outline = drawn_outline(np.random.default_rng([seed, 17, attempt]), size.rooms_of(0))
     storeys = tuple(_storey(seed, attempt, floor, outline, size.rooms_of(floor)) for floor in range(size.floors))
@@ -219,7 +211,6 @@ def building(seed: int, size: BuildingSize, attempt: int = 0) -> Building:
 
 
 def _storey(seed: int, attempt: int, floor: int, outline: Outline, rooms: int) -> Storey:
-    """Return the first furnishing of a storey that one can walk through; each storey draws for itself."""
     rng = np.random.default_rng([seed, 19, attempt, floor])
     for _ in range(_ATTEMPTS):
         plan = drawn_plan(rng, outline, rooms)
@@ -253,7 +244,6 @@ def _furnished(rng: np.random.Generator, plan: StoreyPlan) -> World:
 
 
 def _joined(storeys: tuple[Storey, ...], stairwell: Stairwell, stairs: tuple[Model, ...]) -> World:
-    """Return the world of all storeys, each raised to its height, with the stairwell as a room of each of them."""
     placed = [
         Placement(model=item.model, world_from_object=at_place(0.0, 0.0, storey.floor_m, 0.0) @ item.world_from_object)
         for storey in storeys

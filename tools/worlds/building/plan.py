@@ -1,7 +1,6 @@
-"""The floor plan of a storey: rooms on both sides of a corridor that leads to the stairs, and the doors between them.
+"""The floor plan of a storey: rooms on both sides of a corridor that leads to the stairs, and doors.
 
-The corridor runs along x from 0, its sections count as rooms of their own (for lamps, and for what one looks at). The
-stairwell is beyond its end, at the same place on every storey.
+The corridor runs along x from 0. Its sections are rooms for lamps and looks. The stairwell is beyond its end.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ _DOOR_SHARE = 0.35
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outline:
-    """What all storeys of a building share: the corridor's length and width, the depth of the rooms on either side."""
+    """The corridor's length and width, and the depth of the rooms on either side, the same on all storeys."""
 
     length_m: float
     width_m: float
@@ -35,14 +34,11 @@ class Outline:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StoreyPlan:
-    """Rectangles (x0, y0, x1, y1) between the walls: `rooms_m` to furnish, and the `sections_m` of the corridor.
-
-    `sides` says of each room whether it lies beyond the corridor's greatest y (1) or below its least (0). The last of
-    `doors` leads to the stairs.
-    """
+    """Rectangles (x0, y0, x1, y1) of rooms and sections of the corridor; the last of `doors` leads to the stairs."""
 
     outline: Outline
     rooms_m: tuple[Rectangle, ...]
+    #: Of each room: 1 beyond the corridor's greatest y, 0 below its least.
     sides: tuple[int, ...]
     sections_m: tuple[Rectangle, ...]
     doors: tuple[DoorWay, ...]
@@ -54,7 +50,7 @@ class StoreyPlan:
 
 
 def drawn_outline(rng: np.random.Generator, rooms: int) -> Outline:
-    """Return the outline of storeys with so many rooms, about half of them on each side of the corridor."""
+    """Return the outline of storeys with a number of rooms, half of them on each side of the corridor."""
     per_side = (rooms + 1) // 2
     return Outline(
         length_m=per_side * float(rng.uniform(4.4, 5.0)) + (per_side - 1) * WALL_M,
@@ -64,7 +60,7 @@ def drawn_outline(rng: np.random.Generator, rooms: int) -> Outline:
 
 
 def drawn_plan(rng: np.random.Generator, outline: Outline, rooms: int) -> StoreyPlan:
-    """Return a storey with so many rooms, at least two: walls and doors are drawn anew for each storey."""
+    """Return a storey with a number of rooms, at least two."""
     rectangles: list[Rectangle] = []
     sides: list[int] = []
     doors: list[DoorWay] = []
@@ -89,14 +85,12 @@ def drawn_plan(rng: np.random.Generator, outline: Outline, rooms: int) -> Storey
 
 
 def _span(outline: Outline, side: int) -> tuple[float, float]:
-    """Return the least and greatest y of the rooms on a side."""
     if side == 0:
         return -WALL_M - outline.depths_m[0], -WALL_M
     return outline.width_m + WALL_M, outline.width_m + WALL_M + outline.depths_m[1]
 
 
 def _split(rng: np.random.Generator, length_m: float, count: int) -> list[tuple[float, float]]:
-    """Return the ends of `count` rooms side by side over a length, whose widths differ by up to a third."""
     shares = rng.uniform(0.85, 1.15, size=count)
     widths = shares / shares.sum() * (length_m - (count - 1) * WALL_M)
     starts = np.concatenate([[0.0], np.cumsum(widths + WALL_M)[:-1]])

@@ -33,13 +33,11 @@ _SMOOTH_CELLS = 8.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Route:
-    """`line_m` (N, 3) on the floor, a point every few centimetres; `storeys` (N,) of each, `STAIRS` between them.
-
-    `clearance_m` is the least distance to an obstacle on the storeys.
-    """
+    """A way on the floor: `line_m` (N, 3), and of each point the storey, or `STAIRS`."""
 
     line_m: NDArray[np.float64]
     storeys: NDArray[np.int64]
+    #: The least distance to an obstacle on the storeys.
     clearance_m: float
 
     def __post_init__(self) -> None:
@@ -50,8 +48,7 @@ class Route:
 def route_through(house: Building, length_m: float | None, walk_index: int, rng: np.random.Generator) -> Route | None:
     """Return a way of at least `length_m`, None for one round; None if a room cannot be reached.
 
-    One round is every storey up and down again, back to the first one. Further rounds visit other rooms again. Odd
-    walks visit storeys and rooms in the reverse order, and every second one begins on another storey.
+    A round is every storey up and down. Odd walks visit storeys and rooms in reverse; every second begins elsewhere.
     """
     clearances = [clearance_of(storey.world) for storey in house.storeys]
     lines: list[NDArray[np.float64]] = []
@@ -77,7 +74,7 @@ def route_through(house: Building, length_m: float | None, walk_index: int, rng:
 def _visits(
     house: Building, walk_index: int, rng: np.random.Generator, *, is_endless: bool
 ) -> Iterator[tuple[int, list[int]]]:
-    """Yield storeys with the rooms to visit there: all rooms the first time, a drawn share of them later."""
+    # Yields storeys with the rooms to visit there: all rooms the first time, a drawn share of them later.
     known: set[int] = set()
     sweep = _sweep(len(house.storeys), walk_index)
     while True:
@@ -94,7 +91,7 @@ def _visits(
 
 
 def _sweep(count: int, walk_index: int) -> list[int]:
-    """Return storeys, each a neighbour of the one before: from one of them to the top, to the ground, and back."""
+    # Storeys, each a neighbour of the one before: from one of them to the top, to the ground, and back.
     if count == 1:
         return [0, 0]
     start = (walk_index // 2) % count
@@ -108,14 +105,13 @@ def _up_and_down(count: int, start: int) -> list[int]:
 
 
 def _in_turn(storey: Storey) -> list[int]:
-    """Return the rooms from the stairs along one side of the corridor, and back along the other."""
+    # Rooms from the stairs along one side of the corridor, and back along the other.
     middles = [(room[0] + room[2]) / 2 for room in storey.plan.rooms_m]
     away, back = ([i for i, side in enumerate(storey.plan.sides) if side == which] for which in (0, 1))
     return sorted(away, key=lambda i: -middles[i]) + sorted(back, key=lambda i: middles[i])
 
 
 def _through_rooms(storey: Storey, clearance: Clearance, rooms: Sequence[int]) -> NDArray[np.float64] | None:
-    """Return the way (N, 2) from the door to the stairs around each of the rooms, and back to that door."""
     door = _before_stairs(storey)
     stops = [door]
     for room in rooms:
@@ -136,7 +132,7 @@ def _before_stairs(storey: Storey) -> NDArray[np.float64]:
 
 
 def _way(clearance: Clearance, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return `way_between` two places; it is first sought near them, which takes a tenth of the time."""
+    # A search near the two places first takes a tenth of the time.
     ends = np.array([min(a[0], b[0]) - _BEYOND_M, max(a[0], b[0]) + _BEYOND_M])
     first, last = np.clip(np.round((ends - clearance.origin_m[0]) / CELL_M), 0, len(clearance.distance_m)).astype(int)
     near = Clearance(
@@ -147,7 +143,6 @@ def _way(clearance: Clearance, a: NDArray[np.float64], b: NDArray[np.float64]) -
 
 
 def _stairs(house: Building, a: int, b: int) -> NDArray[np.float64]:
-    """Return the way (N, 3) by the stairs from a storey to its neighbour."""
     door = np.array([*_before_stairs(house.storeys[a]), 0.0])
     up = np.vstack([door, house.stairwell.way_up_m(), (*door[:2], STOREY_M)])
     corners = (up if b > a else up[::-1]) + (0.0, 0.0, min(a, b) * STOREY_M)

@@ -93,7 +93,6 @@ class Stairwell:
         return _block((length, y1 - y0, WALL_M), (x0 + _LANDING_M - length / 2, (y0 + y1) / 2, z - WALL_M / 2), stone)
 
     def _flights(self, z: float, stone: Texture, paint: Texture) -> list[Part]:
-        """Return two flights of steps, the landing between them, and the wall that parts them."""
         x0, y0, x1, y1 = self.rectangle_m
         first, last = x0 + _LANDING_M, x1 - _LANDING_M
         rise = STOREY_M / 2 / _STEPS

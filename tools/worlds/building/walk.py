@@ -45,7 +45,7 @@ def building_walk(
 def _looks(
     house: Building, positions: NDArray[np.float64], storeys: NDArray[np.int64], config: WalkConfig
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (N,) yaw and pitch: planned on each visit of a room for itself, and joined without a jerk."""
+    # Planned on each visit of a room for itself, and joined without a jerk.
     is_in_room = np.array([_is_in_room(house, *place) for place in zip(positions, storeys.tolist(), strict=True)])
     starts = np.concatenate([[0], np.flatnonzero(np.diff(is_in_room)) + 1, [len(storeys)]])
     yaws: list[NDArray[np.float64]] = []
@@ -72,7 +72,6 @@ def _is_in_room(house: Building, position: NDArray[np.float64], storey: int) -> 
 
 
 def _ahead(positions: NDArray[np.float64], yaw: float, config: WalkConfig) -> NDArray[np.float64]:
-    """Return (N,) yaw angles that follow the way from a first one on, at no more than the rate of a head."""
     if len(positions) < 2:
         return np.full(len(positions), yaw)
     most = np.radians(config.max_yaw_rate_dps) * STEP_S

@@ -1,7 +1,6 @@
 """Ways of filling a horizontal surface with things: one function per recipe.
 
-Each returns models with poses in the frame of the surface: its origin is the centre, x points across it (depth), y
-along it; `half_m` is its half size and `headroom_m` the free height.
+Poses are in the frame of the surface: its origin is the centre, x points across it (depth), y along it.
 """
 
 from __future__ import annotations
@@ -55,7 +54,6 @@ def spread(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
 
 
 def _scattered(rng: np.random.Generator, place: Place, models: Sequence[Model], gap_m: float) -> Things:
-    """Return those of the models for which one of 12 random places is free."""
     taken, things = Taken(), []
     straight = chance(rng, 0.3)
     for drawn in models:
@@ -108,7 +106,6 @@ def _beside(
     low: NDArray[np.float64],
     high: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the position (2,) of a model of given bounds that touches one side of another one of equal orientation."""
     (a_low, a_high), pose = other[0].bounds_m(), other[1]
     axis, sign = int(rng.integers(2)), one_of(rng, (-1, 1))
     offset = np.zeros(2)
@@ -178,7 +175,6 @@ def same(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
 
 
 def _is_flat(model: Model) -> bool:
-    """Return whether something can stand on a model: boxes and what has a surface on top."""
     top = float(model.bounds_m()[1, 2])
     return any(s.center_m[2] > 0.95 * top for s in model.surfaces)
 
@@ -209,7 +205,6 @@ def stacks(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
 
 
 def _flattened(model: Model) -> Model:
-    """Return a standing book or a slender carton as it lies: its least extent up."""
     size = np.ptp(model.bounds_m(), axis=0)
     if size[2] <= size[:2].min() or model.surfaces:
         return model
@@ -260,7 +255,6 @@ def _top_of(model: Model, pose: NDArray[np.float64]) -> float:
 
 
 def _lies_on(model: Model, pose: NDArray[np.float64], place: Place) -> bool:
-    """Return whether the centre of a thing is above the surface, and little of it overhangs."""
     vertices = np.concatenate([part.vertices for part in model.parts]) @ pose[:2, :3].T + pose[:2, 3]
     return bool(
         (np.abs(vertices.mean(axis=0)) < place.half_m).all()

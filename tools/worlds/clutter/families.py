@@ -1,7 +1,6 @@
 """The recipes of each family: the one table that separates training, tuning and reporting.
 
-The families share no recipe, so that a model trained on one has never seen the shapes, materials, contents,
-arrangements or floor plans of another. `reporting` is only reported on, and never used to choose anything.
+The families share no recipe. `reporting` is never used to choose anything.
 """
 
 from __future__ import annotations
@@ -17,21 +16,21 @@ FAMILIES: tuple[Family, ...] = get_args(Family)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Recipes:
-    """The names of a family's recipes, by kind.
-
-    `small` things, and which of them are `flat` enough to be stacked; `supports` with surfaces for other things,
-    `seats`, `bodies` that stand on the floor, `units` that stand flush in rows; `materials`; `contents`: ways of
-    filling a horizontal surface; `groups`: arrangements on the floor; `outlines` of rooms.
-    """
+    """The names of a family's recipes, by kind."""
 
     small: tuple[str, ...]
+    #: The small ones that can be stacked.
     flat: tuple[str, ...]
+    #: With surfaces for other things.
     supports: tuple[str, ...]
     seats: tuple[str, ...]
     bodies: tuple[str, ...]
+    #: What stands flush in rows.
     units: tuple[str, ...]
     materials: tuple[str, ...]
+    #: Ways of filling a horizontal surface.
     contents: tuple[str, ...]
+    #: Arrangements on the floor.
     groups: tuple[str, ...]
     outlines: tuple[str, ...]
 
@@ -101,11 +100,7 @@ TABLE: dict[Family, Recipes] = {
 
 
 def recipes_of(family: str) -> Recipes:
-    """Return the names of a family's recipes.
-
-    Raises:
-        ConfigError: there is no such family.
-    """
+    """Return the names of a family's recipes; raises `ConfigError` for an unknown family."""
     for name in FAMILIES:
         if name == family:
             return TABLE[name]

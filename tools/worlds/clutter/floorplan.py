@@ -1,7 +1,4 @@
-"""Floor plans and their structure: walls of any outline, floor, level or sloping ceilings, columns and beams.
-
-Outlines of rooms: (K, 2) corners in metres, counter-clockwise, within or about a given size.
-"""
+"""Floor plans of random rooms: outlines (K, 2) counter-clockwise, walls, floor, ceiling, columns and beams."""
 
 from __future__ import annotations
 
@@ -111,7 +108,6 @@ def floor_plan(rng: np.random.Generator, kit: Kit) -> FloorPlan:
 
 
 def _slabs(rng: np.random.Generator, kit: Kit, outline: NDArray[np.float64], height: float) -> list[Model]:
-    """Return the floor, and a ceiling that is level or slopes down to one side."""
     low, high = outline.min(axis=0) - _BEYOND_M, outline.max(axis=0) + _BEYOND_M
     size, middle = high - low, (low + high) / 2
     ground = _floor(rng, kit)
@@ -132,14 +128,12 @@ def _slabs(rng: np.random.Generator, kit: Kit, outline: NDArray[np.float64], hei
 
 
 def _floor(rng: np.random.Generator, kit: Kit) -> Texture:
-    """Return a floor: boards, tiles, carpet or anything else of the family."""
     if chance(rng, 0.6):
         return kit.skin(rng)
     return quiet(rng, kit, dim=0.3)
 
 
 def _lamp(rng: np.random.Generator, at: NDArray[np.float64], height: float, rotation: NDArray[np.float64]) -> Model:
-    """Return a flat lamp under the ceiling."""
     white = Texture(pattern="plain", first=(0.97, 0.97, 0.95), second=(0.97, 0.97, 0.95), grain=0.0)
     if chance(rng, 0.5):
         part = cylinder(uniform(rng, 0.1, 0.3), 0.08, white).moved((*at, height - 0.08))
@@ -149,7 +143,6 @@ def _lamp(rng: np.random.Generator, at: NDArray[np.float64], height: float, rota
 
 
 def _hung(part: Part, texture: Texture) -> Model:
-    """Return a lamp on a rod: under a ceiling that slopes."""
     low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
     middle = (low + high) / 2
     rod = block((0.02, 0.02, 2.0), texture, at=(middle[0], middle[1], high[2] + 0.4))
@@ -159,7 +152,6 @@ def _hung(part: Part, texture: Texture) -> Model:
 def _columns(
     rng: np.random.Generator, kit: Kit, outline: NDArray[np.float64], height: float
 ) -> tuple[list[Model], list[NDArray[np.float64]]]:
-    """Return columns and pipes from floor to ceiling, and the rectangles that they occupy."""
     models, taken = [], []
     texture = quiet(rng, kit)
     for _ in range(one_of(rng, (0, 0, 0, 1, 1, 2, 3))):
@@ -182,7 +174,6 @@ def _columns(
 
 
 def _beams(rng: np.random.Generator, kit: Kit, outline: NDArray[np.float64], height: float) -> list[Model]:
-    """Return beams under the ceiling along x or y."""
     if not chance(rng, 0.25):
         return []
     low, high = outline.min(axis=0), outline.max(axis=0)

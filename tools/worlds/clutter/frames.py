@@ -1,7 +1,4 @@
-"""Single frames of random rooms with ground truth, without writing a log: training data for networks.
-
-Random views in a random room: mostly of some object, from a height of 0.3 to 1.8 m, level or tilted.
-"""
+"""Single frames of random rooms with ground truth, without a log: training data for networks."""
 
 from __future__ import annotations
 
@@ -40,10 +37,7 @@ _LOW_M, _HIGH_M = 0.3, 1.8
 def random_view(
     rng: np.random.Generator, room: ClutterRoom, renderer: Renderer, camera: Camera
 ) -> NDArray[np.float64] | None:
-    """Return `world_from_camera` of a view with things in it; None if no draw finds one.
-
-    The camera is in free space, no near surface fills its image, and nearly always several things are visible.
-    """
+    """Return `world_from_camera` of a view from free space with things in it; None if no draw finds one."""
     if not room.world.objects:
         return None
     least = 1 if chance(rng, 0.1) else 3
@@ -57,7 +51,6 @@ def random_view(
 
 
 def _shows(probe: Probe, least: int, covered: float) -> bool:
-    """Return whether a view is from free space, not too near to surfaces, with enough things on enough of its area."""
     near = float((probe.depth_m < 0.25).mean())
     counts = np.unique(probe.instances[probe.instances > 0], return_counts=True)[1]
     shares = counts / len(probe.instances)
@@ -72,7 +65,6 @@ def _shows(probe: Probe, least: int, covered: float) -> bool:
 
 
 def _at_something(rng: np.random.Generator, room: ClutterRoom) -> NDArray[np.float64]:
-    """Return a view of a random thing, from a distance proportional to its size."""
     item = one_of(rng, room.world.objects)
     low, high = item.model.bounds_m()
     center = (item.world_from_object @ [*((low + high) / 2), 1.0])[:3]
@@ -86,7 +78,6 @@ def _at_something(rng: np.random.Generator, room: ClutterRoom) -> NDArray[np.flo
 
 
 def _anywhere(rng: np.random.Generator, room: ClutterRoom) -> NDArray[np.float64]:
-    """Return a view from anywhere in the room, as from a person or a robot that moves through it."""
     x0, y0, x1, y1 = room.plan.bounds_m
     eye = np.array([uniform(rng, x0, x1), uniform(rng, y0, y1), uniform(rng, _LOW_M, _HIGH_M)])
     # A low camera looks ahead, a high one down.
@@ -105,22 +96,20 @@ _MIDDLE_GREY = 110.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Frame:
-    """A frame as a camera with defects reports it, and its truth.
-
-    `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32 with NaN where the camera reports nothing; `exact_depth_m` (H, W)
-    float32 with NaN only where a ray hits nothing. `instances` (H, W) uint16: 0 is no object, ids >= 1 are those of
-    `room` (the index of the room of seed and family). `is_structure` (H, W) bool: floor, walls, ceiling and what
-    belongs to them. A pixel that is neither hits nothing. Truth and depth are registered exactly; colour is displaced
-    by the camera's defects. `world_from_camera` (4, 4) has z up.
-    """
+    """A frame of a camera with defects, and its exact truth; a pixel without id and structure hits nothing."""
 
     rgb: NDArray[np.uint8]
+    #: (H, W), NaN where the camera reports nothing.
     depth_m: NDArray[np.float32]
+    #: (H, W), NaN where a ray hits nothing.
     exact_depth_m: NDArray[np.float32]
+    #: (H, W) ids of `room`, 0: no object.
     instances: NDArray[np.uint16]
     is_structure: NDArray[np.bool_]
     camera: Camera
+    #: (4, 4), z up.
     world_from_camera: NDArray[np.float64]
+    #: The number of the room of seed and family.
     room: int
 
     def __post_init__(self) -> None:
@@ -134,9 +123,7 @@ class Frame:
 
 
 def frames_of(seed: int, family: str, count: int, width: int = 320, height: int = 240) -> Iterator[Frame]:
-    """Yield `count` frames of random rooms of a family, several from each room; equal arguments give equal frames.
-
-    A longer sequence begins with the shorter one. Different seeds give different rooms, for use in parallel processes.
+    """Yield frames of random rooms of a family, several from each room; a longer sequence begins with the shorter one.
 
     Raises:
         ConfigError: there is no such family, or the image size is out of range.

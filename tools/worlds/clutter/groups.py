@@ -1,6 +1,6 @@
 """Arrangements on the floor: one function per recipe.
 
-A group has its own frame, x away from the wall that it may stand at (its back is at x = 0), y along it.
+A group's frame has x away from the wall (its back is at x = 0) and y along it.
 """
 
 from __future__ import annotations
@@ -60,7 +60,6 @@ def _at(model: Model, x: float, y: float, yaw_rad: float = 0.0, z: float = REST_
 
 
 def _backed(model: Model, y: float, away_m: float = 0.0) -> Placement:
-    """Return a model with its back at `away_m` and its centre at y."""
     return _at(model, away_m - float(model.bounds_m()[0, 0]), y)
 
 
@@ -124,13 +123,11 @@ def flush_row(rng: np.random.Generator, kit: Kit) -> Group:
 
 
 def _under(model: Model, low_z: float) -> Model:
-    """Return a model with the headroom of its surfaces limited to a height."""
     surfaces = tuple(replace(s, headroom_m=min(s.headroom_m, low_z - s.center_m[2] - 0.02)) for s in model.surfaces)
     return replace(model, surfaces=surfaces)
 
 
 def _overhead(rng: np.random.Generator, kit: Kit, length: float, low_z: float, skin: Skin) -> list[Placement]:
-    """Return a flush row of units that hang on the wall above another row."""
     depth, high = uniform(rng, 0.25, 0.42), uniform(rng, 0.3, 0.75)
     units, y = [], uniform(rng, 0.0, 0.5)
     while y < length - 0.3:
@@ -180,7 +177,6 @@ def table_with_seats(rng: np.random.Generator, kit: Kit) -> Group:
 
 
 def _on_cloth(rng: np.random.Generator, kit: Kit, support: Placement, things: Sequence[Placement]) -> list[Placement]:
-    """Return a cloth over a support and, raised by its thickness, the things on it."""
     surface = support.model.surfaces[0]
     half = np.asarray(surface.half_m) + 0.012
     fall = min(uniform(rng, 0.05, 0.35), 0.9 * surface.center_m[2])
@@ -256,7 +252,7 @@ def floor_heap(rng: np.random.Generator, kit: Kit) -> Group:
 
 
 def _pulled(placed: Sequence[Placement], *, is_at_wall: bool) -> Group:
-    """Return placements as a group with its back at x = 0: bounds of tilted things are those of their vertices."""
+    # Bounds of tilted things are those of their vertices.
     low = min(
         float((p.vertices @ one.world_from_object[0, :3]).min()) + one.world_from_object[0, 3]
         for one in placed
@@ -270,7 +266,6 @@ def _pulled(placed: Sequence[Placement], *, is_at_wall: bool) -> Group:
 
 
 def _grown(model: Model, size_m: float) -> Model:
-    """Return a model scaled to a greatest extent."""
     factor = size_m / float(np.ptp(model.bounds_m(), axis=0).max())
     return stretched(model, (factor,) * 3)
 

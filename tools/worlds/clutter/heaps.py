@@ -1,8 +1,4 @@
-"""Heaps: each thing falls onto those below it and comes to rest.
-
-There is no physics simulation: a thing drops vertically onto a height map, and tips about its contact points until its
-centre is above its support, at most a few times.
-"""
+"""Heaps without physics: each thing drops onto a height map and tips about its contacts until it rests."""
 
 from __future__ import annotations
 
@@ -50,7 +46,6 @@ def heap(
 
 
 def _tossed(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a rotation onto one of the six sides of the bounding box, sometimes slightly tilted."""
     side = about_x(np.pi / 2 * int(rng.integers(4))) @ about_y(np.pi / 2 * int(rng.integers(4)))
     if chance(rng, 0.3):
         side = about_x(float(rng.normal(0, 0.3))) @ side
@@ -58,7 +53,6 @@ def _tossed(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _samples(model: Model, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return points on the surface of a model: its corners and some on its faces."""
     vertices, faces = model_triangles(model)
     corners = vertices[faces].astype(np.float64)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -73,20 +67,16 @@ def _samples(model: Model, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 class _Ground:
-    """The height map of the things so far."""
-
     def __init__(self, half_m: tuple[float, float], largest_m: float) -> None:
         self._reach = max(half_m) + largest_m
         self._cell = 2 * self._reach / _CELLS
         self._height = np.zeros((_CELLS, _CELLS))
 
     def under(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the height below each point."""
         i, j = self._cells(points)
         return np.asarray(self._height[i, j])
 
     def pile(self, points: NDArray[np.float64]) -> None:
-        """Add a thing at rest to the height map."""
         i, j = self._cells(points)
         np.maximum.at(self._height, (i, j), points[:, 2])
 
@@ -98,7 +88,6 @@ class _Ground:
 def _settled(
     rotation: NDArray[np.float64], at: NDArray[np.float64], points: NDArray[np.float64], ground: _Ground
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the pose in which a thing comes to rest, and its points there."""
     middle = points.mean(axis=0)
     for tip in range(_TIPS):
         turned = (points - middle) @ rotation.T + [*at, 0.0]
@@ -117,10 +106,7 @@ def _settled(
 
 
 def _lean(touching: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the unit direction in which a thing with contacts (K, 2) about its centre tips; None if it is stable.
-
-    It is stable if the contacts surround its centre, so that no half plane contains all of them.
-    """
+    # The direction in which a thing with contacts (K, 2) about its centre tips; None where they surround the centre.
     reach = np.linalg.norm(touching, axis=1)
     mean = touching.mean(axis=0)
     size = float(np.linalg.norm(mean))
@@ -133,7 +119,6 @@ def _lean(touching: NDArray[np.float64]) -> NDArray[np.float64] | None:
 
 
 def _about(axis: NDArray[np.float64], angle_rad: float) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation about a unit axis."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * cross @ cross)

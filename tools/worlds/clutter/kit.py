@@ -44,10 +44,7 @@ _CALM_SHARE = 0.5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Kit:
-    """Draws things and materials of one family.
-
-    `tones` are the few materials that recur in one room.
-    """
+    """Draws things and materials of one family; `tones` are the few materials that recur in one room."""
 
     recipes: Recipes
     tones: tuple[Texture, ...]

@@ -1,7 +1,4 @@
-"""A random room of a family from a seed: a floor plan, and arrangements where they fit.
-
-Lights of a random room: several lamps of different colour temperature and brightness, with and without shadows.
-"""
+"""A random room of a family from a seed: a floor plan, lamps, and arrangements where they fit."""
 
 from __future__ import annotations
 
@@ -52,7 +49,6 @@ def random_lighting(rng: np.random.Generator, outline_m: NDArray[np.float64], he
 
 
 def _tone(rng: np.random.Generator, level: float) -> Color:
-    """Return a colour of light between candle and sky."""
     warm = float(rng.normal(0, 0.1))
     return level * (1 + warm), level, level * (1 - warm)
 
@@ -70,11 +66,7 @@ class ClutterRoom:
 
 
 def clutter_room(seed: int, family: str, index: int = 0) -> ClutterRoom:
-    """Return room number `index` of a seed and a family.
-
-    Raises:
-        ConfigError: there is no such family.
-    """
+    """Return room number `index` of a seed and a family; raises `ConfigError` for an unknown family."""
     kit_seed = FAMILIES.index(family) if family in FAMILIES else 0
     rng = np.random.default_rng([seed, 21, kit_seed, index])
     kit = kit_of(rng, family)
@@ -105,7 +97,6 @@ def clutter_room(seed: int, family: str, index: int = 0) -> ClutterRoom:
 def _place_for(
     rng: np.random.Generator, plan: FloorPlan, group: Group, taken: list[NDArray[np.float64]]
 ) -> NDArray[np.float64] | None:
-    """Return a free place for a group and occupy it; None if a few draws find none."""
     corners = group.corners()
     for _ in range(_DRAWS):
         pose = _at_wall(rng, one_of(rng, plan.walls), corners) if group.is_at_wall else _anywhere(rng, plan)
@@ -122,7 +113,6 @@ def _place_for(
 
 
 def _at_wall(rng: np.random.Generator, wall: Wall, corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a pose at a wall, clear of its skirting board, sometimes in the corner."""
     low, high = corners[:, 1].min(), corners[:, 1].max()
     least, most = -wall.half_m - low + 0.021, wall.half_m - high - 0.021
     along = uniform(rng, least, most) if least < most else (least + most) / 2

@@ -1,7 +1,4 @@
-"""Random cameras: field of view, and defects of colour and depth.
-
-The defects of a colour camera, applied to a rendered image.
-"""
+"""Random cameras: field of view, and defects of colour and depth."""
 
 from __future__ import annotations
 
@@ -21,11 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ColorCameraConfig:
-    """The defects of a colour image; the defaults are none.
-
-    `shift_px` (x, y) is the displacement of colour against depth, `skew_px` the additional displacement of the last row
-    (a rolling shutter in motion), `wobble_px` the amplitude of a smooth variation of it over the image.
-    """
+    """The defects of a colour image; the defaults are none."""
 
     exposure: float = 1.0
     gamma: float = 1.0
@@ -37,8 +30,11 @@ class ColorCameraConfig:
     motion_px: tuple[float, float] = (0.0, 0.0)
     noise: float = 0.0
     """Standard deviation of the noise in grey levels, at mid-grey."""
+    #: (x, y) of colour against depth.
     shift_px: tuple[float, float] = (0.0, 0.0)
+    #: The additional shift of the last row: a rolling shutter in motion.
     skew_px: float = 0.0
+    #: The amplitude of a smooth variation of the shift.
     wobble_px: float = 0.0
 
     def photographed(self, rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -77,7 +73,6 @@ def _displaced(image: NDArray[np.float32], config: ColorCameraConfig, rng: np.ra
 
 
 def _smeared(image: NDArray[np.float32], motion_px: tuple[float, float]) -> NDArray[np.float32]:
-    """Return an image with motion blur."""
     size = 2 * int(np.ceil(max(abs(v) for v in motion_px) / 2)) + 1
     kernel = np.zeros((size, size), dtype=np.float32)
     for share in np.linspace(-0.5, 0.5, 4 * size):
@@ -102,8 +97,7 @@ def random_camera(rng: np.random.Generator, width: int, height: int) -> Camera:
 def random_depth_camera(rng: np.random.Generator, focal_px: float) -> DepthCameraConfig:
     """Return a stereo or structured-light camera, from good to poor.
 
-    Its noise is drawn in depth, 0.1 % to 0.8 % at one metre, and grows with the square of depth. The noise of disparity
-    follows from it by baseline and focal length, so that small images are not noisier than large ones.
+    Noise is 0.1 % to 0.8 % at one metre, at any focal length: small images are not noisier than large ones.
     """
     baseline = log_uniform(rng, 0.05, 0.2)
     sigma = log_uniform(rng, 0.0008, 0.006) * baseline * focal_px

@@ -55,7 +55,6 @@ def wander_through(
 
 
 def _route(clearance: Clearance, clearance_m: float, rng: np.random.Generator) -> NDArray[np.float64] | None:
-    """Return (N, 2) points of a closed route in the largest piece of free floor, None without one."""
     pieces, count = label(clearance.distance_m >= clearance_m)
     if count == 0:
         return None
@@ -71,7 +70,6 @@ def _route(clearance: Clearance, clearance_m: float, rng: np.random.Generator) -
 
 
 def _apart(cells: NDArray[np.intp], rng: np.random.Generator) -> list[int]:
-    """Return the indices of a few cells, each the farthest from those before it among some random candidates."""
     chosen = [int(rng.integers(len(cells)))]
     while len(chosen) < _STOPS:
         some = rng.integers(len(cells), size=8)

@@ -1,9 +1,4 @@
-"""Walls with doors, windows, niches and passages, skirting, dados and pictures, in the frame of each wall.
-
-A wall's x points into the room, its y along the wall; the wall itself lies at x <= 0.
-
-Paint for what belongs to a building.
-"""
+"""Walls with doors, windows, niches, skirting and pictures, in the frame of each wall: x into the room, y along it."""
 
 from __future__ import annotations
 
@@ -28,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def quiet(rng: np.random.Generator, kit: Kit, *, dim: float = 0.0) -> Texture:
-    """Return a paint as walls and ceilings have: pale and even, at times any material of the family."""
+    """Return a pale and even paint of walls and ceilings, at times any material of the family."""
     if chance(rng, 0.15):
         return kit.skin(rng)
     grey = uniform(rng, 0.6 - dim, 0.95 - dim)
@@ -89,13 +84,12 @@ def wall_models(
 
 
 def _reflex(outline: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (K,) whether a corner is reflex: the room covers more than 180 degrees around it."""
+    # Where the room covers more than 180 degrees around a corner.
     before, after = outline - np.roll(outline, 1, axis=0), np.roll(outline, -1, axis=0) - outline
     return np.asarray(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0] < 0)
 
 
 def _openings(rng: np.random.Generator, half: float, thick: float) -> list[_Opening]:
-    """Return doors, windows and niches along a wall, none over another."""
     openings: list[_Opening] = []
     y = -half + 0.1
     while True:
@@ -120,7 +114,7 @@ def _openings(rng: np.random.Generator, half: float, thick: float) -> list[_Open
 def _pierced(
     half: float, ends: tuple[float, float], thick: float, height: float, openings: list[_Opening], texture: Texture
 ) -> list[Part]:
-    """Return the pieces of a wall around its openings: full height between them, and the parts below and above."""
+    # Full height between the openings, and the parts below and above them.
     parts, y = [], -half - ends[0]
     for opening in openings:
         parts.append(_slice(y, opening.low_y, 0.0, height, thick, texture))
@@ -139,7 +133,6 @@ def _slice(y0: float, y1: float, z0: float, z1: float, thick: float, texture: Te
 def _fitting(
     rng: np.random.Generator, kit: Kit, opening: _Opening, thick: float, trim: Texture
 ) -> list[tuple[str, list[Part]]]:
-    """Return the content of an opening: a pane and its frame, a door leaf, the back of a niche, or a passage behind."""
     y, z = (opening.low_y + opening.high_y) / 2, (opening.low_z + opening.high_z) / 2
     wide, high = opening.high_y - opening.low_y, opening.high_z - opening.low_z
     if opening.kind == "window":
@@ -164,7 +157,6 @@ def _fitting(
 
 
 def _pane(rng: np.random.Generator, size: tuple[float, float], at: tuple[float, float, float]) -> Part:
-    """Return a window pane that shows daylight, or night."""
     if chance(rng, 0.2):
         tone: Color = (0.05, 0.06, 0.09)
     else:
@@ -190,7 +182,6 @@ def _bars(
 
 
 def _strip(half: float, openings: list[_Opening], size: tuple[float, float], texture: Texture) -> list[Part]:
-    """Return a strip of (height, thickness) along the foot of a wall, broken where an opening reaches the floor."""
     parts, y = [], -half
     for opening in [*(o for o in openings if o.low_z < size[0]), None]:
         end = half if opening is None else opening.low_y
@@ -204,7 +195,6 @@ def _strip(half: float, openings: list[_Opening], size: tuple[float, float], tex
 def _pictures(
     rng: np.random.Generator, kit: Kit, half: float, openings: list[_Opening]
 ) -> list[tuple[str, list[Part]]]:
-    """Return flat decoration fixed to the wall, which counts as structure: pictures, a clock, panels."""
     pieces: list[tuple[str, list[Part]]] = []
     taken = [(o.low_y, o.high_y) for o in openings]
     for _ in range(count(rng, 0, 2) if half > 0.4 else 0):

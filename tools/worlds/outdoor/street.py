@@ -1,7 +1,6 @@
 """A street from a seed: parked cars, trees and objects on pavement and lawn, on uneven ground.
 
-Upright objects stand at the lowest ground under them; objects with separate feet or wheels are tilted with the ground.
-The crowns of trees and the fronts of houses are not objects.
+Objects with separate feet or wheels tilt with the ground. Crowns of trees and fronts of houses are not objects.
 """
 
 from __future__ import annotations
@@ -113,7 +112,6 @@ def _scatter(
     span_m: tuple[float, float],
     margin_m: float,
 ) -> None:
-    """Place some objects of one recipe in a strip along the street, apart from the objects there."""
     middle = (terrain.kerbs_m[0] + terrain.kerbs_m[1]) / 2
     for _ in range(number):
         model = recipe(rng)
@@ -135,7 +133,6 @@ def _stand(
     yaw: float,
     margin_m: float = 0.05,
 ) -> bool:
-    """Place a model unless the place is occupied; return whether it was placed."""
     upright = Placement(model=model, world_from_object=at_place(*place, 0.0, yaw))
     reach_m = _reach_m(model) + margin_m
     near = [
@@ -149,18 +146,15 @@ def _stand(
 
 
 def _reach_m(model: Model) -> float:
-    """Return the largest horizontal extent of a model from its origin."""
     return float(np.linalg.norm(np.abs(model.bounds_m()[:, :2]).max(axis=0)))
 
 
 def _levelled(world_from_object: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the pose at height 0 without its tilt."""
     (x, y), (along, across) = world_from_object[:2, 3], world_from_object[:2, 0]
     return at_place(float(x), float(y), 0.0, float(np.arctan2(across, along)))
 
 
 def _on_ground(terrain: Terrain, model: Model, upright: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the pose of a model that stands on the ground at the place and heading of an upright pose."""
     lower, upper = model.bounds_m()
     # Of objects set into the ground, only the part at ground level counts.
     reach = np.minimum(np.maximum(-lower[:2], upper[:2]), 0.25) if model.kind not in _TILTED else upper[:2] * 0.8
@@ -180,7 +174,7 @@ def _on_ground(terrain: Terrain, model: Model, upright: NDArray[np.float64]) -> 
 
 
 def _crown(rng: np.random.Generator, trunk: Placement) -> Model:
-    """Return the crown over a trunk, from `_CROWN_M` above the ground on, in the world."""
+    # Crowns are structure, in the world's frame.
     green = uniform(rng, 0.28, 0.42)
     leaves = Texture(
         pattern="speckle",
@@ -201,7 +195,6 @@ def _crown(rng: np.random.Generator, trunk: Placement) -> Model:
 
 
 def _houses(rng: np.random.Generator, terrain: Terrain) -> list[Model]:
-    """Return the front of the houses: walls with plinths, doors in their frames, windows and their sills."""
     models = []
     front, low = terrain.front_m, -1.2
     x, end = -terrain.length_m / 2, terrain.length_m / 2
@@ -241,7 +234,6 @@ def _houses(rng: np.random.Generator, terrain: Terrain) -> list[Model]:
 
 
 def _daylight(rng: np.random.Generator) -> Lighting:
-    """Return the sun, which throws shadows, and the light of the sky."""
     turn, high = uniform(rng, 0, 2 * np.pi), uniform(rng, 35.0, 60.0)
     sun = Lamp(color=(0.62, 0.59, 0.52), near=1.0, far=0.0, shadow=0.12)
     fill = Lamp(color=(0.10, 0.11, 0.13), near=1.0, far=0.0, shadow=1.0)

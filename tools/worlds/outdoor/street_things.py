@@ -1,6 +1,6 @@
-"""Outdoor objects as composed models: fronts look along +x, the origin is where they stand on the ground.
+"""Outdoor objects as composed models: fronts look along +x, the origin is on the ground.
 
-What is set into the ground (trunks, posts) goes on below it by `SUNK_M`, so that it meets ground that slopes.
+Trunks and posts go on below it by `SUNK_M`, so that they meet ground that slopes.
 """
 
 from __future__ import annotations
@@ -256,7 +256,6 @@ def junction_box(rng: np.random.Generator) -> Model:
 
 
 def _across(outline_m: NDArray[np.float64], width: float, texture: Texture, *, taper: float) -> Part:
-    """Return an outline in x and z drawn `width` across y; its ends are smaller by a share `taper`, and rounded."""
     middle = outline_m.mean(axis=0)
     ys = np.array([-0.5, -0.46, -0.3, 0.3, 0.46, 0.5]) * width
     scale = (1 - taper, 1 - 0.3 * taper, 1.0, 1.0, 1 - 0.3 * taper, 1 - taper)

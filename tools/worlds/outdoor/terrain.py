@@ -1,9 +1,4 @@
-"""Uneven ground: its height at every position, and its models.
-
-A street of three strips along x, each with a surface of its own: a pavement before the houses, a road that lies a kerb
-lower, and beyond its other kerb a lawn that rises and rolls. The whole street slopes downhill. Kerbs are lowered at
-crossings.
-"""
+"""Uneven ground: pavement, road a kerb lower, and a lawn that rises and rolls, along x and downhill."""
 
 from __future__ import annotations
 
@@ -30,21 +25,20 @@ _WAVES = 5
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Terrain:
-    """Heights over a street of `length_m` (from -x to x) between `front_m` of the houses and `back_m` of the lawn.
-
-    The road lies between the kerbs at y = `kerbs_m` (far, near); the pavement is beyond the near one. `slope` is that
-    of the street along x and of pavement and lawn across; `wave_m` is the height of the lawn's waves, which (W, 4) rows
-    of `waves` make up: wave numbers along x and y, phase, share. `crossings_m` are the x at which kerbs are lowered.
-    """
+    """Heights over a street from -x to x, between `front_m` of the houses and `back_m` of the lawn."""
 
     length_m: float
     front_m: float
     back_m: float
+    #: The y of the far and the near kerb; the pavement is beyond the near one.
     kerbs_m: tuple[float, float]
     kerb_height_m: float
+    #: Of the street along x, and of pavement and lawn across.
     slope: tuple[float, float, float]
     wave_m: float
+    #: (W, 4) rows of the lawn's waves: wave numbers along x and y, phase, share of `wave_m`.
     waves: NDArray[np.float64]
+    #: The x at which kerbs are lowered.
     crossings_m: tuple[float, ...]
 
     def __post_init__(self) -> None:
@@ -81,7 +75,6 @@ class Terrain:
         return tuple(Model(kind=kind, parts=(self._strip(low, high, texture),)) for kind, low, high, texture in strips)
 
     def _strip(self, low: float, high: float, texture: Texture) -> Any:
-        """Return a closed slab whose top follows the ground between two y; its sides are the faces of kerbs."""
         xs = np.linspace(-self.length_m / 2, self.length_m / 2, 1 + round(self.length_m / _CELL_M))
         ys = np.linspace(low, high, 2 + round((high - low) / _CELL_M))
         grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1)

@@ -1,7 +1,4 @@
-"""A walk along a street: down the pavement, over the road where the kerb is lowered, back over the lawn.
-
-What records a street: a depth camera of short range, carried at a slow walk.
-"""
+"""A walk along a street: down the pavement, over the road where the kerb is lowered, back over the lawn."""
 
 from __future__ import annotations
 
@@ -31,10 +28,7 @@ _CUT = 0.5
 
 
 def stroll(street: Street, seconds: float | None, config: WalkConfig, walk_index: int) -> Trajectory | NoWalk:
-    """Return a closed walk, the camera at eye height above the ground; odd walks go the other way round.
-
-    `seconds` None is one round.
-    """
+    """Return a closed walk, the camera at eye height above the ground; `seconds` None is one round."""
     clearance = clearance_of(street.world)
     route = _route(street, clearance)
     if route is None:
@@ -59,7 +53,6 @@ def stroll(street: Street, seconds: float | None, config: WalkConfig, walk_index
 
 
 def _route(street: Street, clearance: Clearance) -> NDArray[np.float64] | None:
-    """Return (N, 2) points of the closed route, None if it is blocked."""
     far, near = street.terrain.kerbs_m
     low, high = street.terrain.crossings_m
     pavement, lawn = (near + street.terrain.front_m) / 2, far - 3.2
@@ -76,7 +69,6 @@ def _route(street: Street, clearance: Clearance) -> NDArray[np.float64] | None:
 
 
 def _clear_place(clearance: Clearance, wanted: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a position near a wanted one with clearance around it."""
     spread = np.arange(-0.9, 0.91, 0.06)
     grid = wanted + np.stack(np.meshgrid(spread, spread, indexing="ij"), axis=-1).reshape(-1, 2)
     value = np.minimum(clearance.at(grid), 0.6) - 0.25 * np.linalg.norm(grid - wanted, axis=1)

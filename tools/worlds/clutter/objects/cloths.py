@@ -35,7 +35,6 @@ def tablecloth(rng: np.random.Generator, half_m: tuple[float, float], fall_m: fl
 
 
 def _lines(half: float, fall: float) -> NDArray[np.float64]:
-    """Return grid lines that are dense where a cloth bends."""
     side = half + np.concatenate([[0.0], np.linspace(0.004, fall, 9)])
     return np.concatenate([-side[::-1], np.linspace(-half, half, 9)[1:-1], side])
 

@@ -1,7 +1,4 @@
-"""Materials: one function each, which draws its colours from the seed.
-
-A `Skin` draws a material of one family; recipes call it once for each part.
-"""
+"""Materials: one function each, which draws its colours from the seed."""
 
 from __future__ import annotations
 

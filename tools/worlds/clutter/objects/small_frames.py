@@ -189,7 +189,6 @@ def wire_basket(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def _frame(size: tuple[float, float], z: float, wire: float, texture: Texture) -> list[Part]:
-    """Return the four sides of a level rectangle as bars."""
     x, y = size
     parts = [block((2 * wire, y, 2 * wire), texture, at=(s * x / 2, 0, z), radius_m=0.5 * wire) for s in (-1, 1)]
     parts += [block((x, 2 * wire, 2 * wire), texture, at=(0, s * y / 2, z), radius_m=0.5 * wire) for s in (-1, 1)]

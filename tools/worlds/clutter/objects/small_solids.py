@@ -1,7 +1,4 @@
-"""Small massive things of random shape, 4 to 45 cm: one function per recipe, each standing on its base.
-
-Small soft things, 10 to 50 cm: one function per recipe, each lying on its base.
-"""
+"""Small things of random shape, massive or soft, 4 to 50 cm: one function per recipe, each standing on its base."""
 
 from __future__ import annotations
 
@@ -81,7 +78,7 @@ def turned(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def _smooth_profile(rng: np.random.Generator, points: int) -> NDArray[np.float64]:
-    """Return radii of 0.15..1 with the greatest 1, smooth along a profile."""
+    # Radii of 0.15..1 with the greatest 1.
     knots = rng.uniform(0.25, 1.0, size=count(rng, 3, 5))
     radii = np.interp(np.linspace(0, len(knots) - 1, points), np.arange(len(knots)), knots)
     radii = np.convolve(np.pad(radii, 1, mode="edge"), (0.25, 0.5, 0.25), mode="valid")
@@ -116,7 +113,6 @@ def composed(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def _primitive(rng: np.random.Generator, size: float, texture: Texture) -> Part:
-    """Return a box, cylinder, cone, ball or bar of about a size, about the origin."""
     a, b, c = size * rng.uniform(0.4, 1.6, size=3)
     kind = int(rng.integers(5))
     if kind == 0:
@@ -131,7 +127,6 @@ def _primitive(rng: np.random.Generator, size: float, texture: Texture) -> Part:
 
 
 def _any_turn(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a rotation: along the axes mostly, as things are made, else free."""
     if chance(rng, 0.6):
         quarter = np.pi / 2 * rng.integers(4, size=3)
         return np.asarray(about_z(quarter[0]) @ about_x(quarter[1]) @ about_y(quarter[2]))

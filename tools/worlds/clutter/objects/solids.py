@@ -1,7 +1,4 @@
-"""Closed surfaces beyond those of `parts`: what random shapes are composed of.
-
-Every function returns one watertight part with its faces counter-clockwise seen from outside.
-"""
+"""Watertight parts that random shapes are composed of, their faces counter-clockwise seen from outside."""
 
 from __future__ import annotations
 
@@ -40,7 +37,7 @@ def block(
 
 @cache
 def _block_template() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
-    """Return for each vertex of a rounded box the corner that it belongs to, its direction from there, and faces."""
+    # For each vertex of a rounded box its corner, its direction from there, and faces.
     radius = 0.25
     part = rounded_box((2.0, 2.0, 2.0), _GREY, radius_m=radius, cell_m=10.0)
     sign = np.sign(part.vertices)
@@ -114,9 +111,9 @@ def sweep(
     *,
     scale: Sequence[float] | None = None,
 ) -> Part:
-    """Return a (K, 2) outline drawn along a path, `scale` wide at each of its points, both ends closed.
+    """Return a (K, 2) outline drawn along a path, `scale` wide at each point, both ends closed.
 
-    The outline is counter-clockwise, its own x and y; the frame is carried along the path without twist.
+    The outline is counter-clockwise; its frame is carried along the path without twist.
     """
     path = np.asarray(path_m, dtype=np.float64)
     tangents = np.gradient(path, axis=0)
@@ -136,10 +133,7 @@ def sweep(
 
 
 def sheet(points_m: NDArray[np.float64], thickness_m: float, texture: Texture) -> Part:
-    """Return a thin closed sheet over an (N, M, 3) grid of points; it thickens away from the grid's normals.
-
-    The normal is that of x (along the first axis) cross y (along the second one).
-    """
+    """Return a thin closed sheet over an (N, M, 3) grid; it thickens away from the normal: first axis cross second."""
     rows, columns = points_m.shape[:2]
     along, across = np.gradient(points_m, axis=0), np.gradient(points_m, axis=1)
     normals = np.cross(along, across)

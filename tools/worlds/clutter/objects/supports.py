@@ -1,7 +1,4 @@
-"""Furniture on which things stand, of random design: one function per recipe; fronts face +x.
-
-The horizontal surfaces of a model on which things can stand are its `surfaces`, lowest first.
-"""
+"""Furniture on which things stand, of random design; fronts face +x, `surfaces` are sorted, lowest first."""
 
 from __future__ import annotations
 
@@ -131,7 +128,6 @@ def shelf(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def _compartments(depth: float, ys: NDArray[np.float64], zs: NDArray[np.float64], thick: float) -> tuple[Surface, ...]:
-    """Return a surface on each board in each column, and one on top if it is below eye height."""
     gap = float(zs[1] - zs[0]) - thick
     cells = [
         Surface(

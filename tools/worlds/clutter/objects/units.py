@@ -1,9 +1,4 @@
-"""Units that stand flush in rows, such as cupboards: one function per recipe, its back at -x.
-
-Parts that many kinds of furniture have: legs, fronts with handles, tops.
-
-Chairs of random make: one function per recipe; one looks along +x when sitting on them.
-"""
+"""Chairs, units that stand flush in rows (back at -x), and the legs, fronts and tops that kinds of furniture share."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The objects of the furnished rooms in random proportions, as recipes beside the random shapes.
-
-They keep their own materials, or each part gets one of the family's.
-"""
+"""The objects of the furnished rooms in random proportions, with their own materials or some of the family's."""
 
 from __future__ import annotations
 
@@ -88,7 +85,7 @@ def _varied(
 
 
 def _on_its_base(model: Model) -> Model:
-    """Return a model with its lowest point at 0, since splayed legs reach slightly below their base."""
+    # Splayed legs reach slightly below their base.
     low = float(model.bounds_m()[0, 2])
     parts = tuple(part.moved((0.0, 0.0, -low)) for part in model.parts)
     surfaces = tuple(replace(s, center_m=(*s.center_m[:2], s.center_m[2] - low)) for s in model.surfaces)
