@@ -164,10 +164,7 @@ def _in_frame(robot_from_world: NDArray[np.float64] | None, world_from_a: NDArra
 
 
 def _write_meshes(
-    world: World,
-    elsewhere: Sequence[WorldObject],
-    truth_folder: Path,
-    robot_from_world: NDArray[np.float64] | None,
+    world: World, elsewhere: Sequence[WorldObject], truth_folder: Path, robot_from_world: NDArray[np.float64] | None
 ) -> tuple[str, ...]:
     for item in (*elsewhere, *world.objects):
         write_glb(model_mesh(item.model), truth_folder / f"meshes/{item.id}.glb")

@@ -23,12 +23,7 @@ _LOOKAHEAD = 3
 
 
 def gaze(
-    world: World,
-    positions: NDArray[np.float64],
-    step_s: float,
-    config: WalkConfig,
-    *,
-    first_yaw: float | None = None,
+    world: World, positions: NDArray[np.float64], step_s: float, config: WalkConfig, *, first_yaw: float | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return smooth (N,) yaw and pitch of the optical axis; `first_yaw` None looks at the middle of the room.
 

@@ -37,9 +37,7 @@ def cache_folder() -> Path:
 
 
 def cached_recording(
-    config: RecordingConfig,
-    folder: Path | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    config: RecordingConfig, folder: Path | None = None, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> tuple[Path, Truth]:
     """Return the log and the truth of a config, from the cache or made now.
 

@@ -29,14 +29,9 @@ _SHIFT_M = 0.4
 # What a day brings, in turn.
 _TURNS = ("move", "remove", "add", "move", "exchange", "move", "remove", "add")
 _SMALL = (
-    small_things.mug,
-    small_things.bowl,
-    small_things.book_stack,
-    table_things.vase,
-    table_things.kettle,
-    table_things.jar,
-    table_things.cereal_box,
-)
+    small_things.mug, small_things.bowl, small_things.book_stack, table_things.vase, table_things.kettle,
+    table_things.jar, table_things.cereal_box,
+)  # fmt: skip
 _LARGE = (big_things.basket, big_things.suitcase, big_things.stool)
 
 

@@ -239,11 +239,7 @@ def relative(
 
 
 def lay(
-    rng: np.random.Generator,
-    room: Room,
-    support: Placement | None,
-    models: Sequence[Model],
-    turn_rad: float = np.pi,
+    rng: np.random.Generator, room: Room, support: Placement | None, models: Sequence[Model], turn_rad: float = np.pi
 ) -> None:
     """Place models on the first surface of a support, if there is a support."""
     if support is not None:

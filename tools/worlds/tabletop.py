@@ -23,23 +23,11 @@ if TYPE_CHECKING:
 
 
 _THINGS: tuple[Callable[[np.random.Generator], Model], ...] = (
-    table_things.can,
-    table_things.carton,
-    table_things.cereal_box,
-    table_things.packet,
-    table_things.squeeze_bottle,
-    table_things.jar,
-    small_things.mug,
-    small_things.bowl,
-    small_things.bottle,
-    table_things.toy_car,
-    table_things.ball,
-    small_things.book_stack,
-    small_things.small_box,
-    table_things.kettle,
-    table_things.vase,
+    table_things.can, table_things.carton, table_things.cereal_box, table_things.packet, table_things.squeeze_bottle,
+    table_things.jar, small_things.mug, small_things.bowl, small_things.bottle, table_things.toy_car,
+    table_things.ball, small_things.book_stack, small_things.small_box, table_things.kettle, table_things.vase,
     table_things.clock,
-)
+)  # fmt: skip
 _HALF_M, _HEIGHT_M = 1.8, 2.6
 _MIN_THINGS, _MAX_THINGS = 10, 19
 _ATTEMPTS = 40

@@ -87,19 +87,10 @@ def _picture(rng: np.random.Generator, room: Rectangle, side: int) -> Model:
 
 
 _STORED: tuple[Callable[[np.random.Generator], Model], ...] = (
-    small_things.small_box,
-    small_things.book_stack,
-    table_things.jar,
-    table_things.can,
-    table_things.cereal_box,
-    table_things.carton,
-    table_things.pot,
-    table_things.toy_car,
-    table_things.squeeze_bottle,
-    table_things.packet,
-    small_things.bowl,
-    small_things.mug,
-)
+    small_things.small_box, small_things.book_stack, table_things.jar, table_things.can, table_things.cereal_box,
+    table_things.carton, table_things.pot, table_things.toy_car, table_things.squeeze_bottle, table_things.packet,
+    small_things.bowl, small_things.mug,
+)  # fmt: skip
 
 
 def office(rng: np.random.Generator, room: Room) -> list[Placement]:

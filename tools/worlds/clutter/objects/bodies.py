@@ -228,22 +228,9 @@ def tent(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 BODIES: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
-    f.__name__: f
-    for f in (
-        big_carton,
-        open_carton,
-        barrel,
-        sack,
-        roll,
-        floor_lamp,
-        foliage,
-        screen,
-        ladder,
-        draped,
-        blanket_heap,
-        rounded_body,
-        machine,
-        tent,
+    f.__name__: f for f in (
+        big_carton, open_carton, barrel, sack, roll, floor_lamp, foliage, screen, ladder, draped, blanket_heap,
+        rounded_body, machine, tent,
     )
-}
+}  # fmt: skip
 """The recipes of bodies by name."""

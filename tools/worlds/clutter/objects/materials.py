@@ -1,4 +1,4 @@
-"""Materials: one function each, which draws its colours from the seed."""
+"""Materials."""
 
 from __future__ import annotations
 
@@ -22,13 +22,12 @@ def color(rng: np.random.Generator) -> Color:
     """Return a colour: greys and whites often, as indoors, else any hue from pale to strong."""
     kind = rng.random()
     if kind < 0.22:
-        grey = uniform(rng, 0.55, 0.95)
-        return _tinted(rng, grey)
+        return _tinted(rng, uniform(rng, 0.55, 0.95))
     if kind < 0.36:
         return _tinted(rng, uniform(rng, 0.05, 0.3))
     if kind < 0.5:
-        return colorsys.hsv_to_rgb(uniform(rng, 0.05, 0.12), uniform(rng, 0.25, 0.6), uniform(rng, 0.3, 0.85))
-    return colorsys.hsv_to_rgb(uniform(rng, 0, 1), uniform(rng, 0.15, 0.9), uniform(rng, 0.25, 0.95))
+        return _hue(rng, (0.05, 0.12), (0.25, 0.6), (0.3, 0.85))
+    return _hue(rng, (0.0, 1.0), (0.15, 0.9), (0.25, 0.95))
 
 
 def _tinted(rng: np.random.Generator, grey: float) -> Color:
@@ -41,131 +40,34 @@ def _shade_of(rng: np.random.Generator, base: Color, spread: float) -> Color:
     return base[0] * factor, base[1] * factor, base[2] * factor
 
 
-def uniform_paint(rng: np.random.Generator) -> Texture:
-    """Return one even colour, nearly without grain."""
-    base = color(rng)
-    return Texture(pattern="plain", first=base, second=_shade_of(rng, base, 0.06), period_m=0.2, grain=0.02)
+def _hue(
+    rng: np.random.Generator, hue: tuple[float, float], saturation: tuple[float, float], value: tuple[float, float]
+) -> Color:
+    return colorsys.hsv_to_rgb(uniform(rng, *hue), uniform(rng, *saturation), uniform(rng, *value))
 
 
-def worn_paint(rng: np.random.Generator) -> Texture:
-    """Return a colour with stains of its own shades."""
-    base = color(rng)
-    return _texture(rng, "plain", base, _shade_of(rng, base, 0.4), (0.02, 0.3), grain=(0.05, 0.3))
+def _even(
+    rng: np.random.Generator,
+    base: Color,
+    spread: float,
+    period_m: float,
+    grain: float,
+    gloss: tuple[float, float] | None = None,
+) -> Texture:
+    shine = uniform(rng, *gloss) if gloss else 0.0
+    second = _shade_of(rng, base, spread) if spread else base
+    return Texture(pattern="plain", first=base, second=second, period_m=period_m, grain=grain, gloss=shine)
 
 
-def polished(rng: np.random.Generator) -> Texture:
-    """Return metal, lacquer or glazed ware: even and shiny."""
-    base = color(rng)
-    gloss = uniform(rng, 0.25, 0.95)
-    return Texture(pattern="plain", first=base, second=_shade_of(rng, base, 0.1), period_m=0.1, grain=0.02, gloss=gloss)
-
-
-def lacquered(rng: np.random.Generator) -> Texture:
-    """Return a strong colour under a hard varnish."""
-    base = colorsys.hsv_to_rgb(uniform(rng, 0, 1), uniform(rng, 0.5, 1.0), uniform(rng, 0.3, 0.9))
-    return Texture(pattern="plain", first=base, second=base, period_m=0.1, grain=0.01, gloss=uniform(rng, 0.3, 0.8))
-
-
-def veneer(rng: np.random.Generator) -> Texture:
-    """Return wood with a straight narrow grain."""
-    base = colorsys.hsv_to_rgb(uniform(rng, 0.04, 0.1), uniform(rng, 0.1, 0.5), uniform(rng, 0.3, 0.95))
-    return _texture(rng, "stripes", base, _shade_of(rng, base, 0.18), (0.003, 0.012), grain=(0.05, 0.15))
-
-
-def brushed(rng: np.random.Generator) -> Texture:
-    """Return brushed metal: grey, a broad highlight."""
-    base = _tinted(rng, uniform(rng, 0.3, 0.85))
-    gloss = uniform(rng, 0.1, 0.5)
-    return Texture(pattern="plain", first=base, second=_shade_of(rng, base, 0.1), period_m=0.01, grain=0.1, gloss=gloss)
-
-
-def linen(rng: np.random.Generator) -> Texture:
-    """Return a plain weave."""
-    base = color(rng)
-    return _texture(rng, "plain", base, _shade_of(rng, base, 0.3), (0.003, 0.01), grain=(0.1, 0.3))
-
-
-def concrete(rng: np.random.Generator) -> Texture:
-    """Return cast stone: grey with clouds."""
-    base = _tinted(rng, uniform(rng, 0.35, 0.8))
-    return _texture(rng, "plain", base, _shade_of(rng, base, 0.25), (0.05, 0.4), grain=(0.1, 0.3))
-
-
-def enamel(rng: np.random.Generator) -> Texture:
-    """Return a pale glossy coat."""
-    base = colorsys.hsv_to_rgb(uniform(rng, 0, 1), uniform(rng, 0.0, 0.35), uniform(rng, 0.75, 0.97))
-    return Texture(pattern="plain", first=base, second=base, period_m=0.1, grain=0.01, gloss=uniform(rng, 0.3, 0.9))
-
-
-def satin(rng: np.random.Generator) -> Texture:
-    """Return plastic: a colour with a broad weak highlight."""
-    base = color(rng)
-    gloss = uniform(rng, 0.05, 0.2)
-    return Texture(pattern="plain", first=base, second=_shade_of(rng, base, 0.1), period_m=0.1, grain=0.04, gloss=gloss)
-
-
-def timber(rng: np.random.Generator) -> Texture:
-    """Return wood with its rings."""
-    base = colorsys.hsv_to_rgb(uniform(rng, 0.05, 0.11), uniform(rng, 0.25, 0.6), uniform(rng, 0.3, 0.9))
-    return _texture(rng, "wood", base, _shade_of(rng, base, 0.4), (0.015, 0.08))
-
-
-def cardboard(rng: np.random.Generator) -> Texture:
-    """Return the brown of cartons, bare or faintly stained."""
-    base = colorsys.hsv_to_rgb(uniform(rng, 0.07, 0.1), uniform(rng, 0.3, 0.5), uniform(rng, 0.5, 0.8))
-    return Texture(pattern="plain", first=base, second=_shade_of(rng, base, 0.12), period_m=0.07, grain=0.12)
-
-
-def printed(rng: np.random.Generator) -> Texture:
-    """Return a package print: writing, fields and pictures in one ink."""
-    return _texture(rng, "print", color(rng), color(rng), (0.03, 0.15), grain=(0.02, 0.08))
-
-
-def striped(rng: np.random.Generator) -> Texture:
-    """Return stripes, fine or broad."""
-    return _texture(rng, "stripes", color(rng), color(rng), (0.008, 0.15))
-
-
-def speckled(rng: np.random.Generator) -> Texture:
-    """Return speckles, from terrazzo to flowers."""
-    return _texture(rng, "speckle", color(rng), color(rng), (0.006, 0.06))
-
-
-def checked(rng: np.random.Generator) -> Texture:
-    """Return a chequered pattern."""
-    return _texture(rng, "checker", color(rng), color(rng), (0.01, 0.1))
-
-
-def boarded(rng: np.random.Generator) -> Texture:
-    """Return narrow boards."""
-    base = color(rng)
-    return _texture(rng, "planks", base, _shade_of(rng, base, 0.5), (0.03, 0.15))
-
-
-def dotted(rng: np.random.Generator) -> Texture:
-    """Return regular dots."""
-    return _texture(rng, "dots", color(rng), color(rng), (0.012, 0.08))
-
-
-def tiled(rng: np.random.Generator) -> Texture:
-    """Return tiles with joints."""
-    return _texture(rng, "tiles", color(rng), color(rng), (0.02, 0.2), gloss=(0.0, 0.3))
-
-
-def plaid(rng: np.random.Generator) -> Texture:
-    """Return crossing bands, as of a blanket."""
-    return _texture(rng, "plaid", color(rng), color(rng), (0.02, 0.15))
-
-
-def marbled(rng: np.random.Generator) -> Texture:
-    """Return veined stone."""
-    base = color(rng)
-    return _texture(rng, "marble", base, color(rng), (0.1, 0.4), gloss=(0.0, 0.4))
-
-
-def patched(rng: np.random.Generator) -> Texture:
-    """Return fields with straight borders between two colours, as of patchwork or camouflage."""
-    return _texture(rng, "cells", color(rng), color(rng), (0.02, 0.15))
+def _shaded(
+    rng: np.random.Generator,
+    pattern: Pattern,
+    base: Color,
+    spread: float,
+    period_m: tuple[float, float],
+    grain: tuple[float, float] = (0.03, 0.25),
+) -> Texture:
+    return _texture(rng, pattern, base, _shade_of(rng, base, spread), period_m, grain)
 
 
 def _texture(
@@ -188,34 +90,41 @@ def _texture(
     )
 
 
-MATERIALS: dict[str, Callable[[np.random.Generator], Texture]] = {
-    f.__name__: f
-    for f in (
-        uniform_paint,
-        worn_paint,
-        polished,
-        satin,
-        lacquered,
-        veneer,
-        brushed,
-        linen,
-        concrete,
-        enamel,
-        timber,
-        cardboard,
-        printed,
-        striped,
-        speckled,
-        checked,
-        boarded,
-        dotted,
-        tiled,
-        plaid,
-        marbled,
-        patched,
-    )
+_ANY = (0.0, 1.0)
+MATERIALS: dict[str, Skin] = {
+    "uniform_paint": lambda rng: _even(rng, color(rng), 0.06, 0.2, 0.02),
+    "worn_paint": lambda rng: _shaded(rng, "plain", color(rng), 0.4, (0.02, 0.3), (0.05, 0.3)),
+    # Metal, lacquer or glazed ware.
+    "polished": lambda rng: _even(rng, color(rng), 0.1, 0.1, 0.02, (0.25, 0.95)),
+    # Plastic: a broad weak highlight.
+    "satin": lambda rng: _even(rng, color(rng), 0.1, 0.1, 0.04, (0.05, 0.2)),
+    "lacquered": lambda rng: _even(rng, _hue(rng, _ANY, (0.5, 1.0), (0.3, 0.9)), 0.0, 0.1, 0.01, (0.3, 0.8)),
+    "veneer": lambda rng: _shaded(
+        rng, "stripes", _hue(rng, (0.04, 0.1), (0.1, 0.5), (0.3, 0.95)), 0.18, (0.003, 0.012), (0.05, 0.15)
+    ),
+    # Grey metal.
+    "brushed": lambda rng: _even(rng, _tinted(rng, uniform(rng, 0.3, 0.85)), 0.1, 0.01, 0.1, (0.1, 0.5)),
+    "linen": lambda rng: _shaded(rng, "plain", color(rng), 0.3, (0.003, 0.01), (0.1, 0.3)),
+    "concrete": lambda rng: _shaded(rng, "plain", _tinted(rng, uniform(rng, 0.35, 0.8)), 0.25, (0.05, 0.4), (0.1, 0.3)),
+    "enamel": lambda rng: _even(rng, _hue(rng, _ANY, (0.0, 0.35), (0.75, 0.97)), 0.0, 0.1, 0.01, (0.3, 0.9)),
+    "timber": lambda rng: _shaded(rng, "wood", _hue(rng, (0.05, 0.11), (0.25, 0.6), (0.3, 0.9)), 0.4, (0.015, 0.08)),
+    "cardboard": lambda rng: _even(rng, _hue(rng, (0.07, 0.1), (0.3, 0.5), (0.5, 0.8)), 0.12, 0.07, 0.12),
+    # Writing, fields and pictures in one ink.
+    "printed": lambda rng: _texture(rng, "print", color(rng), color(rng), (0.03, 0.15), (0.02, 0.08)),
+    "striped": lambda rng: _texture(rng, "stripes", color(rng), color(rng), (0.008, 0.15)),
+    # From terrazzo to flowers.
+    "speckled": lambda rng: _texture(rng, "speckle", color(rng), color(rng), (0.006, 0.06)),
+    "checked": lambda rng: _texture(rng, "checker", color(rng), color(rng), (0.01, 0.1)),
+    "boarded": lambda rng: _shaded(rng, "planks", color(rng), 0.5, (0.03, 0.15)),
+    "dotted": lambda rng: _texture(rng, "dots", color(rng), color(rng), (0.012, 0.08)),
+    "tiled": lambda rng: _texture(rng, "tiles", color(rng), color(rng), (0.02, 0.2), gloss=(0.0, 0.3)),
+    # Crossing bands, as of a blanket.
+    "plaid": lambda rng: _texture(rng, "plaid", color(rng), color(rng), (0.02, 0.15)),
+    "marbled": lambda rng: _texture(rng, "marble", color(rng), color(rng), (0.1, 0.4), gloss=(0.0, 0.4)),
+    # Fields with straight borders, as of patchwork or camouflage.
+    "patched": lambda rng: _texture(rng, "cells", color(rng), color(rng), (0.02, 0.15)),
 }
-"""The materials by name."""
+"""The materials by name, each of which draws its colours from the seed."""
 CALM = frozenset(
     "uniform_paint worn_paint polished satin timber cardboard lacquered veneer brushed linen concrete enamel".split()
 )

@@ -242,23 +242,9 @@ def grating(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 SMALL_FRAMES: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
-    f.__name__: f
-    for f in (
-        open_vessel,
-        tray,
-        crate,
-        bent_bar,
-        wire_rack,
-        sprig,
-        goblet,
-        lattice_cube,
-        coil,
-        arch,
-        wire_basket,
-        sleeve,
-        bent_panel,
-        binder,
-        grating,
+    f.__name__: f for f in (
+        open_vessel, tray, crate, bent_bar, wire_rack, sprig, goblet, lattice_cube, coil, arch, wire_basket, sleeve,
+        bent_panel, binder, grating,
     )
-}
+}  # fmt: skip
 """The recipes of hollow and open small things by name."""

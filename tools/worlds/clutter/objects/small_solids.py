@@ -253,28 +253,11 @@ def slab(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 SMALL_SOLIDS: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
-    f.__name__: f
-    for f in (
-        carton,
-        book,
-        tin,
-        turned,
-        blob,
-        superquadric,
-        composed,
-        ring,
-        tool,
-        device,
-        framed,
-        paper_pile,
-        star_prism,
-        wedge,
-        spool,
-        ribbed_pack,
-        lidded_case,
-        slab,
+    f.__name__: f for f in (
+        carton, book, tin, turned, blob, superquadric, composed, ring, tool, device, framed, paper_pile, star_prism,
+        wedge, spool, ribbed_pack, lidded_case, slab,
     )
-}
+}  # fmt: skip
 """The recipes of massive small things by name."""
 
 
@@ -311,11 +294,6 @@ def crumpled_cloth(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 SMALL_SOFT: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
-    f.__name__: f
-    for f in (
-        pouch,
-        folded_cloth,
-        crumpled_cloth,
-    )
+    f.__name__: f for f in (pouch, folded_cloth, crumpled_cloth)
 }
 """The recipes of soft small things by name."""

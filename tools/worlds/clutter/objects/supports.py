@@ -297,21 +297,9 @@ def pallet(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 SUPPORTS: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
-    f.__name__: f
-    for f in (
-        table,
-        round_table,
-        trestle,
-        cabinet,
-        counter,
-        shelf,
-        rack,
-        cube_shelf,
-        ladder_shelf,
-        trolley,
-        sofa,
-        bed,
+    f.__name__: f for f in (
+        table, round_table, trestle, cabinet, counter, shelf, rack, cube_shelf, ladder_shelf, trolley, sofa, bed,
         pallet,
     )
-}
+}  # fmt: skip
 """The recipes of supports by name."""

@@ -133,13 +133,7 @@ def locker(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 UNITS: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
-    f.__name__: f
-    for f in (
-        appliance,
-        kitchen_unit,
-        tower,
-        locker,
-    )
+    f.__name__: f for f in (appliance, kitchen_unit, tower, locker)
 }
 """The recipes of units by name."""
 
@@ -202,11 +196,5 @@ def shell_chair(rng: np.random.Generator, skin: Skin) -> Model:
     return grounded("shell_chair", [shell, *legs])
 
 
-SEATS: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
-    f.__name__: f
-    for f in (
-        chair,
-        shell_chair,
-    )
-}
+SEATS: dict[str, Callable[[np.random.Generator, Skin], Model]] = {f.__name__: f for f in (chair, shell_chair)}
 """The recipes of seats by name."""

@@ -21,48 +21,18 @@ if TYPE_CHECKING:
 
 _MOST_M = 3.0
 _SMALL = (
-    small_things.mug,
-    small_things.bottle,
-    small_things.bowl,
-    small_things.small_box,
-    small_things.monitor,
-    table_things.can,
-    table_things.jar,
-    table_things.carton,
-    table_things.cereal_box,
-    table_things.packet,
-    table_things.squeeze_bottle,
-    table_things.kettle,
-    table_things.pot,
-    table_things.pan,
-    table_things.vase,
-    table_things.laptop,
-    table_things.toy_car,
-    table_things.ball,
-    table_things.cushion,
-    table_things.table_lamp,
+    small_things.mug, small_things.bottle, small_things.bowl, small_things.small_box, small_things.monitor,
+    table_things.can, table_things.jar, table_things.carton, table_things.cereal_box, table_things.packet,
+    table_things.squeeze_bottle, table_things.kettle, table_things.pot, table_things.pan, table_things.vase,
+    table_things.laptop, table_things.toy_car, table_things.ball, table_things.cushion, table_things.table_lamp,
     table_things.clock,
-)
+)  # fmt: skip
 _LARGE = (
-    furniture.table,
-    furniture.desk,
-    furniture.chair,
-    furniture.sofa,
-    furniture.shelf,
-    furniture.lamp,
-    furniture.plant,
-    big_things.armchair,
-    big_things.stool,
-    big_things.bench,
-    big_things.office_chair,
-    big_things.coffee_table,
-    big_things.nightstand,
-    big_things.dresser,
-    big_things.bed,
-    big_things.suitcase,
-    big_things.basket,
-    big_things.speaker,
-)
+    furniture.table, furniture.desk, furniture.chair, furniture.sofa, furniture.shelf, furniture.lamp,
+    furniture.plant, big_things.armchair, big_things.stool, big_things.bench, big_things.office_chair,
+    big_things.coffee_table, big_things.nightstand, big_things.dresser, big_things.bed, big_things.suitcase,
+    big_things.basket, big_things.speaker,
+)  # fmt: skip
 
 
 def _varied(
