@@ -15,10 +15,10 @@ from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.worlds.fleet import make_fleet
-from hickory_stream.worlds.recording_config import RecordingConfig
 from tests.conftest import COARSE_SHAPES
 from tests.test_cli import EAGER, Ended, look
+from tools.worlds.fleet import make_fleet
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from pathlib import Path

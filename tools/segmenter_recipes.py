@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.perception.regions.trees import averaged
-from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
 from tools.network_training.scenes import Scene, told
 from tools.segmenter_growth import EVERY, Growth, train
 from tools.segmenter_lessons import lessons_of, lessons_of_rooms, lessons_of_scene
+from tools.worlds.cache import cached_recording
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

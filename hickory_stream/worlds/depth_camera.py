@@ -1,7 +1,4 @@
-"""The defects of a stereo depth camera, applied to exact depth.
-
-They are modelled in disparity, in which stereo noise is constant; in depth it grows with z squared.
-"""
+"""The defects of a stereo depth camera, applied in disparity, in which stereo noise is constant."""
 
 from __future__ import annotations
 
@@ -96,7 +93,7 @@ def sensed_depth(
 def _edges(
     depth_m: NDArray[np.float32], ratio: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the least and the greatest depth of each pixel's 3x3 neighbourhood, and whether it contains an edge."""
+    # Least and greatest depth of each pixel's 3x3 neighbourhood, and whether it contains an edge.
     filled = np.where(np.isfinite(depth_m), depth_m, np.float32(100.0))
     kernel = np.ones((3, 3), dtype=np.uint8)
     near, far = cv2.erode(filled, kernel), cv2.dilate(filled, kernel)
@@ -113,17 +110,13 @@ def _disparity_noise(
 
 
 def _smooth_noise(shape: tuple[int, ...], radius_px: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return normal noise of unit variance, correlated over `radius_px`."""
     blurred = cv2.GaussianBlur(rng.standard_normal(shape), (0, 0), radius_px)
     # The sum of the squared weights of a Gaussian kernel is 1 / (4 pi sigma^2).
     return np.asarray(blurred * (2 * np.sqrt(np.pi) * radius_px))
 
 
 def _is_occluded(disparity: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return the pixels of the left image that are occluded in the right one: a band to the left of near surfaces.
-
-    A pixel at x is matched at x - d; it is occluded if a pixel further right is matched at or left of that position.
-    """
+    # A pixel at x is matched at x - d; a pixel further right that is matched at or left of there occludes it.
     columns = np.arange(disparity.shape[1])[None]
     landing = np.where(np.isfinite(disparity), columns - disparity, np.inf)
     from_right = np.minimum.accumulate(landing[:, ::-1], axis=1)[:, ::-1]

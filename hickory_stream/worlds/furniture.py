@@ -1,7 +1,4 @@
-"""Furniture that stands on the floor: one function per kind, each drawing its sizes and materials from the seed.
-
-Fronts look along +x, and sizes are those of ordinary furniture.
-"""
+"""Furniture that stands on the floor, its front along +x: one function per kind, drawn from the seed."""
 
 from __future__ import annotations
 
@@ -70,7 +67,6 @@ def chair(rng: np.random.Generator) -> Model:
 def _chair_back(
     rng: np.random.Generator, frame: Texture, *, x: float, width: float, seat_z: float, back_z: float
 ) -> list[Part]:
-    """Return either one broad board or three slats between the posts of a chair."""
     if rng.random() < 0.5:
         height = 0.6 * (back_z - seat_z)
         return [rounded_box((0.02, width - 0.06, height), frame, at=(x, 0.0, back_z - height / 2 - 0.01))]
@@ -176,7 +172,6 @@ def plant(rng: np.random.Generator) -> Model:
 
 
 def _stem(rng: np.random.Generator, leaf: Texture, *, yaw: float, base_z: float, reach: float) -> list[Part]:
-    """Return one arching stem and the broad leaf at its end."""
     rise = float(rng.uniform(0.35, 0.75)) * (1.15 - reach)
     steps = np.linspace(0.0, 1.0, 6)
     out = 0.02 + reach * steps**1.7

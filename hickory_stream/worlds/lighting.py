@@ -1,7 +1,6 @@
-"""The lamps of a world.
+"""The lamps of a world: each room has the same number, of which the first ones cast shadows.
 
-Every room has the same number of lamps, of which the first ones cast shadows. Light adds up linearly, relative to
-albedo: under light 1, a white surface is rendered white.
+Light adds up linearly: under light 1, a white surface is rendered white.
 """
 
 from __future__ import annotations
@@ -29,28 +28,25 @@ _FILL_LIGHT = (-0.7, 0.6, 2.2)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Lamp:
-    """A lamp: `color` (red, green, blue) is its strength; light falls off as 1 / (near + far d^2), d in metres.
-
-    `shadow` is the share of its light that reaches shadowed surfaces by scattering.
-    """
+    """A lamp: `color` (red, green, blue) is its strength."""
 
     color: Color
+    #: Light falls off as 1 / (near + far d^2), d in metres.
     near: float = 0.6
     far: float = 0.16
+    #: The share of its light that reaches shadowed surfaces by scattering.
     shadow: float = 0.45
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Lighting:
-    """`places_m` (R, L, 3): the places of the L `lamps` in each of R rooms; the first `num_shadows` throw shadows.
-
-    `sky` is the colour of rays without a hit.
-    """
+    """`places_m` (R, L, 3): the places of the L `lamps` in each of R rooms; the first `num_shadows` throw shadows."""
 
     places_m: NDArray[np.float64]
     lamps: tuple[Lamp, ...]
     num_shadows: int = 1
     ambient: Color = (0.5, 0.5, 0.5)
+    #: The colour of rays without a hit.
     sky: Color = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -59,10 +55,7 @@ class Lighting:
 
 
 def usual_lighting(rooms_m: Sequence[tuple[float, float, float, float]], floors_m: Sequence[float] = ()) -> Lighting:
-    """Return a main lamp, which throws shadows, and a fill lamp under the ceiling of each room.
-
-    `floors_m` are the heights of the rooms' floors, () where all are at z = 0.
-    """
+    """Return a main lamp, which throws shadows, and a fill lamp in each room; `floors_m` () is all at z = 0."""
     rooms = np.array(rooms_m, dtype=np.float64)
     middle, half = (rooms[:, :2] + rooms[:, 2:]) / 2, (rooms[:, 2:] - rooms[:, :2]) / 2
     places = np.empty((len(rooms), 2, 3))

@@ -1,8 +1,4 @@
-"""Closed parts and the models composed of them.
-
-A part is one watertight surface with one texture; a model is a union of parts in its own frame (metres, z up, origin at
-the centre of its base). The parts of a model may overlap: their union is the object.
-"""
+"""Closed parts of one texture, and models: unions of parts, z up, with the origin at the centre of the base."""
 
 from __future__ import annotations
 
@@ -46,10 +42,7 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Surface:
-    """A level rectangle of a model on which things can stand, in the model's frame.
-
-    `center_m` (x, y, z) and `half_m` (x, y); `headroom_m` is the free height above it.
-    """
+    """A level rectangle of a model on which things can stand, in the model's frame."""
 
     center_m: tuple[float, float, float]
     half_m: tuple[float, float]
@@ -99,7 +92,7 @@ def rounded_box(
 ) -> Part:
     """Return a box of `size_m` (x, y, z) with rounded edges, centred at `at`; the radius shrinks to fit.
 
-    Flat sides are divided into cells of about `cell_m`, for the colours of the vertices.
+    `cell_m` divides flat sides, for the colours of the vertices.
     """
     half = np.asarray(size_m, dtype=np.float64) / 2
     radius = min(radius_m, 0.49 * float(half.min()))
@@ -117,14 +110,13 @@ def rounded_box(
 
 
 def _box_coordinates(half: float, radius: float, cell_m: float) -> NDArray[np.float64]:
-    """Return the sorted grid lines along one side of a box: the rounded rims and the flat between them."""
+    # Sorted grid lines along one side: the rounded rims and the flat between them.
     flat = np.linspace(radius - half, half - radius, 1 + max(1, round(2 * (half - radius) / cell_m)))
     rim = radius * np.array([1.0, 0.4142])
     return np.concatenate([-(half - radius) - rim, flat, (half - radius) + rim[::-1]])
 
 
 def _box_side(grids: list[NDArray[np.float64]], axis: int, sign: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices and faces of one side of the unrounded box."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     a, b = np.meshgrid(grids[i], grids[j], indexing="ij")
     vertices = np.empty((a.size, 3))
@@ -133,7 +125,7 @@ def _box_side(grids: list[NDArray[np.float64]], axis: int, sign: int) -> tuple[N
 
 
 def _grid_faces(rows: int, columns: int, *, flip: bool) -> NDArray[np.int32]:
-    """Return the (2 (rows-1) (columns-1), 3) triangles of a grid of vertices, or those seen from behind."""
+    # The (2 (rows-1) (columns-1), 3) triangles of a grid of vertices, or those seen from behind.
     index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
     a, b, c, d = (q.ravel() for q in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
@@ -143,8 +135,7 @@ def _grid_faces(rows: int, columns: int, *, flip: bool) -> NDArray[np.int32]:
 def lathe(profile_m: Sequence[tuple[float, float]], texture: Texture, *, segments: int = 32) -> Part:
     """Return the solid of revolution about z of a profile of (radius, height).
 
-    The profile runs from the axis to the axis, bottom first, with the material on its left: a hollow vessel goes up on
-    the outside and comes back down on the inside.
+    The profile runs from axis to axis, bottom first, the material on its left.
     """
     rings = np.asarray(profile_m[1:-1], dtype=np.float64)
     angle = 2 * np.pi * np.arange(segments) / segments
@@ -184,7 +175,7 @@ def tube(
 
 
 def _ring_faces(rings: int, segments: int) -> NDArray[np.int32]:
-    """Return the triangles of stacked rings closed by two poles, which are the last two vertices."""
+    # Triangles of stacked rings closed by two poles, which are the last two vertices.
     index = np.arange(rings * segments, dtype=np.int32).reshape(rings, segments)
     following = np.roll(index, -1, axis=1)
     a, b = index[:-1].ravel(), following[:-1].ravel()

@@ -1,7 +1,6 @@
 """A synthetic recording from a seed: the log and, beside it, the truth.
 
-Room, walk, camera and samples draw from separate generators, so that a longer log of a seed begins like a shorter one,
-and another camera sees the same room.
+Room, walk, camera and samples draw from separate generators: a longer log of a seed begins like a shorter one.
 """
 
 from __future__ import annotations
@@ -26,17 +25,12 @@ from hickory_stream.evaluation.truth import (
     truth_record,
 )
 from hickory_stream.geometry.mesh import write_glb
-from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
-from hickory_stream.worlds.days import placed_otherwise
-from hickory_stream.worlds.drift import drifted
-from hickory_stream.worlds.layouts import drawn_mounting, layout_files, open_layout
+from hickory_stream.geometry.rigid import invert
 from hickory_stream.worlds.object_models import model_mesh
-from hickory_stream.worlds.person import PERSON_ID
-from hickory_stream.worlds.scenes import BUILDING
-from hickory_stream.worlds.shots import Filming, Sensors, WorldChange, shots_of
-from hickory_stream.worlds.trajectory import STEP_S, Trajectory
+from hickory_stream.worlds.scene import placed_otherwise
+from hickory_stream.worlds.shots import OCCLUDER_ID, Filming, shots_of
+from hickory_stream.worlds.trajectory import STEP_S
 from hickory_stream.worlds.visibility import SeenSurface
-from hickory_stream.worlds.walkable import change_on_the_way, person_of, walkable_world
 from hickory_stream.worlds.zed_log import encode_png
 
 if TYPE_CHECKING:
@@ -47,11 +41,11 @@ if TYPE_CHECKING:
     from hickory_stream.pictures.ray_caster import CasterName
     from hickory_stream.worlds.recording_config import RecordingConfig
     from hickory_stream.worlds.scene import World, WorldObject
+    from hickory_stream.worlds.shots import Stage
+    from hickory_stream.worlds.trajectory import Trajectory
 
 _START_NS = 1_752_400_000_000_000_000
 _ODOMETRY_HZ = 30
-# Where robots of a fleet start by their own reckoning, and by how much their clocks differ.
-_FRAME_REACH_M, _CLOCK_REACH_NS = 8.0, 3_600_000_000_000
 
 
 def make_recording(
@@ -64,13 +58,10 @@ def make_recording(
     seen: SeenSurface | None = None,
     processes: int = 1,
 ) -> Truth:
-    """Write NAME.mcap (or the layout's files) and NAME.truth/ into a folder, replacing older ones; return the truth.
+    """Write the log's files and NAME.truth/ into a folder, replacing older ones when complete; return the truth.
 
-    `seen` collects what several recordings of one world show. `processes` render frames at the same time, which needs a
-    scene whose frames can be made in any order; they do not change a byte.
-
-    Both are made in a hidden folder beside their destination and moved when complete, so that a failure leaves the old
-    ones. The same `caster` gives the same bytes; None takes the available one (`ray_caster`).
+    `seen` collects what several recordings of one world show. `processes` and `caster` (None: the available one) change
+    how frames are rendered; the number of processes changes no byte.
 
     Raises:
         ConfigError: NAME.truth exists and is no truth folder, none of the seed's rooms can be walked through, or there
@@ -79,19 +70,14 @@ def make_recording(
     """
     if processes < 1 or (processes > 1 and not config.is_by_frame):
         raise ConfigError(
-            f"{processes} processes for the scene {config.scene}; expected 1: only the frames of a {BUILDING} "
-            "can be made side by side"
+            f"{processes} processes for the scene {config.scene}; expected 1: its frames draw their noise one after "
+            "the other"
         )
-    world, trajectory = walkable_world(config)
-    return film_world(
-        world, trajectory, config, folder, name, progress, caster=caster, seen=seen, processes=processes,
-        change=change_on_the_way(world, trajectory, config),
-    )  # fmt: skip
+    return film(config.stage(), config, folder, name, progress, caster=caster, seen=seen, processes=processes)
 
 
-def film_world(
-    world: World,
-    trajectory: Trajectory,
+def film(
+    stage: Stage,
     config: RecordingConfig,
     folder: Path,
     name: str,
@@ -100,11 +86,8 @@ def film_world(
     caster: CasterName | None = "open3d",
     seen: SeenSurface | None = None,
     processes: int = 1,
-    change: WorldChange | None = None,
 ) -> Truth:
     """Write a recording of any world, as `make_recording` does of one from a seed; `config.scene` is not looked at.
-
-    `change` is what the world becomes on the way.
 
     Raises:
         ConfigError: NAME.truth exists and is no truth folder.
@@ -114,16 +97,13 @@ def film_world(
     if truth_folder.exists() and not (truth_folder / TRUTH_FILE).is_file():
         raise ConfigError(f"{truth_folder} is there and has no {TRUTH_FILE}; choose another --name or --out")
     folder.mkdir(parents=True, exist_ok=True)
-    filming = Filming(
-        sensors=sensors_of(config), world=world, trajectory=trajectory, caster=caster, person=person_of(world, config),
-        change=change,
-    )  # fmt: skip
+    filming = Filming(sensors=config.sensors(), stage=stage, caster=caster)
     with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=folder) as unfinished:
         truth = _make(config, filming, Path(unfinished), name, progress, seen, processes)
         if truth_folder.exists():
             shutil.rmtree(truth_folder)
         truth.folder.rename(truth_folder)
-        for file in layout_files(config.layout, name):
+        for file in config.log_files(name):
             if (folder / file).is_dir():
                 shutil.rmtree(folder / file)
             (Path(unfinished) / file).replace(folder / file)
@@ -139,13 +119,13 @@ def _make(
     seen_by_all: SeenSurface | None,
     processes: int,
 ) -> Truth:
-    world = filming.world if filming.change is None else filming.change.world
-    elsewhere = () if filming.change is None else placed_otherwise(filming.world, world)
+    stage = filming.stage
+    world = stage.world if stage.change is None else stage.change.world
+    elsewhere = () if stage.change is None else placed_otherwise(stage.world, world)
     truth_folder = folder / f"{name}.truth"
     for part in ("meshes", "instances"):
         (truth_folder / part).mkdir(parents=True)
-    robot_from_world = drawn_frame(config)
-    structure = _write_meshes(world, elsewhere, truth_folder, robot_from_world)
+    structure = _write_meshes(world, elsewhere, truth_folder, stage.robot_from_world)
     recorded = _record(config, filming, world, elsewhere, (folder, name, truth_folder), progress, processes)
     if seen_by_all is not None:
         seen_by_all.include(recorded.seen)
@@ -156,7 +136,7 @@ def _make(
                 id=item.id,
                 kind=item.model.kind,
                 mesh=f"meshes/{item.id}.glb",
-                world_from_object=_in_frame(robot_from_world, item.world_from_object),
+                world_from_object=_in_frame(stage.robot_from_world, item.world_from_object),
                 seen_fraction=round(seen.fraction(item.id), 4),
                 frames=tuple(recorded.shown[item.id]),
             )
@@ -164,7 +144,7 @@ def _make(
         )
 
     change = None
-    if filming.change is not None:
+    if stage.change is not None:
         change = TruthChange(stamp_ns=recorded.change_ns, before=true_objects(elsewhere, recorded.seen_before))
     truth = Truth(
         folder=truth_folder,
@@ -178,27 +158,14 @@ def _make(
     return truth
 
 
-def drawn_frame(config: RecordingConfig) -> NDArray[np.float64] | None:
-    """Return robot_from_world (4, 4), level: where a robot of a fleet starts by its own reckoning; None: alone."""
-    if not config.robots:
-        return None
-    rng = np.random.default_rng([config.seed, 8, config.walk_index])
-    shift_m = rng.uniform(-_FRAME_REACH_M, _FRAME_REACH_M, 3) * (1.0, 1.0, 0.1)
-    return from_rotation_translation(yaw_rotation(float(rng.uniform(0.0, 2 * np.pi))), shift_m)
-
-
 def _in_frame(robot_from_world: NDArray[np.float64] | None, world_from_a: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a pose in a robot's frame; where it has none of its own, as it is, to the last bit."""
+    # Without a frame of its own, a pose keeps its last bit.
     return world_from_a if robot_from_world is None else robot_from_world @ world_from_a
 
 
 def _write_meshes(
-    world: World,
-    elsewhere: Sequence[WorldObject],
-    truth_folder: Path,
-    robot_from_world: NDArray[np.float64] | None,
+    world: World, elsewhere: Sequence[WorldObject], truth_folder: Path, robot_from_world: NDArray[np.float64] | None
 ) -> tuple[str, ...]:
-    """Write every mesh and return the paths of the structure's, which are in the frame of the poses."""
     for item in (*elsewhere, *world.objects):
         write_glb(model_mesh(item.model), truth_folder / f"meshes/{item.id}.glb")
     paths = [f"meshes/structure_{i}_{model.kind}.glb" for i, model in enumerate(world.structure)]
@@ -208,25 +175,9 @@ def _write_meshes(
     return tuple(paths)
 
 
-def sensors_of(config: RecordingConfig) -> Sensors:
-    """Return the cameras of a recording."""
-    return Sensors(
-        camera=config.camera,
-        color_noise=config.color_noise,
-        color=config.color,
-        depth=config.depth,
-        seeds=(config.seed, 3, config.walk_index) if config.walk_index or config.is_by_frame else (config.seed, 3),
-        is_by_frame=config.is_by_frame,
-    )
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Recorded:
-    """The true frames, what they show of the objects, where each object shows, and the first stamp after the change.
-
-    `seen_before` is of what stood elsewhere before the change, or is gone.
-    """
-
+    # `shown`: frames in which each object shows; `seen_before`: of what stood elsewhere before the change, or is gone.
     frames: list[TruthFrame]
     seen: SeenSurface
     seen_before: SeenSurface
@@ -243,9 +194,9 @@ def _record(
     progress: Callable[[int, int], None],
     processes: int,
 ) -> _Recorded:
-    """Render and write frame by frame; `world` is that at the end, `elsewhere` what is not there as it was before."""
+    # `world` is the one at the end; `elsewhere` are the objects that stood elsewhere before, or are gone.
     folder, name, truth_folder = targets
-    trajectory = filming.trajectory
+    stage, trajectory = filming.stage, filming.stage.trajectory
     camera = config.camera
     reach_m = (config.depth.min_depth_m, config.depth.max_depth_m)
     seen = SeenSurface(world, *reach_m, np.random.default_rng([config.seed, 4]))
@@ -253,20 +204,16 @@ def _record(
     seen_before = SeenSurface(past, *reach_m, np.random.default_rng([config.seed, 4, 1]))
     shown: dict[int, list[int]] = {item.id: [] for item in (*elsewhere, *world.objects)}
     frames: list[TruthFrame] = []
-    stamps_ns, every = _stamps_ns(config, float(trajectory.times_s[-1]))
-    odometry = trajectory
-    if config.drift is not None:
-        odometry = drifted(trajectory, config.drift, np.random.default_rng([config.seed, 6, config.walk_index]))
+    stamps_ns, every = _stamps_ns(config, float(trajectory.times_s[-1]), stage.clock_offset_ns)
+    odometry = stage.odometry or trajectory
     times_s = [(stamp_ns - stamps_ns[0]) / 1e9 for stamp_ns in stamps_ns]
-    changes_at_s = np.inf if filming.change is None else filming.change.at_s
+    changes_at_s = np.inf if stage.change is None else stage.change.at_s
     change_ns = next((stamp for stamp, time_s in zip(stamps_ns, times_s, strict=True) if time_s >= changes_at_s), 0)
-    robot_from_world = drawn_frame(config)
-    mounting = drawn_mounting(config.seed) if config.camera_offset else None
-    with open_layout(config.layout, folder, name, camera, config.jpeg_quality, stamps_ns[-1], mounting) as log:
+    with config.open_log(folder, name, stamps_ns[-1]) as log:
         log.write_static(stamps_ns[0])
         shots = shots_of(replace(filming, view=log.depth_view), times_s[::every], processes)
         for i, (stamp_ns, time_s) in enumerate(zip(stamps_ns, times_s, strict=True)):
-            estimated = _in_frame(robot_from_world, odometry.pose_at(time_s))
+            estimated = _in_frame(stage.robot_from_world, odometry.pose_at(time_s))
             log.write_pose(stamp_ns, estimated, _velocity(odometry, time_s))
             if i % every:
                 continue
@@ -275,13 +222,13 @@ def _record(
             seen.add(shot.exact_depth_m, shot.instances, camera, world_from_camera)
             if time_s < changes_at_s:
                 seen_before.add(shot.exact_depth_m, shot.instances, camera, world_from_camera)
-            for item_id in np.setdiff1d(shot.instances, (0, PERSON_ID)):
+            for item_id in np.setdiff1d(shot.instances, (0, OCCLUDER_ID)):
                 shown[int(item_id)].append(index)
             log.write_images(stamp_ns, shot.rgb, shot.depth_m)
             frame = TruthFrame(
                 index=index,
                 stamp_ns=stamp_ns,
-                world_from_camera=_in_frame(robot_from_world, world_from_camera),
+                world_from_camera=_in_frame(stage.robot_from_world, world_from_camera),
                 instances=f"instances/{index:06d}.png",
             )
             (truth_folder / frame.instances).write_bytes(encode_png(shot.instances))
@@ -290,21 +237,17 @@ def _record(
     return _Recorded(frames=frames, seen=seen, seen_before=seen_before, shown=shown, change_ns=change_ns)
 
 
-def _stamps_ns(config: RecordingConfig, walk_s: float) -> tuple[list[int], int]:
-    """Return the stamps of all grabs, and the number of grabs per image."""
+def _stamps_ns(config: RecordingConfig, walk_s: float, clock_offset_ns: int) -> tuple[list[int], int]:
     seconds = walk_s - 2 * STEP_S if config.seconds is None else config.seconds
     every = max(1, int(np.ceil(_ODOMETRY_HZ / config.rate_hz)))
     num_frames = int(np.floor(seconds * config.rate_hz + 1e-9))
     num_grabs = (num_frames - 1) * every + 1
-    start_ns = _START_NS + 1_000_003 * config.seed
-    if config.robots:
-        rng = np.random.default_rng([config.seed, 9, config.walk_index])
-        start_ns += int(rng.integers(-_CLOCK_REACH_NS, _CLOCK_REACH_NS))
+    start_ns = _START_NS + 1_000_003 * config.seed + clock_offset_ns
     return [start_ns + round(i * 1e9 / (config.rate_hz * every)) for i in range(num_grabs)], every
 
 
 def _velocity(trajectory: Trajectory, time_s: float) -> NDArray[np.float64]:
-    """Return the (6,) linear and angular velocity of the camera at a time, in the body's frame (x forward, z up)."""
+    # (6,) linear and angular velocity of the camera, in the body's frame (x forward, z up).
     step_s = 0.01
     world_from_now, world_from_next = trajectory.pose_at(time_s), trajectory.pose_at(time_s + step_s)
     now_from_next = invert(world_from_now) @ world_from_next

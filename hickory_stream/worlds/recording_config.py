@@ -1,26 +1,46 @@
-"""What a synthetic recording is made of: scene, walk, cameras and their defects, container."""
+"""What a synthetic recording is made of: scene, walk, cameras and their defects.
+
+A room is the only scene here; others, and other logs, come from outside by `register_scene` and a subclass.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.worlds.clutter.families import recipes_of
 from hickory_stream.worlds.depth_camera import DepthCameraConfig
-from hickory_stream.worlds.layouts import LAYOUTS, layout_camera
-from hickory_stream.worlds.scenes import BUILDING, CLUTTER, OUTDOOR, SCENES
-from hickory_stream.worlds.walk_config import WalkConfig
+from hickory_stream.worlds.room import furnished_room
+from hickory_stream.worlds.shots import Sensors, Stage
+from hickory_stream.worlds.trajectory import NoWalk, WalkConfig, walk_round
+from hickory_stream.worlds.zed_log import ZedLog
 
 if TYPE_CHECKING:
-    from hickory_stream.worlds.building.building import BuildingSize
-    from hickory_stream.worlds.color_camera import ColorCameraConfig
-    from hickory_stream.worlds.drift import DriftConfig
+    from collections.abc import Callable, Iterable
+    from pathlib import Path
+    from typing import TypeAlias
 
-MAX_ROBOTS = 16
+    from hickory_stream.worlds.scene import World
+    from hickory_stream.worlds.trajectory import Trajectory
+    from hickory_stream.worlds.zed_log import LogWriter
+
+    # Returns a walk by its number through a world, which may differ from the drawn one by what was moved in it.
+    Walk: TypeAlias = Callable[[World, int], Trajectory | NoWalk]
+
+_WORLDS = 20
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scene:
+    """How the worlds of a scene are drawn."""
+
+    draw: Callable[[Any, int], tuple[World, Walk]]
+    """Returns world number `attempt` of a config's seed, and its walks."""
+    is_by_frame: bool = False
+    """Whether each frame draws its noise for itself, so that frames can be made in any order."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,9 +48,7 @@ class RecordingConfig:
     """The config of a recording; the same config gives the same bytes."""
 
     scene: str = "room"
-    """One of `worlds.scenes.SCENES`."""
-    family: str = "training"
-    """The family of recipes of a random room (scene `clutter`): one of `worlds.clutter.families.FAMILIES`."""
+    """One of `SCENES`."""
     seed: int = 7
     walk_index: int = 0
     """Which of the walks through the scene; a room has one for each seed."""
@@ -43,30 +61,6 @@ class RecordingConfig:
     color_noise: float = 1.0
     """Standard deviation of the colour noise, in grey levels."""
     jpeg_quality: int = 80
-    layout: str = "zed"
-    """One of `worlds.layouts.LAYOUTS`: the container, the topics, the frames and the quirks of a data set."""
-    robots: int = 0
-    """Of how many robots of a fleet this is one, the one on walk `walk_index`; 0: it is alone.
-
-    A robot of a fleet has a frame and a clock of its own, and its truth is in its frame (`worlds.fleet`).
-    """
-    camera_offset: bool = False
-    """Whether the seed draws the camera's pose on the body of a NUS-CLB robot, 0.4 m and 10 degrees off."""
-    drift: DriftConfig | None = None
-    """The drift of odometry; None: exact poses."""
-    building: BuildingSize | None = None
-    """How large a building is; None: two floors and twelve rooms."""
-    day: int = 0
-    """How many days the things in the world have been moved, removed and added since it was made (`worlds.days`)."""
-    change_at_s: float | None = None
-    """From this second of the log on it is the next day: things are moved, removed and added behind the robot's back.
-
-    None: the world stays as it is.
-    """
-    person: bool = False
-    """Whether a person walks through the scene."""
-    color: ColorCameraConfig | None = None
-    """The defects of the colour camera in addition to `color_noise`; None: no others."""
     walk: WalkConfig = field(default_factory=WalkConfig)
     depth: DepthCameraConfig = field(default_factory=DepthCameraConfig)
 
@@ -81,39 +75,74 @@ class RecordingConfig:
             raise ConfigError(f"images of {self.width}x{self.height}; expected 32 to 4096 pixels a side")
         if self.seed < 0 or self.walk_index < 0:
             raise ConfigError(f"seed {self.seed}, walk {self.walk_index}; expected 0 or more")
-        if self.day < 0 or (self.day and self.scene in (BUILDING, CLUTTER, OUTDOOR)):
-            raise ConfigError(f"day {self.day} in the scene {self.scene}; expected 0 or more, above 0 in rooms only")
-        if self.change_at_s is not None and (self.scene in (BUILDING, CLUTTER, OUTDOOR) or not self.change_at_s > 0):
-            raise ConfigError(
-                f"a change at {self.change_at_s} s in the scene {self.scene}; expected a time above 0, and a room, an "
-                "apartment or a tabletop"
-            )
         if self.scene not in SCENES:
             raise ConfigError(f"scene {self.scene!r}; expected one of {', '.join(SCENES)}")
-        if self.robots and (not self.walk_index < self.robots <= MAX_ROBOTS or self.scene == CLUTTER):
-            raise ConfigError(
-                f"robot {self.walk_index} of {self.robots} in the scene {self.scene}; expected up to {MAX_ROBOTS} "
-                f"robots, of which it is one, in any scene but {CLUTTER}"
-            )
-        recipes_of(self.family)
-        if self.layout not in LAYOUTS:
-            raise ConfigError(f"layout {self.layout!r}; expected one of {', '.join(LAYOUTS)}")
 
     @property
     def is_by_frame(self) -> bool:
         """Whether each frame draws its noise for itself, so that frames can be made in any order."""
-        return self.scene == BUILDING
+        return SCENES[self.scene].is_by_frame
 
     @property
     def camera(self) -> Camera:
         """The pinhole camera of both images."""
-        focal_px = self.width / 2 / np.tan(np.radians(self.horizontal_fov_deg) / 2)
-        camera = Camera(
-            width=self.width,
-            height=self.height,
-            fx=float(focal_px),
-            fy=float(focal_px),
-            cx=(self.width - 1) / 2,
-            cy=(self.height - 1) / 2,
+        focal_px = float(self.width / 2 / np.tan(np.radians(self.horizontal_fov_deg) / 2))
+        center_px = {"cx": (self.width - 1) / 2, "cy": (self.height - 1) / 2}
+        return Camera(width=self.width, height=self.height, fx=focal_px, fy=focal_px, **center_px)
+
+    def sensors(self) -> Sensors:
+        """Return the cameras."""
+        return Sensors(
+            camera=self.camera,
+            color_noise=self.color_noise,
+            depth=self.depth,
+            seeds=(self.seed, 3, self.walk_index) if self.walk_index or self.is_by_frame else (self.seed, 3),
+            is_by_frame=self.is_by_frame,
         )
-        return layout_camera(self.layout, camera)
+
+    def stage(self) -> Stage:
+        """Return what is filmed; raises `ConfigError` where one can walk through none of the seed's worlds."""
+        world, trajectory, _ = walkable(self)
+        return Stage(world=world, trajectory=trajectory)
+
+    def log_files(self, name: str) -> tuple[str, ...]:
+        """Return the files or folders of the log, beginning with the one to play."""
+        return (f"{name}.mcap",)
+
+    def open_log(self, folder: Path, name: str, end_ns: int) -> LogWriter:
+        """Return the writer of the log; `end_ns` is its last stamp."""
+        del end_ns
+        return ZedLog(folder / f"{name}.mcap", self.camera, self.jpeg_quality)
+
+
+def walkable(config: RecordingConfig, others: Iterable[int] = ()) -> tuple[World, Trajectory, Walk]:
+    """Return the first of the seed's worlds in which the config's walk and others are possible, and its walks.
+
+    Raises:
+        ConfigError: no world of the seed has all of these walks.
+    """
+    for attempt in range(_WORLDS):
+        world, walk = SCENES[config.scene].draw(config, attempt)
+        trajectory = walk(world, config.walk_index)
+        if not isinstance(trajectory, NoWalk) and not any(isinstance(walk(world, i), NoWalk) for i in others):
+            return world, trajectory, walk
+    raise ConfigError(
+        f"seed {config.seed}: none of {_WORLDS} worlds leaves {config.walk.clearance_m} m to walk; "
+        "choose another --seed"
+    )
+
+
+def _room(config: RecordingConfig, attempt: int) -> tuple[World, Walk]:
+    def walk(world: World, index: int) -> Trajectory | NoWalk:
+        rng = np.random.default_rng([config.seed, 2, index] if index else [config.seed, 2])
+        return walk_round(world, 60.0 if config.seconds is None else config.seconds, config.walk, rng)
+
+    return furnished_room(config.seed, attempt), walk
+
+
+SCENES = {"room": Scene(draw=_room)}
+
+
+def register_scene(name: str, scene: Scene) -> None:
+    """Add a scene; the configs that name it have what its `draw` asks of them."""
+    SCENES[name] = scene

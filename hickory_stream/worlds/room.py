@@ -1,7 +1,4 @@
-"""One furnished room from a seed: a laid table in the middle, a group of furniture along each wall.
-
-The order of the groups along the walls is drawn by the seed; a layout with overlaps is drawn again.
-"""
+"""One furnished room from a seed: a laid table in the middle, a group of furniture along each wall."""
 
 from __future__ import annotations
 
@@ -11,16 +8,28 @@ import numpy as np
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.worlds import furniture, small_things
+from hickory_stream.worlds.object_models import Model, rounded_box
 from hickory_stream.worlds.scene import Placement, World, at_place, numbered
-from hickory_stream.worlds.structure import room_structure
 from hickory_stream.worlds.support_placement import REST_M, Wall, stood_on, walls_of
+from hickory_stream.worlds.textures import Texture
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from hickory_stream.worlds.textures import Color
+
 
 _ATTEMPTS = 200
 _HEIGHT_M = 2.6
+WALL_M = 0.1
+# Coarser than on objects: the colours of walls are not evaluated.
+WALL_CELL_M = 0.3
+FLOORS: tuple[tuple[Color, Color], ...] = (
+    ((0.62, 0.47, 0.32), (0.42, 0.30, 0.19)),
+    ((0.52, 0.42, 0.33), (0.34, 0.26, 0.20)),
+    ((0.66, 0.58, 0.47), (0.47, 0.40, 0.31)),
+)
+PAINTS: tuple[Color, ...] = ((0.86, 0.84, 0.78), (0.78, 0.82, 0.80), (0.80, 0.80, 0.84), (0.87, 0.80, 0.72))
 
 
 def furnished_room(seed: int, attempt: int = 0) -> World:
@@ -65,7 +74,6 @@ def _all_fit(placed: Sequence[Placement], half_x: float, half_y: float) -> bool:
 
 
 def _dining_group(rng: np.random.Generator, middle: tuple[float, float]) -> list[Placement]:
-    """Return the table with its long side along the room, three chairs pushed in, and what stands on it."""
     world_from_table = at_place(*middle, REST_M, np.pi / 2 + float(rng.uniform(-0.05, 0.05)))
     table = Placement(model=furniture.table(rng), world_from_object=world_from_table)
     edge = float(table.model.bounds_m()[1, 0])
@@ -114,7 +122,6 @@ def _desk_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
 
 
 def _box_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
-    """Return a box with a smaller one on it, a third one a few centimetres beside them, and a free-standing chair."""
     side = 1 if rng.random() < 0.5 else -1
     lower = wall.place(small_things.box(rng), away_m=float(rng.uniform(0.04, 0.1)), along_m=0.75 * side)
     upper = stood_on(rng, lower, lower.model.surfaces[0], [small_things.small_box(rng)], turn_rad=0.3)
@@ -124,3 +131,37 @@ def _box_group(rng: np.random.Generator, wall: Wall) -> list[Placement]:
     turn = float(rng.uniform(-0.5, 0.5))
     chair = wall.place(furniture.chair(rng), away_m=float(rng.uniform(0.25, 0.4)), along_m=-0.75 * side, turn_rad=turn)
     return [lower, *upper, second, chair]
+
+
+def room_structure(rng: np.random.Generator, half_x: float, half_y: float, height_m: float) -> tuple[Model, ...]:
+    """Return floor, ceiling and four walls with skirting around +-half_x, +-half_y, in the world frame."""
+    boards, joints = FLOORS[int(rng.integers(len(FLOORS)))]
+    paint = PAINTS[int(rng.integers(len(PAINTS)))]
+    floor = Texture(pattern="planks", first=boards, second=joints, period_m=0.14, axis=int(rng.integers(2)), grain=0.1)
+    darker: Color = (paint[0] * 0.93, paint[1] * 0.93, paint[2] * 0.93)
+    wall = Texture(pattern="plain", first=paint, second=darker, period_m=0.35, grain=0.05)
+    white = Texture(pattern="plain", first=(0.93, 0.93, 0.92), second=(0.9, 0.9, 0.89), period_m=0.5, grain=0.03)
+    size = (2 * half_x + 2 * WALL_M, 2 * half_y + 2 * WALL_M, WALL_M)
+    models = [
+        Model(
+            kind="floor", parts=(rounded_box(size, floor, at=(0, 0, -WALL_M / 2), radius_m=0.001, cell_m=WALL_CELL_M),)
+        ),
+        Model(
+            kind="ceiling",
+            parts=(rounded_box(size, white, at=(0, 0, height_m + WALL_M / 2), radius_m=0.001, cell_m=WALL_CELL_M),),
+        ),
+    ]
+    for sign in (-1, 1):
+        models.append(wall_piece((WALL_M, size[1], height_m), (sign * (half_x + WALL_M / 2), 0.0), wall, white))
+        models.append(wall_piece((size[0], WALL_M, height_m), (0.0, sign * (half_y + WALL_M / 2)), wall, white))
+    return tuple(models)
+
+
+def wall_piece(size: tuple[float, float, float], at: tuple[float, float], paint: Texture, skirting: Texture) -> Model:
+    """Return a wall and its skirting board, which protrudes by 1 cm."""
+    proud = (size[0] + 0.02, size[1], 0.07) if size[0] < size[1] else (size[0], size[1] + 0.02, 0.07)
+    parts = (
+        rounded_box(size, paint, at=(*at, size[2] / 2), radius_m=0.001, cell_m=WALL_CELL_M),
+        rounded_box(proud, skirting, at=(*at, 0.035), radius_m=0.004, cell_m=WALL_CELL_M),
+    )
+    return Model(kind="wall", parts=parts)

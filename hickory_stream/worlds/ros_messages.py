@@ -1,37 +1,36 @@
-"""Messages of ROS 1 and ROS 2 for synthetic logs; they differ in the case of a few fields and in the header."""
+"""Messages of ROS 2 for synthetic logs."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.camera import Camera
 
 
 class RosMessages:
-    """Builds and serialises messages of ROS 1 or ROS 2."""
+    """Builds and serialises messages; a subclass for ROS 1 has other names of fields."""
 
-    def __init__(self, ros: Literal[1, 2]) -> None:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    camera_matrices: tuple[str, str, str, str] = ("d", "k", "r", "p")
+    more_of_header: Mapping[str, int] = MappingProxyType({})
 
-        self.ros = ros
-        self.store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
-        if ros == 1:
-            transforms = "geometry_msgs/TransformStamped[] transforms"
-            self.store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
+    def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self.store = get_typestore(Stores.ROS2_HUMBLE)
 
     def data(self, message: Any) -> bytes:
         """Return the serialised bytes of a message."""
-        name = message.__msgtype__
-        return bytes(
-            self.store.serialize_ros1(message, name) if self.ros == 1 else self.store.serialize_cdr(message, name)
-        )
+        return bytes(self.store.serialize_cdr(message, message.__msgtype__))
 
     def make(self, kind: str, **fields: Any) -> Any:
         """Return a message of a kind such as std_msgs/msg/Header."""
@@ -40,22 +39,7 @@ class RosMessages:
     def header(self, stamp_ns: int, frame_id: str) -> Any:
         """Return a header."""
         stamp = self.make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
-        sequence = {"seq": 0} if self.ros == 1 else {}
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id, **sequence)
-
-    def image(self, stamp_ns: int, frame_id: str, encoding: str, pixels: NDArray[Any]) -> Any:
-        """Return an Image of (H, W) or (H, W, C) pixels, without padding."""
-        rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
-        return self.make(
-            "sensor_msgs/msg/Image",
-            header=self.header(stamp_ns, frame_id),
-            height=pixels.shape[0],
-            width=pixels.shape[1],
-            encoding=encoding,
-            is_bigendian=0,
-            step=rows.shape[1],
-            data=rows.ravel(),
-        )
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id, **self.more_of_header)
 
     def compressed(self, stamp_ns: int, frame_id: str, encoding: str, data: bytes) -> Any:
         """Return a CompressedImage."""
@@ -71,12 +55,8 @@ class RosMessages:
         region = self.make(
             "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
         )
-        matrices = {
-            "d": np.zeros(num_coefficients),
-            "k": camera.K.ravel(),
-            "r": np.eye(3).ravel(),
-            "p": np.hstack([camera.K, np.zeros((3, 1))]).ravel(),
-        }
+        projection = np.column_stack([camera.K, np.zeros(3)])
+        matrices = (np.zeros(num_coefficients), camera.K.ravel(), np.eye(3).ravel(), projection.ravel())
         return self.make(
             "sensor_msgs/msg/CameraInfo",
             header=self.header(stamp_ns, frame_id),
@@ -86,18 +66,28 @@ class RosMessages:
             binning_x=0,
             binning_y=0,
             roi=region,
-            **{name.upper() if self.ros == 1 else name: matrix for name, matrix in matrices.items()},
+            **dict(zip(self.camera_matrices, matrices, strict=True)),
         )
 
-    def odometry(self, stamp_ns: int, parent: str, child: str, parent_from_child: NDArray[np.float64]) -> Any:
-        """Return an Odometry without velocities."""
-        zero = self._vector("geometry_msgs/msg/Vector3", (0.0, 0.0, 0.0))
+    def odometry(
+        self,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        parent_from_child: NDArray[np.float64],
+        velocity: Sequence[float] | NDArray[np.float64] = (0.0,) * 6,
+    ) -> Any:
+        """Return an Odometry; `velocity` (6,) is linear and angular, in the child's frame."""
         pose = self.make(
             "geometry_msgs/msg/Pose",
             position=self._vector("geometry_msgs/msg/Point", parent_from_child[:3, 3]),
-            orientation=self._quaternion(parent_from_child),
+            orientation=self._rotation(parent_from_child),
         )
-        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+        twist = self.make(
+            "geometry_msgs/msg/Twist",
+            linear=self._vector("geometry_msgs/msg/Vector3", velocity[:3]),
+            angular=self._vector("geometry_msgs/msg/Vector3", velocity[3:]),
+        )
         return self.make(
             "nav_msgs/msg/Odometry",
             header=self.header(stamp_ns, parent),
@@ -108,27 +98,23 @@ class RosMessages:
 
     def tf(self, stamp_ns: int, *links: tuple[str, str, NDArray[np.float64]]) -> Any:
         """Return a TFMessage of links (parent, child, parent_from_child)."""
-        transforms = []
-        for parent, child, parent_from_child in links:
-            transform = self.make(
-                "geometry_msgs/msg/Transform",
-                translation=self._vector("geometry_msgs/msg/Vector3", parent_from_child[:3, 3]),
-                rotation=self._quaternion(parent_from_child),
+        transforms = [
+            self.make(
+                "geometry_msgs/msg/TransformStamped",
+                header=self.header(stamp_ns, parent),
+                child_frame_id=child,
+                transform=self.make(
+                    "geometry_msgs/msg/Transform",
+                    translation=self._vector("geometry_msgs/msg/Vector3", parent_from_child[:3, 3]),
+                    rotation=self._rotation(parent_from_child),
+                ),
             )
-            transforms.append(
-                self.make(
-                    "geometry_msgs/msg/TransformStamped",
-                    header=self.header(stamp_ns, parent),
-                    child_frame_id=child,
-                    transform=transform,
-                )
-            )
+            for parent, child, parent_from_child in links
+        ]
         return self.make("tf2_msgs/msg/TFMessage", transforms=transforms)
 
-    def _vector(self, kind: str, values: Any) -> Any:
-        x, y, z = (float(value) for value in values)
-        return self.make(kind, x=x, y=y, z=z)
+    def _rotation(self, a_from_b: NDArray[np.float64]) -> Any:
+        return self._vector("geometry_msgs/msg/Quaternion", quaternion_from_rotation(a_from_b[:3, :3]))
 
-    def _quaternion(self, a_from_b: NDArray[np.float64]) -> Any:
-        x, y, z, w = (float(value) for value in quaternion_from_rotation(a_from_b[:3, :3]))
-        return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+    def _vector(self, kind: str, values: Any) -> Any:
+        return self.make(kind, **dict(zip("xyzw", (float(v) for v in values), strict=False)))

@@ -1,7 +1,4 @@
-"""A world: models with poses, and the structure around them.
-
-Whether two objects intersect is decided exactly on the boxes of their parts, so that a chair fits under a table.
-"""
+"""A world: models with poses, and the structure around them."""
 
 from __future__ import annotations
 
@@ -41,18 +38,17 @@ class WorldObject:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class World:
-    """Objects sorted by id, and structure models in the world frame.
-
-    `rooms_m` are the rectangles (x0, y0, x1, y1) between the walls of each room, `floors_m` the height of each one's
-    floor, () where all are at z = 0. `middle_m` (x, y) is the centre of the walk in a world of one room. `lighting`
-    None is two lamps under the ceiling of each room.
-    """
+    """Objects sorted by id, and structure models in the world frame."""
 
     objects: tuple[WorldObject, ...]
     structure: tuple[Model, ...]
+    #: (x0, y0, x1, y1) between the walls of each room.
     rooms_m: tuple[tuple[float, float, float, float], ...]
+    #: The centre (x, y) of the walk in a world of one room.
     middle_m: tuple[float, float]
+    #: The height of each room's floor, () where all are at z = 0.
     floors_m: tuple[float, ...] = ()
+    #: None: two lamps under the ceiling of each room.
     lighting: Lighting | None = None
 
     @property
@@ -110,7 +106,7 @@ class Placement:
         return all(shared_volume_m3(mine, part_boxes(other.model, other.world_from_object)) == 0.0 for other in near)
 
     def _may_touch(self, other: Placement, margin_m: float) -> bool:
-        """Return whether the spheres around both overlap, before anything is computed of their parts."""
+        # Whether the spheres around both overlap: a test before anything is computed of parts.
         (mine, reach), (theirs, their_reach) = _sphere(self.model), _sphere(other.model)
         gap = apply(self.world_from_object, mine) - apply(other.world_from_object, theirs)
         # The margin widens every part to both sides.
@@ -119,7 +115,7 @@ class Placement:
 
 @lru_cache(maxsize=4096)
 def _sphere(model: Model) -> tuple[NDArray[np.float64], float]:
-    """Return the centre (1, 3) and the radius of a sphere around a model, in its frame."""
+    # Centre (1, 3) and radius.
     lower, upper = model.bounds_m()
     return ((lower + upper) / 2)[None], float(np.linalg.norm(upper - lower)) / 2
 
@@ -130,3 +126,9 @@ def numbered(placements: Sequence[Placement]) -> tuple[WorldObject, ...]:
         WorldObject(id=i, model=placed.model, world_from_object=placed.world_from_object)
         for i, placed in enumerate(placements, start=1)
     )
+
+
+def placed_otherwise(world: World, other: World) -> tuple[WorldObject, ...]:
+    """Return the objects of a world that are elsewhere in another one, or not in it at all."""
+    places = {item.id: item.world_from_object.tolist() for item in other.objects}
+    return tuple(item for item in world.objects if places.get(item.id) != item.world_from_object.tolist())

@@ -1,7 +1,6 @@
-"""The frames of a recording, one by one or by several processes: what the cameras give, and what is truly there.
+"""The frames of a recording: what the cameras give, and what is truly there.
 
-Processes do not change a frame: each is made of the world, the walk and its own number alone. Where frames draw their
-noise one after the other (`Sensors.is_by_frame`), one process makes them all.
+Where each frame draws its own noise (`Sensors.is_by_frame`), several processes make the same frames as one.
 """
 
 from __future__ import annotations
@@ -10,14 +9,12 @@ import multiprocessing
 from collections import deque
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.worlds.color_camera import photographed
 from hickory_stream.worlds.depth_camera import sensed_depth
-from hickory_stream.worlds.person import with_person
 from hickory_stream.worlds.rendering import Renderer
 
 if TYPE_CHECKING:
@@ -27,54 +24,78 @@ if TYPE_CHECKING:
 
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.pictures.ray_caster import CasterName
-    from hickory_stream.worlds.color_camera import ColorCameraConfig
     from hickory_stream.worlds.depth_camera import DepthCameraConfig
-    from hickory_stream.worlds.log_writer import DepthView
-    from hickory_stream.worlds.person import Person
     from hickory_stream.worlds.rendering import Rendered
     from hickory_stream.worlds.scene import World
     from hickory_stream.worlds.trajectory import Trajectory
+    from hickory_stream.worlds.zed_log import DepthView
 
 # Frames that are made ahead of the one that is written, for each process.
 _AHEAD = 3
 
 
+# The id of an occluder in instance images; it is no true object.
+OCCLUDER_ID = 60000
+
+
+class Occluder(Protocol):
+    """What moves through the images without being an object."""
+
+    def drawn_into(
+        self,
+        rendered: Rendered,
+        camera: Camera,
+        world_from_camera: NDArray[np.float64],
+        time_s: float,
+        caster: CasterName | None,
+    ) -> Rendered:
+        """Return an image with the occluder in front of the scene, its instance `OCCLUDER_ID`."""
+        ...
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sensors:
-    """The cameras and their defects; `color_noise` in grey levels, `color` None has no others.
-
-    The noise is drawn from `seeds`; `is_by_frame`: each frame draws for itself.
-    """
+    """The cameras and their defects; noise is drawn from `seeds`."""
 
     camera: Camera
+    #: In grey levels.
     color_noise: float
-    color: ColorCameraConfig | None
     depth: DepthCameraConfig
     seeds: tuple[int, ...]
+    #: Each frame draws for itself.
     is_by_frame: bool
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class WorldChange:
-    """The world as it is from second `at_s` of a log on; its structure is that of the world before."""
+    """The world from second `at_s` of a log on; its structure is the one before."""
 
     at_s: float
     world: World
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Filming:
-    """What frames are made of; `view` is a separate depth camera, None where depth is registered to colour.
+class Stage:
+    """What is filmed: a world and the camera's true way through it."""
 
-    `change`: what the world becomes while it is filmed, None: it stays as it is.
-    """
-
-    sensors: Sensors
     world: World
     trajectory: Trajectory
-    caster: CasterName | None
-    person: Person | None = None
+    odometry: Trajectory | None = None
+    """The way by odometry; None: the true one."""
     change: WorldChange | None = None
+    occluder: Occluder | None = None
+    robot_from_world: NDArray[np.float64] | None = None
+    """The frame (4, 4) of the log and its truth; None: the world's."""
+    clock_offset_ns: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Filming:
+    """What frames are made of; `view` is a separate depth camera, None where depth is registered to colour."""
+
+    sensors: Sensors
+    stage: Stage
+    caster: CasterName | None
     view: DepthView | None = None
 
 
@@ -129,28 +150,28 @@ def _shoot(index: int, time_s: float) -> Shot:
 
 
 def _shooter(filming: Filming) -> Callable[[int, float], Shot]:
-    """Return what makes a frame of its number and its time."""
     sensors = filming.sensors
     camera = sensors.camera
-    renderer = Renderer(filming.world, filming.caster)
-    later = renderer if filming.change is None else Renderer(filming.change.world, filming.caster)
-    changes_at_s = np.inf if filming.change is None else filming.change.at_s
+    stage, trajectory = filming.stage, filming.stage.trajectory
+    renderer = Renderer(stage.world, filming.caster)
+    later = renderer if stage.change is None else Renderer(stage.change.world, filming.caster)
+    changes_at_s = np.inf if stage.change is None else stage.change.at_s
     in_order = np.random.default_rng(sensors.seeds)
 
     def rendered_at(camera: Camera, pose: NDArray[np.float64], time_s: float) -> Rendered:
         rendered = (renderer if time_s < changes_at_s else later).render(camera, pose)
-        if filming.person is None:
+        if stage.occluder is None:
             return rendered
-        return with_person(rendered, camera, pose, filming.person, time_s, filming.caster)
+        return stage.occluder.drawn_into(rendered, camera, pose, time_s, filming.caster)
 
     def shoot(index: int, time_s: float) -> Shot:
         rng = np.random.default_rng([*sensors.seeds, index]) if sensors.is_by_frame else in_order
-        rendered = rendered_at(camera, filming.trajectory.pose_at(time_s), time_s)
+        rendered = rendered_at(camera, trajectory.pose_at(time_s), time_s)
         rgb, depth_m = _sensed(rendered, sensors, rng)
         if filming.view is not None:
             # A separate depth camera beside the colour camera, a short time later.
-            later_s = min(time_s + filming.view.lag_ns / 1e9, float(filming.trajectory.times_s[-1]))
-            pose = filming.trajectory.pose_at(later_s) @ filming.view.color_from_depth
+            later_s = min(time_s + filming.view.lag_ns / 1e9, float(trajectory.times_s[-1]))
+            pose = trajectory.pose_at(later_s) @ filming.view.color_from_depth
             depth_m = _depth(rendered_at(filming.view.camera, pose, later_s), filming.view.camera, sensors, rng)
         return Shot(rgb=rgb, depth_m=depth_m, exact_depth_m=rendered.depth_m, instances=rendered.instances)
 
@@ -160,11 +181,8 @@ def _shooter(filming: Filming) -> Callable[[int, float], Shot]:
 def _sensed(
     rendered: Rendered, sensors: Sensors, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Return colour and depth with the defects of the cameras."""
     noise = sensors.color_noise * rng.standard_normal(rendered.rgb.shape)
     rgb = np.clip(rendered.rgb + noise, 0, 255).round().astype(np.uint8)
-    if sensors.color is not None:
-        rgb = photographed(rgb, sensors.color, rng)
     return rgb, _depth(rendered, sensors.camera, sensors, rng)
 
 

@@ -22,10 +22,7 @@ REST_M = 0.0005
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Wall:
-    """A wall seen from the room, `half_m` is half its length.
-
-    `world_from_wall` has its origin mid-wall on the floor, x into the room, y along the wall.
-    """
+    """A wall: its frame has the origin mid-wall on the floor, x into the room, y along the wall."""
 
     world_from_wall: NDArray[np.float64]
     half_m: float

@@ -1,4 +1,4 @@
-"""A person's walk in a room: a closed loop around its centre along the line of largest clearance."""
+"""A person's walk in a room, along the line of largest clearance, and where the camera looks."""
 
 from __future__ import annotations
 
@@ -11,13 +11,123 @@ from scipy.ndimage import gaussian_filter1d
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import from_rotation_translation, interpolate
 from hickory_stream.worlds.clearance import clearance_of
-from hickory_stream.worlds.gaze import gaze
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.worlds.scene import World
-    from hickory_stream.worlds.walk_config import WalkConfig
+
+
+_DECISION_S = 1.2
+_LOOKAHEAD = 3
+
+
+def gaze(
+    world: World, positions: NDArray[np.float64], step_s: float, config: WalkConfig, *, first_yaw: float | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return smooth (N,) yaw and pitch of the optical axis; `first_yaw` None looks at the middle of the room.
+
+    The gaze turns to objects seen least, and to their unseen sides, at the angular rate of a head.
+    """
+    steps = round(_DECISION_S / step_s)
+    attention = _Attention(world)
+    if first_yaw is None:
+        first_yaw = _heading(attention.middle_of_room(positions[0]) - positions[0])
+    yaw = first_yaw
+    knots = [yaw]
+    pitches = [attention.pitch(positions[0], yaw, config)]
+    turn = np.radians(config.max_yaw_rate_dps) * _DECISION_S
+    stops = positions[steps::steps]
+    for i, position in enumerate(stops):
+        yaw += turn * attention.best_turn(stops[i : i + _LOOKAHEAD], yaw, turn)
+        knots.append(yaw)
+        pitches.append(attention.pitch(position, yaw, config))
+        attention.look(position, yaw)
+    at = np.arange(len(positions)) / steps
+    sigma = 0.45 / step_s
+    # Linear between the decisions and then smoothed, so that the angular rate stays within its limit.
+    smooth_yaw, smooth_pitch = (
+        gaussian_filter1d(np.interp(at, np.arange(len(values)), values), sigma, mode="nearest")
+        for values in (knots, pitches)
+    )
+    return smooth_yaw, smooth_pitch
+
+
+def _heading(direction: NDArray[np.float64]) -> float:
+    return float(np.arctan2(direction[1], direction[0]))
+
+
+class _Attention:
+    _TURNS = (-1.0, -0.5, 0.0, 0.5, 1.0)
+    _SIDES = 8
+
+    def __init__(self, world: World) -> None:
+        centers, sizes = [], []
+        for item in world.objects:
+            lower, upper = item.model.bounds_m()
+            centers.append((item.world_from_object @ [*(lower + upper) / 2, 1.0])[:3])
+            sizes.append(float(np.linalg.norm(upper - lower)))
+        self._centers = np.array(centers)
+        # Beyond this distance a look gains less, since small objects must be seen from near.
+        self._reach_m = np.clip(1.2 + np.array(sizes), 1.5, 2.6)
+        # Objects that stand together share their weight: a laid table must not outweigh a single lamp.
+        apart = np.linalg.norm(self._centers[:, None] - self._centers[None], axis=2)
+        self._weights = 1.0 / (apart < 0.7).sum(axis=1)
+        self._looks = np.zeros((len(centers), self._SIDES))
+        self._rooms = np.array(world.rooms_m)
+        self._middles = (
+            np.array([world.middle_m]) if len(world.rooms_m) == 1 else (self._rooms[:, :2] + self._rooms[:, 2:]) / 2
+        )
+        self._room_of = np.array([self._room(center[:2]) for center in self._centers])
+
+    def middle_of_room(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(self._middles[self._room(position)])
+
+    def _room(self, position: NDArray[np.float64]) -> int:
+        outside = np.maximum(0.0, np.maximum(self._rooms[:, :2] - position, position - self._rooms[:, 2:]))
+        return int(np.argmin((outside**2).sum(axis=1)))
+
+    def best_turn(self, stops: NDArray[np.float64], yaw: float, turn_rad: float) -> float:
+        # The turn in -1..1 that starts the best sequence of looks from the next few stops.
+        return self._search(stops, yaw, turn_rad)[1]
+
+    def _search(self, stops: NDArray[np.float64], yaw: float, turn_rad: float) -> tuple[float, float]:
+        if len(stops) == 0:
+            return 0.0, 0.0
+        options = []
+        for turn in self._TURNS:
+            looked = yaw + turn * turn_rad
+            later, _ = self._search(stops[1:], looked, turn_rad)
+            options.append((float(self._gains(stops[0], looked).sum()) + later - 0.05 * abs(turn), turn))
+        return max(options, key=lambda option: option[0])
+
+    def _view(self, position: NDArray[np.float64], yaw: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        # How well each object is seen (N,), 0 if it is not visible, and from which side (N,).
+        offset = self._centers[:, :2] - position
+        distance = np.linalg.norm(offset, axis=1)
+        bearing = np.arctan2(offset[:, 1], offset[:, 0])
+        off_axis = np.abs(np.angle(np.exp(1j * (bearing - yaw))))
+        quality = np.minimum(1.0, (self._reach_m / np.maximum(distance, 1e-3)) ** 2)
+        quality[(off_axis > np.radians(34)) | (distance < 0.8) | (self._room_of != self._room(position))] = 0.0
+        side = np.floor(np.mod(bearing, 2 * np.pi) / (2 * np.pi) * self._SIDES).astype(np.int64) % self._SIDES
+        return quality, side
+
+    def _gains(self, position: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
+        quality, side = self._view(position, yaw)
+        novelty = 1.0 / (1.0 + 2.0 * self._looks[np.arange(len(side)), side] + self._looks.sum(axis=1))
+        return quality * novelty * self._weights
+
+    def look(self, position: NDArray[np.float64], yaw: float) -> None:
+        quality, side = self._view(position, yaw)
+        self._looks[np.arange(len(side)), side] += quality
+
+    def pitch(self, position: NDArray[np.float64], yaw: float, config: WalkConfig) -> float:
+        weight = self._gains(position, yaw) + 1e-3
+        distance = np.linalg.norm(self._centers[:, :2] - position, axis=1)
+        angles = np.arctan2(self._centers[:, 2] - config.eye_height_m, distance)
+        low, high = np.radians(config.pitch_deg)
+        return float(np.clip((weight * angles).sum() / weight.sum(), low, high))
+
 
 STEP_S = 1 / 60
 
@@ -62,7 +172,7 @@ def walk_round(world: World, seconds: float, config: WalkConfig, rng: np.random.
 
 
 def _clear_loop(world: World) -> tuple[NDArray[np.float64], float]:
-    """Return (360, 2) points around the centre on the ridge of the clearance map, and the least clearance on it."""
+    # Points (360, 2) on the ridge of the clearance around the centre, and the least clearance on it.
     clearance = clearance_of(world)
     radii = np.arange(0.6, 2.6, 0.03)
     angles = 2 * np.pi * np.arange(360) / 360
@@ -76,7 +186,6 @@ def _clear_loop(world: World) -> tuple[NDArray[np.float64], float]:
 
 
 def _along_loop(loop: NDArray[np.float64], distances_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (N, 2) points at given distances along a closed polyline."""
     closed = np.vstack([loop, loop[:1]])
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
     on = np.mod(distances_m, arc[-1])
@@ -109,3 +218,18 @@ def camera_rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) -> NDArra
     down = np.cross(forward, right)
     c, s = np.cos(roll_rad), np.sin(roll_rad)
     return np.stack([c * right + s * down, c * down - s * right, forward], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WalkConfig:
+    """The speed, height, clearance and gaze of a walk."""
+
+    speed_mps: float = 0.52
+    eye_height_m: float = 1.38
+    clearance_m: float = 0.28
+    """The least distance from the camera's path to anything below 1.8 m."""
+    max_yaw_rate_dps: float = 36.0
+    bob_m: float = 0.012
+    step_hz: float = 1.7
+    pitch_deg: tuple[float, float] = (-30.0, -8.0)
+    """The limits of pitch; negative is down."""

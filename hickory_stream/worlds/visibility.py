@@ -1,8 +1,4 @@
-"""How much of each object's surface a log shows.
-
-A surface sample counts as seen once a frame shows its front within range and agrees with it in exact depth and
-instance. Samples inside the object's other parts (where a leg enters its table top) are left out.
-"""
+"""How much of each object's surface a log shows, by samples that agree with a frame's exact depth and instance."""
 
 from __future__ import annotations
 

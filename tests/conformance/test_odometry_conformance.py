@@ -12,8 +12,8 @@ from hickory_stream.geometry.rigid import compose, invert, is_rigid
 from hickory_stream.ports import NotRegistered, Registered
 from hickory_stream.poses.choose import make_odometry
 from hickory_stream.records import Scan
-from hickory_stream.worlds.corridor import CorridorConfig, corridor_scans
 from tests.examples.dead_reckoning import DeadReckoning
+from tools.worlds.corridor import CorridorConfig, corridor_scans
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,11 +9,11 @@ import pytest
 
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
-from hickory_stream.worlds.layouts import layout_files
 from hickory_stream.worlds.recording import make_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
 from players import SourceOptions, open_source
 from players.profile import load_profile, profile_names
+from tools.worlds.layouts import layout_files
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from pathlib import Path

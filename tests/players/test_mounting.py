@@ -10,13 +10,13 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.poses.hand_eye import HandEye
-from hickory_stream.worlds.layouts import drawn_mounting
 from hickory_stream.worlds.recording import make_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import examine
 from players.logs.log_source import LogSource
 from players.poses.extrinsics import estimated_mounting
+from tools.worlds.layouts import drawn_mounting
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -22,11 +22,11 @@ from hickory_stream.geometry.rigid import compose, from_rotation_translation, in
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.ports import SourceAround
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
-from hickory_stream.worlds.corridor import CorridorConfig, scan_from
 from players import SourceOptions, open_source
 from players.first_frames import FirstFrames
 from players.poses.odometry_source import OdometrySource
 from tests.engine.run_fixtures import NO_SHAPES, scene_config
+from tools.worlds.corridor import CorridorConfig, scan_from
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

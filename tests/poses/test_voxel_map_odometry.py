@@ -11,7 +11,7 @@ from hickory_stream.geometry.rigid import apply, compose, from_rotation_translat
 from hickory_stream.ports import NotRegistered, Registered
 from hickory_stream.poses.voxel_map_odometry import VoxelMapOdometry
 from hickory_stream.records import Scan
-from hickory_stream.worlds.corridor import CorridorConfig, corridor_scans
+from tools.worlds.corridor import CorridorConfig, corridor_scans
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -14,10 +14,8 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import load_truth, mesh_of
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.worlds.clearance import clearance_of_surfaces
-from hickory_stream.worlds.recording import drawn_frame, make_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
-from hickory_stream.worlds.scenes import make_world
+from hickory_stream.worlds.recording import make_recording
+from hickory_stream.worlds.room import furnished_room
 from tools.paper_tables import hope
 from tools.paper_tables.chart import chart
 from tools.paper_tables.data_sets import DATA_SETS, HOPE, KIMERA_MULTI
@@ -29,6 +27,8 @@ from tools.paper_tables.tables import Cell, Column, Table, as_csv, as_json, mark
 from tools.paper_tables.workshop import Workshop
 from tools.paper_tables.write_hope import write_hope
 from tools.paper_tables.write_replica_cad import write_replica_cad
+from tools.worlds.recording_config import RecordingConfig, drawn_frame
+from tools.worlds.routes import clearance_of_surfaces
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -90,7 +90,7 @@ def test_a_missing_mesh_is_named(hope_root: Path, tmp_path: Path) -> None:
 
 
 def test_an_apartment_that_was_written_is_read_as_it_was(tmp_path: Path) -> None:
-    world = make_world("room", 5)
+    world = furnished_room(5)
     write_replica_cad(world, tmp_path, "apt_0")
     assert scene_names(tmp_path) == ["apt_0"]
     found = read_apartment(tmp_path, "apt_0")

@@ -6,8 +6,7 @@ import pytest
 from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.worlds.room import furnished_room
 from hickory_stream.worlds.scene import part_boxes
-from hickory_stream.worlds.trajectory import NoWalk, Trajectory, camera_rotation, walk_round
-from hickory_stream.worlds.walk_config import WalkConfig
+from hickory_stream.worlds.trajectory import NoWalk, Trajectory, WalkConfig, camera_rotation, walk_round
 
 
 @pytest.fixture(scope="module", params=[0, 1, 2])

@@ -9,14 +9,14 @@ import numpy as np
 from hickory_stream.config import MapperConfig
 from hickory_stream.map_folder.manifest import is_map_folder
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.worlds.cache import cached_recording, recording_name
-from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
 from tools.benchmarks.played import play_into
 from tools.benchmarks.processes import ROOT
 from tools.benchmarks.repetitions import hash_of_files
 from tools.evaluation.simulated_maps.moved_source import MovedSource
 from tools.evaluation.simulated_maps.variants import random_frame
+from tools.worlds.cache import cached_recording, recording_name
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from pathlib import Path

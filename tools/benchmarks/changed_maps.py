@@ -8,16 +8,16 @@ from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import MapFolderError
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.worlds.cache import cached_recording
 from players import open_source
 from tools.benchmarks.played import play_into
+from tools.worlds.cache import cached_recording
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.worlds.recording_config import RecordingConfig
+    from tools.worlds.recording_config import RecordingConfig
 
 _NO_SHAPES = ("mapping.requests.max_failures=0",)
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.changes.within_run import changes_within_run
 from hickory_stream.evaluation.match import MIN_SEEN, score_map
-from hickory_stream.worlds.recording_config import RecordingConfig
 from tools.benchmarks.change_counts import PairCounts
 from tools.benchmarks.changed_maps import mapped
 from tools.benchmarks.looked_at import scene_of, share_looked_at
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from pathlib import Path

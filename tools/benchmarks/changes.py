@@ -24,7 +24,6 @@ from hickory_stream.map_folder.layout import EMPTY
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.query.answers import ask
 from hickory_stream.query.map_index import MapIndex, index_of, neighbours
-from hickory_stream.worlds.recording_config import RecordingConfig
 from tools.benchmarks.change_counts import PairCounts, calibration_figures, count_figures, share, sum_of
 from tools.benchmarks.changed_maps import mapped
 from tools.benchmarks.changed_runs import run_counts
@@ -33,6 +32,7 @@ from tools.benchmarks.kept import state_folder
 from tools.benchmarks.passers_by import passer_by
 from tools.benchmarks.true_questions import true_questions
 from tools.evaluation.true_changes import true_changes
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

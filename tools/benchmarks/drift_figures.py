@@ -27,13 +27,13 @@ from hickory_stream.geometry.rigid import compose, from_rotation_translation
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.poses.registration_config import RegistrationConfig
-from hickory_stream.worlds.drift import drifted
 from hickory_stream.worlds.trajectory import Trajectory
 from tools.benchmarks.drift_logs import FACTORS, Poses, drift_of, drifting_walks
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.first_layer import keyframes_of
 from tools.benchmarks.intervals import bootstrap
 from tools.benchmarks.kept import kept, state_folder
+from tools.worlds.drift import drifted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

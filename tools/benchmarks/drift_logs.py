@@ -18,12 +18,11 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.pictures.open3d_import import import_open3d
-from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.drift import DriftConfig, drifted
-from hickory_stream.worlds.recording_config import RecordingConfig
-from hickory_stream.worlds.walkable import walkable_world
 from players import open_source
 from tools.benchmarks.foreign_logs import PROGRAM, WorldLog, foreign_log, worlds_folder
+from tools.worlds.cache import cached_recording
+from tools.worlds.drift import DriftConfig, drifted
+from tools.worlds.recording_config import RecordingConfig, walkable_world
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -28,14 +28,13 @@ from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.settings import Settings
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
-from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording import drawn_frame
-from hickory_stream.worlds.recording_config import RecordingConfig
 from players import SourceOptions, open_source
 from tools.benchmarks.coarse_runs import COARSE
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.kept import kept, state_folder
 from tools.benchmarks.played import play_into
+from tools.worlds.cache import cached_recording
+from tools.worlds.recording_config import RecordingConfig, drawn_frame
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -18,10 +18,10 @@ from pathlib import Path
 from hickory_stream.base import caches
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE
-from hickory_stream.worlds.cache import cache_folder, cached_recording
-from hickory_stream.worlds.outdoor.recordings import outdoors
-from hickory_stream.worlds.recording_config import RecordingConfig
 from tools.benchmarks.processes import ROOT
+from tools.worlds.cache import cache_folder, cached_recording
+from tools.worlds.outdoor.walk import outdoors
+from tools.worlds.recording_config import RecordingConfig
 
 PROGRAM = "make_world_log.py"
 _RATE_HZ = 5.0

@@ -15,11 +15,11 @@ import numpy as np
 
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
 from hickory_stream.geometry.superquadric import Superquadrics, moved, sorted_by_volume
-from hickory_stream.worlds.apartment import apartment
-from hickory_stream.worlds.furnishing import FURNISH, Room
 from hickory_stream.worlds.furniture import chair
 from hickory_stream.worlds.scene import at_place
 from tools.evaluation.simulated_maps.simulate import Difficulty, SimulatedPair, SimulatedWorld, random_pose
+from tools.worlds.apartment import apartment
+from tools.worlds.furnishing import FURNISH, Room
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

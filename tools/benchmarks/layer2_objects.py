@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.mesh import mesh_of_glb
-from hickory_stream.worlds import big_things, furniture, small_things, table_things
+from hickory_stream.worlds import furniture, small_things
 from hickory_stream.worlds.object_models import model_triangles
 from tools.benchmarks.oracle import plain_mesh
+from tools.worlds import big_things, table_things
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -26,12 +26,12 @@ from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.records import Frame, RawFrame, SourceInfo
-from hickory_stream.worlds.drift import drifted
 from hickory_stream.worlds.trajectory import Trajectory
 from tools.benchmarks.drift_logs import drift_of
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.intervals import wilson
 from tools.benchmarks.kept import kept, state_folder
+from tools.worlds.drift import drifted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -20,7 +20,6 @@ from hickory_stream.navigation.occupancy import Occupancy, distance_field_m
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.navigation.search import NoPath, Path, first_path, plan
 from hickory_stream.shapes.inflate.inflation import InflateConfig
-from hickory_stream.worlds.cache import cached_recording
 from tools.benchmarks.apartment_maps import apartment_map, apartment_recording
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.true_shapes import true_inflated
@@ -36,6 +35,7 @@ from tools.evaluation.navigation_table import (
     true_obstacles,
     truth_of,
 )
+from tools.worlds.cache import cached_recording
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -13,10 +13,9 @@ import numpy as np
 from hickory_stream.evaluation.match import score_map
 from hickory_stream.geometry.voxels import contains, dilate
 from hickory_stream.records import Phase
-from hickory_stream.worlds.recording_config import RecordingConfig
-from hickory_stream.worlds.walkable import person_of, walkable_world
 from tools.benchmarks.changed_maps import mapped
 from tools.benchmarks.looked_at import scene_of
+from tools.worlds.recording_config import RecordingConfig, person_of, walkable_world
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -19,8 +19,6 @@ from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive
-from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.first_layer import PlayedKeyframe, play_first_layer
 from tools.benchmarks.keyframe_memory import WARM_KEYFRAMES, keyframe_memory
@@ -28,6 +26,8 @@ from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
 from tools.benchmarks.mask_scores import UNKNOWN, MaskScore, score_masks, total
 from tools.benchmarks.perception_models import measure_models
 from tools.benchmarks.processes import ROOT
+from tools.worlds.cache import cached_recording
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
-from hickory_stream.worlds.layouts import layout_files
 from hickory_stream.worlds.recording import make_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
-from hickory_stream.worlds.ros_messages import RosMessages
 from players import open_source
 from tools.benchmarks import damage
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT
 from tools.benchmarks.small_logs import messages, write_bag, write_mcap, write_small_logs
+from tools.worlds.layouts import layout_files
+from tools.worlds.recording_config import RecordingConfig
+from tools.worlds.ros_messages import RosMessages
 
 if TYPE_CHECKING:
     from collections.abc import Callable

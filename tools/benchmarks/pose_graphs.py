@@ -13,8 +13,8 @@ import numpy as np
 
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
 from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance
-from hickory_stream.worlds.drift import DriftConfig, drifted
 from hickory_stream.worlds.trajectory import Trajectory
+from tools.worlds.drift import DriftConfig, drifted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -46,7 +46,7 @@ def simulated_graph(
     drift: float = 1.0,
     start_ns: int = 0,
 ) -> SimulatedGraph:
-    """Return a graph; `drift` multiplies the drift of `hickory_stream.worlds.drift`.
+    """Return a graph; `drift` multiplies the drift of `tools.worlds.drift`.
 
     A loop is found when its later node is, and a node is every five seconds from `start_ns` on.
     """

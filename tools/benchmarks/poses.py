@@ -22,11 +22,7 @@ from hickory_stream.poses.choose import make_odometry
 from hickory_stream.poses.depth_scan import scan_of_depth
 from hickory_stream.poses.hand_eye import HandEye
 from hickory_stream.records import Scan
-from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.corridor import CorridorConfig, corridor_scans
-from hickory_stream.worlds.layouts import drawn_mounting
 from hickory_stream.worlds.recording import make_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
 from players.logs.log_source import LogSource
 from players.poses.extrinsics import estimated_mounting
@@ -38,6 +34,10 @@ from tools.benchmarks.loop_walks import walk_figures
 from tools.benchmarks.mapped_squares import square_figures
 from tools.benchmarks.pose_graph_figures import graph_figures
 from tools.benchmarks.processes import ROOT
+from tools.worlds.cache import cached_recording
+from tools.worlds.corridor import CorridorConfig, corridor_scans
+from tools.worlds.layouts import drawn_mounting
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

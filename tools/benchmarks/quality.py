@@ -23,14 +23,14 @@ from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
-from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
 from tools.benchmarks.baseline import QUICK
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.processes import ROOT, play
 from tools.evaluation.views.comparison import compare, verdict
 from tools.evaluation.views.trials import BEST, OURS, try_views
+from tools.worlds.cache import cached_recording
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from hickory_stream.evaluation.evaluate import Evaluation

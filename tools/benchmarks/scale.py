@@ -25,9 +25,6 @@ from hickory_stream.base.config_text import read_config
 from hickory_stream.batch.run import BatchPlan, run_batch
 from hickory_stream.config import MapperConfig
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
-from hickory_stream.worlds.building.building import BuildingSize
-from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
 from players import SourceOptions
 from tools.benchmarks.coarse_runs import COARSE, play_coarsely
 from tools.benchmarks.figures import Figure
@@ -35,6 +32,9 @@ from tools.benchmarks.processes import ROOT, play
 from tools.benchmarks.scale_keyframe import scale_costs
 from tools.benchmarks.scale_reading import reading_of
 from tools.benchmarks.stage_times import BUDGET_MS, STAGE_BUDGETS_MS, stage_times, table_of_stages
+from tools.worlds.building.building import BuildingSize
+from tools.worlds.cache import cached_recording
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from tools.benchmarks.figures import Options

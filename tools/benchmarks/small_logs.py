@@ -9,7 +9,7 @@ import numpy as np
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
-from hickory_stream.worlds.ros_messages import RosMessages
+from tools.worlds.ros_messages import RosMessages
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -17,14 +17,14 @@ from hickory_stream.evaluation.surface_score import SurfaceScore
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
-from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
 from tools.benchmarks.figures import Figure
 from tools.benchmarks.foreign_logs import foreign_log, worlds_folder
 from tools.benchmarks.kept import kept, state_folder
 from tools.evaluation.views.comparison import compare, format_comparison
 from tools.evaluation.views.trials import BEST, OURS, ViewTrial, try_views
+from tools.worlds.cache import cached_recording
+from tools.worlds.recording_config import RecordingConfig
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -19,11 +19,10 @@ import numpy as np
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.worlds.clutter.frames import frames_of
-from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.trajectory import camera_rotation
-from hickory_stream.worlds.walkable import walkable_world
+from tools.worlds.clutter.frames import frames_of
+from tools.worlds.recording_config import RecordingConfig, walkable_world
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -18,14 +18,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.worlds.layouts import KimeraMultiLog
-from hickory_stream.worlds.outdoor.recordings import outdoors
-from hickory_stream.worlds.recording import drawn_frame, make_recording
-from hickory_stream.worlds.recording_config import RecordingConfig
-from hickory_stream.worlds.walkable import walkable_world
+from hickory_stream.worlds.recording import make_recording
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
 from tools.paper_tables.write_hope import write_hope
 from tools.paper_tables.write_replica_cad import write_replica_cad
+from tools.worlds.layouts import KimeraMultiLog
+from tools.worlds.outdoor.walk import outdoors
+from tools.worlds.recording_config import RecordingConfig, drawn_frame, walkable_world
 
 if TYPE_CHECKING:
     from collections.abc import Callable

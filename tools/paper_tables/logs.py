@@ -9,14 +9,15 @@ import numpy as np
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
-from hickory_stream.worlds.clearance import clearance_of_surfaces
-from hickory_stream.worlds.clutter.walk import wander_through
-from hickory_stream.worlds.recording import film_world
-from hickory_stream.worlds.recording_config import RecordingConfig
+from hickory_stream.worlds.recording import film
+from hickory_stream.worlds.shots import Stage
 from hickory_stream.worlds.trajectory import NoWalk
 from tools.paper_tables import hope, replica_cad
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
 from tools.paper_tables.workshop import Log
+from tools.worlds.clutter.walk import wander_through
+from tools.worlds.recording_config import RecordingConfig
+from tools.worlds.routes import clearance_of_surfaces
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -161,7 +162,7 @@ def _render(root: Path, name: str, walk: int, plan: Plan, target: Path) -> None:
         seconds = plan.apartment_seconds or _WALK_SECONDS
         trajectory = wander_through(world, clearance, seconds, config.walk, rng)
         if not isinstance(trajectory, NoWalk):
-            film_world(world, trajectory, config, target.parent, target.stem)
+            film(Stage(world=world, trajectory=trajectory), config, target.parent, target.stem)
             return
     raise RecordingError(
         f"{root}: nobody can walk through {name}: expected free floor with {config.walk.clearance_m} m around"

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 # What makes and measures maps.
-_CODE, _KINDS = ("hickory_stream", "players", "tools/paper_tables"), (".py", ".toml", ".json", ".npz")
+_CODE = ("hickory_stream", "players", "tools/evaluation", "tools/paper_tables", "tools/worlds")
+_KINDS = (".py", ".toml", ".json", ".npz")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

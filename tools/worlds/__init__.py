@@ -1,0 +1,1 @@
+"""Scenes, walks, layouts and flaws of synthetic recordings beyond the room of the demo."""

@@ -1,0 +1,180 @@
+"""Single frames of random rooms with ground truth, without a log: training data for networks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import ConfigError
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.worlds.clearance import is_inside
+from hickory_stream.worlds.depth_camera import sensed_depth
+from hickory_stream.worlds.rendering import Renderer
+from hickory_stream.worlds.trajectory import camera_rotation
+from tools.worlds.clutter.draws import chance, log_uniform, one_of, uniform
+from tools.worlds.clutter.families import FAMILIES, recipes_of
+from tools.worlds.clutter.room import clutter_room
+from tools.worlds.clutter.sensors import random_camera, random_color_camera, random_depth_camera
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.worlds.rendering import Probe
+    from tools.worlds.clutter.room import ClutterRoom
+
+
+_DRAWS = 40
+_PROBE_PX = 48
+_LOW_M, _HIGH_M = 0.3, 1.8
+
+
+def random_view(
+    rng: np.random.Generator, room: ClutterRoom, renderer: Renderer, camera: Camera
+) -> NDArray[np.float64] | None:
+    """Return `world_from_camera` of a view from free space with things in it; None if no draw finds one."""
+    if not room.world.objects:
+        return None
+    least = 1 if chance(rng, 0.1) else 3
+    covered = uniform(rng, 0.03, 0.4)
+    small = camera.scaled(_PROBE_PX / camera.width)
+    for _ in range(_DRAWS):
+        pose = _at_something(rng, room) if chance(rng, 0.75) else _anywhere(rng, room)
+        if is_inside(pose[None, :2, 3], room.plan.outline_m)[0] and _shows(renderer.probe(small, pose), least, covered):
+            return pose
+    return None
+
+
+def _shows(probe: Probe, least: int, covered: float) -> bool:
+    near = float((probe.depth_m < 0.25).mean())
+    counts = np.unique(probe.instances[probe.instances > 0], return_counts=True)[1]
+    shares = counts / len(probe.instances)
+    return (
+        near < 0.03
+        and float(probe.is_within.mean()) < 0.004
+        and 0.45 < float(np.median(probe.depth_m)) < 7.0
+        and int((shares > 0.003).sum()) >= least
+        and float(shares.max(initial=0.0)) < 0.65
+        and float(shares.sum()) >= covered
+    )
+
+
+def _at_something(rng: np.random.Generator, room: ClutterRoom) -> NDArray[np.float64]:
+    item = one_of(rng, room.world.objects)
+    low, high = item.model.bounds_m()
+    center = (item.world_from_object @ [*((low + high) / 2), 1.0])[:3]
+    size = float(np.linalg.norm(high - low))
+    turn, away = uniform(rng, 0, 2 * np.pi), log_uniform(rng, 0.4, 2.6) + 0.45 * size
+    eye = np.array([center[0] + away * np.cos(turn), center[1] + away * np.sin(turn), uniform(rng, _LOW_M, _HIGH_M)])
+    to = center - eye
+    yaw = float(np.arctan2(to[1], to[0])) + float(rng.normal(0, 0.2))
+    pitch = float(np.arctan2(to[2], np.hypot(to[0], to[1]))) + float(rng.normal(0, 0.12))
+    return _pose(rng, eye, yaw, float(np.clip(pitch, -1.2, 0.5)))
+
+
+def _anywhere(rng: np.random.Generator, room: ClutterRoom) -> NDArray[np.float64]:
+    x0, y0, x1, y1 = room.plan.bounds_m
+    eye = np.array([uniform(rng, x0, x1), uniform(rng, y0, y1), uniform(rng, _LOW_M, _HIGH_M)])
+    # A low camera looks ahead, a high one down.
+    pitch = float(rng.normal(-0.25 * (eye[2] - 0.5), 0.15))
+    return _pose(rng, eye, uniform(rng, -np.pi, np.pi), pitch)
+
+
+def _pose(rng: np.random.Generator, eye: NDArray[np.float64], yaw: float, pitch: float) -> NDArray[np.float64]:
+    roll = float(rng.normal(0, 0.2)) if chance(rng, 0.15) else float(rng.normal(0, 0.03))
+    return from_rotation_translation(camera_rotation(yaw, pitch, roll), eye)
+
+
+_FRAMES_A_ROOM = 12
+_MIDDLE_GREY = 110.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Frame:
+    """A frame of a camera with defects, and its exact truth; a pixel without id and structure hits nothing."""
+
+    rgb: NDArray[np.uint8]
+    #: (H, W), NaN where the camera reports nothing.
+    depth_m: NDArray[np.float32]
+    #: (H, W), NaN where a ray hits nothing.
+    exact_depth_m: NDArray[np.float32]
+    #: (H, W) ids of `room`, 0: no object.
+    instances: NDArray[np.uint16]
+    is_structure: NDArray[np.bool_]
+    camera: Camera
+    #: (4, 4), z up.
+    world_from_camera: NDArray[np.float64]
+    #: The number of the room of seed and family.
+    room: int
+
+    def __post_init__(self) -> None:
+        size = self.depth_m.shape
+        freeze(self, "rgb", np.uint8, (*size, 3))
+        freeze(self, "depth_m", np.float32, size)
+        freeze(self, "exact_depth_m", np.float32, size)
+        freeze(self, "instances", np.uint16, size)
+        freeze(self, "is_structure", np.bool_, size)
+        freeze(self, "world_from_camera", np.float64, (4, 4))
+
+
+def frames_of(seed: int, family: str, count: int, width: int = 320, height: int = 240) -> Iterator[Frame]:
+    """Yield frames of random rooms of a family, several from each room; a longer sequence begins with the shorter one.
+
+    Raises:
+        ConfigError: there is no such family, or the image size is out of range.
+    """
+    recipes_of(family)
+    if not (32 <= width <= 4096 and 32 <= height <= 4096):
+        raise ConfigError(f"frames of {width}x{height}; expected 32 to 4096 pixels a side")
+    if seed < 0:
+        raise ConfigError(f"seed {seed}; expected 0 or more")
+    made, index = 0, 0
+    while made < count:
+        for frame in _frames_of_room(seed, family, index, (width, height)):
+            yield frame
+            made += 1
+            if made == count:
+                return
+        index += 1
+
+
+def _frames_of_room(seed: int, family: str, index: int, size: tuple[int, int]) -> Iterator[Frame]:
+    room = clutter_room(seed, family, index)
+    if not room.world.objects:
+        return
+    renderer = Renderer(room.world)
+    for i in range(_FRAMES_A_ROOM):
+        rng = np.random.default_rng([seed, 22, FAMILIES.index(family), index, i])
+        frame = _frame(rng, room, renderer, index, size)
+        if frame is not None:
+            yield frame
+
+
+def _frame(
+    rng: np.random.Generator, room: ClutterRoom, renderer: Renderer, index: int, size: tuple[int, int]
+) -> Frame | None:
+    camera = random_camera(rng, *size)
+    world_from_camera = random_view(rng, room, renderer, camera)
+    if world_from_camera is None:
+        return None
+    rendered = renderer.render(camera, world_from_camera)
+    depth = random_depth_camera(rng, camera.fx)
+    color = random_color_camera(rng, camera.width)
+    # Automatic exposure, with an error.
+    gain = float(np.clip(_MIDDLE_GREY / max(float(rendered.rgb.mean()), 1.0), 0.6, 4.0))
+    color = replace(color, exposure=color.exposure * gain)
+    return Frame(
+        rgb=color.photographed(rendered.rgb, rng),
+        depth_m=sensed_depth(rendered.depth_m, rendered.cosine, camera.fx, depth, rng, rendered.is_blind),
+        exact_depth_m=rendered.depth_m,
+        instances=rendered.instances,
+        is_structure=rendered.is_structure,
+        camera=camera,
+        world_from_camera=world_from_camera,
+        room=index,
+    )

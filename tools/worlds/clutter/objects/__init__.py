@@ -1,0 +1,1 @@
+"""The shapes of random rooms: one function a recipe, in modules by use."""
