@@ -19,7 +19,7 @@ from hickory_stream.graph.gate import difference
 from hickory_stream.graph.library import Factors
 from hickory_stream.graph.solution import NoSolution, Solution
 from hickory_stream.graph.solve import node_covariances, relative_covariances, solve
-from tools.benchmarks.pose_graphs import SimulatedGraph, simulated_graph
+from tools.benchmarks.poses.pose_graphs import SimulatedGraph, simulated_graph
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = GraphConfig()
@@ -268,7 +268,7 @@ _PROGRAM = """
 import hashlib, numpy as np
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.solve import node_covariances, solve
-from tools.benchmarks.pose_graphs import simulated_graph
+from tools.benchmarks.poses.pose_graphs import simulated_graph
 walk = simulated_graph(np.random.default_rng(3), GraphConfig(), num_nodes=120, num_loops=16, num_wrong=4)
 answer = solve(walk.graph)
 parts = (answer.world_from_node, node_covariances(walk.graph, answer), answer.loop_weights)

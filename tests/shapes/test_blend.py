@@ -16,7 +16,7 @@ from hickory_stream.shapes.blend import BlendConfig, blended
 from hickory_stream.shapes.distance_field import even_samples
 from hickory_stream.shapes.fused import VolumeConfig
 from tests.shapes.shape_fixtures import shape_inputs
-from tools.benchmarks.oracle import plain_mesh
+from tools.benchmarks.shapes.spoiled_generator import plain_mesh
 
 VOLUME = VolumeConfig(cells=32, smoothing=5)
 

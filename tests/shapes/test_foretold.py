@@ -11,7 +11,7 @@ import trimesh
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.foretold import by_other_views, newly_seen
 from hickory_stream.shapes.judgement import JudgementConfig
-from tools.benchmarks.oracle import Sighted, plain_mesh, sighted
+from tools.benchmarks.shapes.spoiled_generator import Sighted, plain_mesh, sighted
 
 CONFIG = JudgementConfig()
 

@@ -21,7 +21,7 @@ from hickory_stream.shapes.judgement import (
     shape_evidence,
 )
 from hickory_stream.shapes.placement import EmbeddedPlacement, PlacementConfig
-from tools.benchmarks.oracle import Generated, Sighted, generated, plain_mesh, sighted
+from tools.benchmarks.shapes.spoiled_generator import Generated, Sighted, generated, plain_mesh, sighted
 
 if TYPE_CHECKING:
     from hickory_stream.geometry.mesh import Mesh

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tools.benchmarks.__main__ import main
-from tools.benchmarks.baseline import FOLDER, baseline_file, check, compare, read_baseline, set_baseline
-from tools.benchmarks.figures import Figure, print_table, write_json
+from tools.benchmarks.common.baseline import FOLDER, baseline_file, check, compare, read_baseline, set_baseline
+from tools.benchmarks.common.figures import Figure, print_table, write_json
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,10 +13,10 @@ from hickory_stream.evaluation.true_changes import TrueChanges
 from hickory_stream.evaluation.truth import Truth, TruthChange, TruthFrame, TruthObject
 from hickory_stream.geometry.camera import Camera
 from tests.engine.snapshot_fixtures import box_mesh
-from tools.benchmarks.change_counts import PairCounts, calibration_figures, count_figures, sum_of
-from tools.benchmarks.changed_runs import counted
-from tools.benchmarks.changes import judged
-from tools.benchmarks.passers_by import is_of_person
+from tools.benchmarks.maps.change_counts import PairCounts, calibration_figures, count_figures, sum_of
+from tools.benchmarks.maps.changes import judged
+from tools.benchmarks.maps.passers_by import is_of_person
+from tools.benchmarks.maps.within_run import counted
 
 CHANGE_NS = 500
 

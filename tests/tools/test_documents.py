@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tools.benchmarks.documents import MEASURED, filled_in, keep, unmarked_tables, without_age
-from tools.benchmarks.figures import Figure
+from tools.benchmarks.common.documents import MEASURED, filled_in, keep, unmarked_tables, without_age
+from tools.benchmarks.common.figures import Figure
 from tools.readmes import READMES
 
 if TYPE_CHECKING:

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import InputError, RecordingError
-from tools.benchmarks.foreign import own_seeds
-from tools.benchmarks.foreign_figures import figures_of, of_map, reasons
-from tools.benchmarks.foreign_logs import foreign_log, worlds_folder
-from tools.benchmarks.foreign_parts import OUTDOORS, OWN, WORLDS, Part, Store, all_parts, chosen_parts
-from tools.benchmarks.intervals import bootstrap, wilson
+from tools.benchmarks.common.intervals import bootstrap, wilson
+from tools.benchmarks.foreign.figures import figures_of, of_map, reasons
+from tools.benchmarks.foreign.gate import own_seeds
+from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
+from tools.benchmarks.foreign.parts import OUTDOORS, OWN, WORLDS, Part, Store, all_parts, chosen_parts
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.evaluation.ladder import Rung
-    from tools.benchmarks.figures import Figure
+    from tools.benchmarks.common.figures import Figure
 
 
 def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[float] | None = None) -> dict[str, Any]:

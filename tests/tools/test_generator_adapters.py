@@ -14,8 +14,8 @@ from hickory_stream.engine.generators.spec import missing_of, read_spec
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.ports import Crop, GeneratedMesh, NoShape, ShapeInputs
-from tools.benchmarks import adapter_fakes
-from tools.benchmarks.adapter_fakes import (
+from tools.benchmarks.shapes import adapter_fakes
+from tools.benchmarks.shapes.adapter_fakes import (
     ADAPTERS,
     COLORS,
     FACES,
@@ -28,7 +28,7 @@ from tools.benchmarks.adapter_fakes import (
     refiner_fault,
     shown_view,
 )
-from tools.benchmarks.adapter_graphs import graph_fault
+from tools.benchmarks.shapes.adapter_graphs import graph_fault
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tools.benchmarks.damage import run_cases
-from tools.benchmarks.repetitions import Repetitions, code_hash, measurement_folder, syntax_of
+from tools.benchmarks.common.repetitions import Repetitions, code_hash, measurement_folder, syntax_of
+from tools.benchmarks.logs.damaged_logs import run_cases
 
 if TYPE_CHECKING:
     from pathlib import Path

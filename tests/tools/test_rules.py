@@ -10,9 +10,9 @@ import pytest
 from hickory_stream.config import MapperConfig
 from hickory_stream.mapping import cloud, support_graph, track, track_merging, track_splitting
 from hickory_stream.mapping.support_relations import is_leg
-from tools.benchmarks.foreign_logs import WorldLog
-from tools.benchmarks.processes import ROOT
-from tools.benchmarks.rule_constants import (
+from tools.benchmarks.common.processes import ROOT
+from tools.benchmarks.foreign.logs import WorldLog
+from tools.benchmarks.perception.constants import (
     NOT_DECIDING,
     Constant,
     constants,
@@ -22,12 +22,12 @@ from tools.benchmarks.rule_constants import (
     with_constant,
     with_number,
 )
-from tools.benchmarks.rule_logs import Counts, RuleLog
-from tools.benchmarks.rule_switches import RULES
-from tools.benchmarks.rules import ablation, sensitivity
+from tools.benchmarks.perception.rule_logs import Counts, RuleLog
+from tools.benchmarks.perception.rule_switches import RULES
+from tools.benchmarks.perception.rules import ablation, sensitivity
 
 if TYPE_CHECKING:
-    from tools.benchmarks.figures import Figure
+    from tools.benchmarks.common.figures import Figure
 
 CONFIG = MapperConfig()
 

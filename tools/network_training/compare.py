@@ -26,10 +26,10 @@ from hickory_stream.perception.odds_split import SplitConfig
 from hickory_stream.perception.pixel_network import PixelNetwork
 from hickory_stream.records import Frame
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
-from tools.benchmarks.first_layer import play_first_layer
-from tools.benchmarks.foreign_logs import foreign_log, worlds_folder
-from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
-from tools.benchmarks.mask_scores import UNKNOWN, MaskScore, score_masks, total
+from tools.benchmarks.perception.first_layer import play_first_layer
+from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
+from tools.benchmarks.perception.labelled_clouds import clouds_in, load_cloud
+from tools.benchmarks.perception.mask_scores import UNKNOWN, MaskScore, score_masks, total
 from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, frames_of_scene
 from tools.network_training.scenes import HELD_OUT
 

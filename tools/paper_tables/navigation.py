@@ -10,7 +10,7 @@ from hickory_stream.evaluation.navigation_scene import score_saved_map
 from hickory_stream.evaluation.navigation_table import table_json
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.navigation.robot import load_robot
-from tools.benchmarks.intervals import wilson
+from tools.benchmarks.common.intervals import wilson
 from tools.paper_tables.logs import apartment_pairs
 from tools.paper_tables.published import NAVIGATION
 from tools.paper_tables.tables import Cell, Column, Table, mean_of

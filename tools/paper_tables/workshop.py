@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.engine.atomic import write_atomically
 from hickory_stream.errors import HickoryError, MapFolderError
 from hickory_stream.json_text import dumps
-from tools.benchmarks.processes import ROOT
-from tools.benchmarks.repetitions import hash_of_files
+from tools.benchmarks.common.processes import ROOT
+from tools.benchmarks.common.repetitions import hash_of_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable
