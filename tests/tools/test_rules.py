@@ -6,6 +6,9 @@ import importlib
 from typing import TYPE_CHECKING
 
 import pytest
+from tools.benchmarks.perception.rule_logs import Counts, RuleLog
+from tools.benchmarks.perception.rule_switches import RULES
+from tools.benchmarks.perception.rules import ablation, sensitivity
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.mapping import cloud, support_graph, track, track_merging, track_splitting
@@ -22,9 +25,6 @@ from tools.benchmarks.perception.constants import (
     with_constant,
     with_number,
 )
-from tools.benchmarks.perception.rule_logs import Counts, RuleLog
-from tools.benchmarks.perception.rule_switches import RULES
-from tools.benchmarks.perception.rules import ablation, sensitivity
 
 if TYPE_CHECKING:
     from tools.benchmarks.common.figures import Figure

@@ -54,7 +54,9 @@ BENCHMARKS = {
     ),
     "perception": Benchmark("perception.frames", "masks of single frames, features, time and memory of layer 1"),
     "rules": Benchmark(
-        "perception.constants", "the count of numbers set by hand", ("hickory_stream/mapping", "hickory_stream/perception")
+        "perception.constants",
+        "the count of numbers set by hand",
+        ("hickory_stream/mapping", "hickory_stream/perception"),
     ),
     "shapes": Benchmark(
         "shapes.fitting", "fit, inflation and collision checks", (*_SHAPES, "hickory_stream/navigation/clearance.py")

@@ -1,19 +1,16 @@
-"""Benchmark of alignment: simulated pairs with known truth, unrelated maps, apartments, and processor time.
+"""Alignment of maps: simulated pairs with known truth, unrelated maps, apartments, and processor time.
 
 Simulated trials run in two processes; times are the least of three repetitions of CPU time, on the hard set. The
-apartments are played once for each state of the mapper's code, into out/maps/.
+apartments, in a whole run alone, are played once for each state of the mapper's code, into out/maps/.
 """
 
 from __future__ import annotations
 
 import itertools
 import multiprocessing
-import subprocess
-import sys
-import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from functools import cache
 from typing import TypeVar
 
@@ -28,166 +25,102 @@ from hickory_stream.evaluation.maps.simulate import Difficulty, SimulationConfig
 from hickory_stream.evaluation.maps.trial import Trial, error_of, noise_floor, run_trial
 from hickory_stream.evaluation.maps.variants import bent_map
 from hickory_stream.geometry.rigid import apply, invert
-from tools.benchmarks.alignment.ambiguous import (
-    ambiguous_trial,
-    apartment_trial,
-    furnished_trial,
-    jobs_of_ambiguous,
-    jobs_of_apartments,
-    jobs_of_squares,
-    of_ambiguous,
-    of_apartments,
-    of_squares,
-    square_trial,
-)
-from tools.benchmarks.common.apartment_maps import apartment_map, frame_of
+from tools.benchmarks.alignment.ambiguous import ambiguous_figures
+from tools.benchmarks.alignment.large_pair import large_pair
+from tools.benchmarks.common.cached_runs import apartment_map, frame_of
 from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.benchmarks.common.processes import ROOT
+from tools.benchmarks.common.processes import best_s
 
 J, R = TypeVar("J"), TypeVar("R")
 _APARTMENTS = 4
 _TIMED = (40, 160, 320)
 _DRIFT_DEG_PER_M = 0.3
 _ABLATED: tuple[Method, ...] = ("sq", "semantic", "bbox", "sq-paper", "roman-one", "roman-xl", "ransac")
+assert set(_ABLATED) <= set(METHODS)
+# Three thousand objects in each map, of which 750 are in both.
+_LARGE, _LARGE_TRIALS = 3000, 3
 
 
-# In a process of its own that imports nothing but what is measured.
-_PEAK = """
-import resource, sys
-from hickory_stream.alignment.align import align
-from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
-pair = simulate_pair(SimulationConfig(num_objects=320, difficulty="hard"), int(sys.argv[1]))
-align(pair.map_a, pair.map_b)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-"""
+def _set(num_objects: int, outliers: float, difficulty: Difficulty = "easy", tilt_deg: float = 0.0) -> SimulationConfig:
+    return SimulationConfig(num_objects=num_objects, outliers=outliers, difficulty=difficulty, tilt_deg=tilt_deg)
 
 
-# Three thousand objects in each map, of which 750 are in both: whether they are aligned, in what time and memory.
-_LARGE = """
-import resource, sys, time
-from hickory_stream.alignment.align import align
-from hickory_stream.alignment.answer import Alignment
-from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
-from hickory_stream.evaluation.maps.trial import error_of, overlap_b
-pair = simulate_pair(SimulationConfig(num_objects=3000, outliers=0.75), int(sys.argv[1]))
-started = time.process_time()
-answer = align(pair.map_a, pair.map_b)
-seconds = time.process_time() - started
-found = isinstance(answer, Alignment) and error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)).is_success
-print(int(found), seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-"""
-_LARGE_TRIALS = 3
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Set:
-    """Trials of one kind: `quick` and `full` say how many."""
-
-    name: str
-    config: SimulationConfig
-    full: int
-    quick: int
-
-
-def _set(
-    name: str, num_objects: int, outliers: float, difficulty: Difficulty, trials: tuple[int, int], tilt_deg: float = 0.0
-) -> _Set:
-    config = SimulationConfig(num_objects=num_objects, outliers=outliers, difficulty=difficulty, tilt_deg=tilt_deg)
-    return _Set(name=name, config=config, full=trials[0], quick=trials[1])
-
-
-_SETS = (
-    _set("40_75", 40, 0.75, "easy", (600, 60)),
-    _set("40_75_hard", 40, 0.75, "hard", (600, 60)),
-    _set("40_90", 40, 0.9, "easy", (500, 60)),
-    _set("40_90_hard", 40, 0.9, "hard", (500, 40)),
-    _set("20_75", 20, 0.75, "easy", (600, 60)),
-    _set("20_75_hard", 20, 0.75, "hard", (600, 60)),
-    _set("tilt5", 40, 0.5, "easy", (200, 20), 5.0),
-    _set("tilt15", 40, 0.5, "easy", (400, 40), 15.0),
-    _set("tilt15_hard", 40, 0.5, "hard", (200, 20), 15.0),
-)
+# Trials of each kind, and how many of a whole and of a quick run.
+_SETS = {
+    "40_75": (_set(40, 0.75), 600, 60),
+    "40_75_hard": (_set(40, 0.75, "hard"), 600, 60),
+    "40_90": (_set(40, 0.9), 500, 60),
+    "40_90_hard": (_set(40, 0.9, "hard"), 500, 40),
+    "20_75": (_set(20, 0.75), 600, 60),
+    "20_75_hard": (_set(20, 0.75, "hard"), 600, 60),
+    "tilt5": (_set(40, 0.5, "easy", 5.0), 200, 20),
+    "tilt15": (_set(40, 0.5, "easy", 15.0), 400, 40),
+    "tilt15_hard": (_set(40, 0.5, "hard", 15.0), 200, 20),
+}
+_ABLATION = {"hard": _set(40, 0.75, "hard"), "hard_20": _set(20, 0.75, "hard"), "hard_90": _set(40, 0.9, "hard")}
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures; a figure that was not measured is absent."""
+    """Return the figures; a quick run takes fewer trials, and no apartments."""
+    maps = {} if options.quick else _apartment_maps(options.seed)
     figures, trials = _of_sets(options)
-    figures += _of_unrelated(options)
+    figures += _of_unrelated(options, maps)
     figures += _of_confidence(trials)
-    figures += of_ambiguous(_in_processes(ambiguous_trial, jobs_of_ambiguous(options.seed, 2 if options.quick else 40)))
-    worlds = _in_processes(furnished_trial, jobs_of_ambiguous(options.seed, 1 if options.quick else 10))
-    figures += of_ambiguous(worlds, suffix="_worlds")
-    apartments = jobs_of_apartments(options.seed, 6 if options.quick else 40)
-    figures += of_apartments(_in_processes(apartment_trial, apartments))
-    figures += of_squares(_in_processes(square_trial, jobs_of_squares(options.seed, 8 if options.quick else 100)))
+    figures += ambiguous_figures(options, _in_processes)
     figures += _of_times(options)
     figures += _of_ablation(options)
-    figures += _of_apartments(options)
-    return figures
-
-
-# ---- simulated maps -------------------------------------------------------------------------------------------------
+    return figures + (_of_apartments(maps) if maps else [])
 
 
 def _of_sets(options: Options) -> tuple[list[Figure], list[Trial]]:
     figures, every = [], []
-    for one in _SETS:
-        trials = _run(one.config, one.quick if options.quick else one.full, options.seed, "sq")
+    for name, (config, full, quick) in _SETS.items():
+        trials = _run(config, quick if options.quick else full, options.seed, "sq")
         every += trials
-        print(f"{one.name}: {_summary(trials)}", flush=True)
-        figures.append(figure(f"success_{one.name}", _share(trials), "", "higher"))
-        if one.name in ("40_75", "40_75_hard"):
+        print(f"{name}: {_summary(trials)}", flush=True)
+        figures.append(figure(f"success_{name}", _share(trials)))
+        if name in ("40_75", "40_75_hard"):
             errors = [trial.error for trial in trials if trial.error is not None and trial.error.is_success]
-            floors = [noise_floor(one.config, _seed(options.seed, i)) for i in range(20)]
-            figures += [
-                figure(f"error_{one.name}_m", np.median([e.translation_m for e in errors]), "m", "lower"),
-                figure(f"error_{one.name}_origin_m", np.median([e.origin_m for e in errors]), "m", "lower"),
-                figure(f"error_{one.name}_deg", np.median([e.rotation_deg for e in errors]), "deg", "lower"),
-                figure(f"floor_{one.name}_m", np.median([floor[0] for floor in floors]), "m", "lower"),
-                figure(f"floor_{one.name}_deg", np.median([floor[1] for floor in floors]), "deg", "lower"),
-            ]
-    return [figure("trials", len(every), "", "higher"), *figures], every
+            floor = np.median([noise_floor(config, _seed(options.seed, i)) for i in range(20)], axis=0)
+            for suffix, value, unit in (
+                ("error_{}_m", np.median([e.translation_m for e in errors]), "m"),
+                ("error_{}_origin_m", np.median([e.origin_m for e in errors]), "m"),
+                ("error_{}_deg", np.median([e.rotation_deg for e in errors]), "deg"),
+                ("floor_{}_m", floor[0], "m"),
+                ("floor_{}_deg", floor[1], "deg"),
+            ):
+                figures.append(figure(suffix.format(name), value, unit, "lower"))
+    return [figure("trials", len(every)), *figures], every
 
 
 def _of_confidence(trials: list[Trial]) -> list[Figure]:
     """Return how many answers were given, and which share of them was wrong."""
     answers = [trial for trial in trials if trial.error is not None]
-    wrong = sum(trial.is_wrong for trial in answers)
-    return [
-        figure("confident_answers", len(answers), "", "higher"),
-        figure("wrong_confident_fraction", wrong / max(len(answers), 1), "", "lower"),
-    ]
+    wrong = sum(trial.is_wrong for trial in answers) / max(len(answers), 1)
+    return [figure("confident_answers", len(answers)), figure("wrong_confident_fraction", wrong, "", "lower")]
 
 
 def _of_ablation(options: Options) -> list[Figure]:
     """Return how often each method is right and wrong on the hard set, and on two that are harder still."""
-    count = 10 if options.quick else 200
     figures = []
-    for name, config in (
-        ("hard", SimulationConfig(num_objects=40, outliers=0.75, difficulty="hard")),
-        ("hard_20", SimulationConfig(num_objects=20, outliers=0.75, difficulty="hard")),
-        ("hard_90", SimulationConfig(num_objects=40, outliers=0.9, difficulty="hard")),
-    ):
-        for method in _ABLATED:
-            trials = _run(config, count, options.seed, method)
-            label = f"{method.replace('-', '_')}_{name}"
-            print(f"ablation {label}: {_summary(trials)}", flush=True)
-            figures.append(figure(f"ablation_{label}_success", _share(trials), "", "higher"))
-            wrong = sum(trial.is_wrong for trial in trials) / len(trials)
-            figures.append(figure(f"ablation_{label}_wrong", wrong, "", "lower"))
+    for (name, config), method in itertools.product(_ABLATION.items(), _ABLATED):
+        trials = _run(config, 10 if options.quick else 200, options.seed, method)
+        label = f"ablation_{method.replace('-', '_')}_{name}"
+        print(f"{label}: {_summary(trials)}", flush=True)
+        wrong = sum(trial.is_wrong for trial in trials) / len(trials)
+        figures += [figure(f"{label}_success", _share(trials)), figure(f"{label}_wrong", wrong, "", "lower")]
     return figures
 
 
 def _run(config: SimulationConfig, count: int, seed: int, method: Method) -> list[Trial]:
-    jobs = [(config, _seed(seed, i), method) for i in range(count)]
-    return _in_processes(_trial, jobs)
+    return _in_processes(_trial, [(config, _seed(seed, i), method) for i in range(count)])
 
 
 def _trial(job: tuple[SimulationConfig, int, Method]) -> Trial:
     return run_trial(*job)
 
 
-def _of_unrelated(options: Options) -> list[Figure]:
+def _of_unrelated(options: Options, maps: dict[int, tuple[ObjectMap, ObjectMap]]) -> list[Figure]:
     count = 60 if options.quick else 1000
     kinds: list[tuple[int, Difficulty]] = [(20, "easy"), (20, "hard"), (40, "easy"), (40, "hard")]
     jobs = [
@@ -195,14 +128,10 @@ def _of_unrelated(options: Options) -> list[Figure]:
         for i in range(count)
     ]
     accepted = sum(_in_processes(_is_accepted, jobs))
-    maps = _apartment_maps(options)
-    different = [(maps[a][w], maps[b][v]) for a, b in itertools.combinations(maps, 2) for w in (0, 1) for v in (0, 1)]
+    different = [pair for a, b in itertools.combinations(maps, 2) for pair in itertools.product(maps[a], maps[b])]
     accepted += sum(isinstance(align(one, other), Alignment) for one, other in different)
     print(f"unrelated: {count} simulated and {len(different)} of apartments, {accepted} accepted", flush=True)
-    return [
-        figure("non_overlapping_pairs", count + len(different), "", "higher"),
-        figure("false_accepts", accepted, "", "lower"),
-    ]
+    return [figure("non_overlapping_pairs", count + len(different)), figure("false_accepts", accepted, "", "lower")]
 
 
 def _is_accepted(job: tuple[SimulationConfig, int]) -> bool:
@@ -219,80 +148,50 @@ def _in_processes(function: Callable[[J], R], jobs: Sequence[J]) -> list[R]:
     return list(_pool().map(function, jobs, chunksize=max(len(jobs) // 16, 1)))
 
 
-# ---- time and memory ------------------------------------------------------------------------------------------------
-
-
 def _of_times(options: Options) -> list[Figure]:
     figures = []
     for size in _TIMED:
         seconds = [_seconds(size, _seed(options.seed, i)) for i in range(2 if options.quick else 5)]
-        figures.append(figure(f"seconds_{size}", float(np.median(seconds)), "s", "lower"))
-    told = subprocess.run(
-        [sys.executable, "-c", _PEAK, str(_seed(options.seed, 0))], cwd=ROOT, check=True, capture_output=True, text=True
-    ).stdout
-    figures.append(figure("rss_320_mb", float(told), "MB", "lower"))
-    return figures if options.quick else [*figures, *_of_large_maps(options)]
-
-
-def _of_large_maps(options: Options) -> list[Figure]:
-    """Return how often maps of 3,000 objects are aligned, and the most processor time and memory that it took."""
-    told = [
-        subprocess.run(
-            [sys.executable, "-c", _LARGE, str(_seed(options.seed, i))],
-            cwd=ROOT,
-            check=True,
-            capture_output=True,
-            text=True,
-        ).stdout.split()
-        for i in range(_LARGE_TRIALS)
-    ]
-    found, seconds, megabytes = zip(*told, strict=True)
+        figures.append(figure(f"seconds_{size}", np.median(seconds), "s", "lower"))
+    peak_mb = large_pair(_seed(options.seed, 0), 320, "hard").peak_mb
+    figures.append(figure("rss_320_mb", peak_mb, "MB", "lower"))
+    if options.quick:
+        return figures
+    large = [large_pair(_seed(options.seed, i), _LARGE, "easy") for i in range(_LARGE_TRIALS)]
     return [
-        figure("align_3000_success", np.mean([int(one) for one in found]), "", "higher"),
-        figure("align_3000_seconds", max(float(one) for one in seconds), "s", "lower"),
-        figure("align_3000_rss_mb", max(float(one) for one in megabytes), "MB", "lower"),
+        *figures,
+        figure("align_3000_success", np.mean([one.is_found for one in large])),
+        figure("align_3000_seconds", max(one.seconds for one in large), "s", "lower"),
+        figure("align_3000_rss_mb", max(one.peak_mb for one in large), "MB", "lower"),
     ]
 
 
 def _seconds(size: int, seed: int) -> float:
     """Return the CPU seconds of one alignment of hard maps, scores included: the least of three."""
     pair = simulate_pair(SimulationConfig(num_objects=size, difficulty="hard"), seed)
-    taken = []
-    for _ in range(3):
-        started = time.process_time()
-        align(pair.map_a, pair.map_b)
-        taken.append(time.process_time() - started)
-    return min(taken)
+    return best_s(lambda: align(pair.map_a, pair.map_b), 3)
 
 
-# ---- apartments -----------------------------------------------------------------------------------------------------
-
-
-def _of_apartments(options: Options) -> list[Figure]:
+def _of_apartments(maps: dict[int, tuple[ObjectMap, ObjectMap]]) -> list[Figure]:
     """Return the mean error over the apartments, each mapped twice, the second map in a frame of its own."""
-    maps = _apartment_maps(options)
-    errors, found = [], 0
+    errors = []
     for apartment, (map_a, map_b) in maps.items():
         b_from_world = frame_of(apartment, 1)
         answer = align(map_a, map_b)
         if not isinstance(answer, Alignment):
             print(f"apartment {apartment}: refused, {answer.reason}", flush=True)
             continue
-        center_b = apply(b_from_world, answer.center_a)
-        error = error_of(answer.a_from_b, invert(b_from_world), center_b)
-        found += error.is_success
+        error = error_of(answer.a_from_b, invert(b_from_world), apply(b_from_world, answer.center_a))
         errors.append(error)
         print(
             f"apartment {apartment}: {len(answer.pairs)} pairs, {error.translation_m:.4f} m, "
             f"{error.rotation_deg:.3f} deg, chance 10^{answer.log10_chance:.0f}",
             flush=True,
         )
-    if not maps:
-        return []
     bent = [align(map_a, bent_map(map_b, _DRIFT_DEG_PER_M)) for map_a, map_b in maps.values()]
     figures = [
-        figure("apartments_found", found, "", "higher"),
-        figure("apartments_found_drifting", sum(isinstance(one, Alignment) for one in bent), "", "higher"),
+        figure("apartments_found", sum(error.is_success for error in errors)),
+        figure("apartments_found_drifting", sum(isinstance(one, Alignment) for one in bent)),
     ]
     if errors:
         figures += [
@@ -302,21 +201,14 @@ def _of_apartments(options: Options) -> list[Figure]:
     return figures
 
 
-_kept: dict[int, tuple[ObjectMap, ObjectMap]] = {}
-
-
-def _apartment_maps(options: Options) -> dict[int, tuple[ObjectMap, ObjectMap]]:
-    """Return the two maps of each apartment; a quick run takes those that are there and plays nothing."""
-    base = 1000 + 10 * options.seed
+def _apartment_maps(seed: int) -> dict[int, tuple[ObjectMap, ObjectMap]]:
+    """Return the two maps of each apartment."""
+    base = 1000 + 10 * seed
+    maps = {}
     for apartment in range(base, base + _APARTMENTS):
-        folders = [apartment_map(apartment, walk, plays=not options.quick) for walk in (0, 1)]
-        if apartment not in _kept and all(folder is not None for folder in folders):
-            one, other = (object_map(open_map(folder).snapshot) for folder in folders if folder is not None)
-            _kept[apartment] = (one, other)
-    return _kept
-
-
-# ---- figures --------------------------------------------------------------------------------------------------------
+        one, other = (object_map(open_map(apartment_map(apartment, walk)).snapshot) for walk in (0, 1))
+        maps[apartment] = one, other
+    return maps
 
 
 def _seed(seed: int, index: int) -> int:
@@ -329,12 +221,6 @@ def _share(trials: list[Trial]) -> float:
 
 def _summary(trials: list[Trial]) -> str:
     wrong = sum(trial.is_wrong for trial in trials)
-    reasons: dict[str, int] = {}
-    for trial in trials:
-        if trial.refusal is not None:
-            reasons[trial.refusal] = reasons.get(trial.refusal, 0) + 1
-    told = ", ".join(f"{count} {reason}" for reason, count in sorted(reasons.items())) or "none"
-    return f"{len(trials)} trials, success {_share(trials):.3f}, wrong {wrong}, refused: {told}"
-
-
-assert set(_ABLATED) <= set(METHODS)
+    refusals = Counter(trial.refusal for trial in trials if trial.refusal is not None)
+    refused = ", ".join(f"{count} {reason}" for reason, count in sorted(refusals.items())) or "none"
+    return f"{len(trials)} trials, success {_share(trials):.3f}, wrong {wrong}, refused: {refused}"

@@ -1,14 +1,12 @@
-"""How well alignment knows how sure it is, on maps that the whole pipeline made: the squared error by its covariance.
+"""The calibration of alignment's covariance on maps of the whole pipeline: the squared error by its covariance.
 
 Two walks through a place are mapped, and parts of both are aligned, one of them turned, shifted, and tilted by 0 to 3
 degrees. Own and foreign maps have exact poses; of the drifting ones one map has an odometry that drifts, corrected as
-`play` does. Where a part truly lies is what the camera's true poses around it say: a map that drifts is not rigid.
+`play` does. The true place of a part follows from the camera's true poses around it: a map that drifts is not rigid.
 """
 
 from __future__ import annotations
 
-import asyncio
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,40 +18,34 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
-from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
-from hickory_stream.engine.manifest import is_map_folder
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.maps.trial import error_of, normalised_square
 from hickory_stream.evaluation.maps.variants import moved_map, random_frame
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, rotation_of_vector
-from hickory_stream.ports import Source
 from players import open_source
-from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.benchmarks.common.intervals import bootstrap, wilson
-from tools.benchmarks.common.kept import state_folder
-from tools.benchmarks.poses.drift import CONFIG, keyframe_poses, map_source
+from tools.benchmarks.alignment.ambiguous import CHI2_95, TILTS_DEG
+from tools.benchmarks.common.cached_runs import cached_map, state_folder
+from tools.benchmarks.common.figures import Figure, Options, figure, share
+from tools.benchmarks.common.intervals import bootstrap
+from tools.benchmarks.poses.drift import CONFIG, keyframe_poses
 from tools.benchmarks.poses.drift_logs import FACTORS, drifting_walks, second_walks
 
-_TILTS_DEG = (0.0, 0.5, 1.0, 2.0, 3.0)
 _TRIALS = 40
 _REACH_M = (2.5, 6.0)
 _LEAST_POSES = 8
-_CHI2_95 = 12.592
 _EVERYWHERE = 1e9
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class WalkMap:
-    """A map, and where its K keyframes lie in it, and truly: (K, 4, 4) each."""
+    """A map, and the poses (K, 4, 4) of its K keyframes, in the map and true."""
 
     objects: ObjectMap
     found: NDArray[np.float64]
     true: NDArray[np.float64]
 
     def map_from_world(self, place: NDArray[np.float64], reach_m: float) -> NDArray[np.float64]:
-        """Return where the world lies in the map (4, 4) by the keyframes near a place (3,) of the map."""
+        """Return the pose of the world in the map (4, 4) by the keyframes near a place (3,) of the map."""
         away = np.linalg.norm(self.found[:, :2, 3] - place[:2], axis=1)
         near = np.flatnonzero(away < reach_m)
         near = near if len(near) >= _LEAST_POSES else np.argsort(away, kind="stable")[:_LEAST_POSES]
@@ -73,27 +65,29 @@ class Squares:
 
 
 def square_figures(options: Options) -> list[Figure]:
-    """Return how the errors of alignments of whole maps fit their covariances; maps that are not kept are played."""
+    """Return how the errors of alignments of whole maps fit their covariances; maps that are not cached are played."""
     folder = state_folder(options.state, "squares")
     pairs: dict[str, list[Squares]] = {"own": [], "foreign": [], "drifting": []}
     for walk, second in zip(drifting_walks(options), second_walks(options), strict=True):
-        other = _mapped(folder / f"{walk.name}-{second.key}-second.map", open_source(str(second.log)), second.truth)
+        path = folder / f"{walk.name}-{second.key}-second.map"
+        cached_map(path, lambda log=second.log: open_source(str(log)), *CONFIG)
+        other = walk_map(path, second.truth)
         for factor in (0.0, *FACTORS):
             path = folder / f"{walk.name}-{walk.log.key}-{factor:g}.map"
-            one = _mapped(path, walk.open(factor), walk.log.truth)
-            kind = "drifting" if factor else "own" if walk.name.startswith("own") else "foreign"
-            found = squares_of(one, other, seed=options.seed)
-            print(f"{walk.name}, drift {factor:g}: {_summary(found)}", flush=True)
-            pairs[kind].append(found)
-    return [
-        figure for kind, found in pairs.items() if any(one.squares for one in found) for figure in _told(kind, found)
-    ]
+            cached_map(path, lambda walk=walk, factor=factor: walk.open(factor), *CONFIG)
+            found = squares_of(walk_map(path, walk.log.truth), other, seed=options.seed)
+            print(
+                f"{walk.name}, drift {factor:g}: mean square {np.mean(found.squares or [np.nan]):.2f}, "
+                f"{len(found.squares)} aligned, {found.refused} refused, {found.wrong} wrong",
+                flush=True,
+            )
+            pairs["drifting" if factor else "own" if walk.name.startswith("own") else "foreign"].append(found)
+    return [one for kind, found in pairs.items() if any(one.squares for one in found) for one in _of_kind(kind, found)]
 
 
 def walk_map(path: Path, truth: Path) -> WalkMap:
-    """Return a map folder with where its keyframes truly were."""
-    saved = open_map(path)
-    poses = keyframe_poses(path, {submap.id: submap.world_from_submap for submap in saved.snapshot.submaps})
+    """Return a map folder with the true poses of its keyframes."""
+    saved, poses = keyframe_poses(path)
     true = {frame.stamp_ns: frame.world_from_camera for frame in load_truth(truth).frames}
     stamps_ns = sorted(set(poses) & set(true))
     return WalkMap(
@@ -104,7 +98,7 @@ def walk_map(path: Path, truth: Path) -> WalkMap:
 
 
 def squares_of(one: WalkMap, other: WalkMap, *, seed: int, trials: int = _TRIALS) -> Squares:
-    """Return how parts of a map are aligned with those of another one, which is moved and tilted."""
+    """Return the result of aligning parts of a map with those of another one, which is moved and tilted."""
     middle = np.zeros(3)
     about = compose(one.map_from_world(middle, _EVERYWHERE), invert(other.map_from_world(middle, _EVERYWHERE)))
     there = moved_map(other.objects, about)
@@ -112,7 +106,7 @@ def squares_of(one: WalkMap, other: WalkMap, *, seed: int, trials: int = _TRIALS
     for i in range(trials):
         rng = np.random.default_rng([seed, i])
         place, reach_m = one.objects.centroids[rng.integers(len(one.objects))], rng.uniform(*_REACH_M)
-        moved = _tilted(rng, _TILTS_DEG[i % len(_TILTS_DEG)])
+        moved = _tilted(rng, TILTS_DEG[i % len(TILTS_DEG)])
         answer = align(_near(one.objects, place, reach_m), moved_map(_near(there, place, reach_m), moved))
         if not isinstance(answer, Alignment):
             refused += 1
@@ -127,18 +121,6 @@ def squares_of(one: WalkMap, other: WalkMap, *, seed: int, trials: int = _TRIALS
     return Squares(squares=tuple(squares), refused=refused, wrong=wrong)
 
 
-def _mapped(path: Path, source: Source, truth: Path) -> WalkMap:
-    """Return a map, played if it is not kept, or not whole."""
-    if not (is_map_folder(path) and open_map(path).manifest.finished_cleanly):
-        shutil.rmtree(path, ignore_errors=True)
-        print(f"playing into {path.name}: minutes, once", flush=True)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        asyncio.run(map_source(source, read_config(MapperConfig, None, CONFIG), path))
-    else:
-        source.close()
-    return walk_map(path, truth)
-
-
 def _near(objects: ObjectMap, place: NDArray[np.float64], reach_m: float) -> ObjectMap:
     away = np.linalg.norm(objects.centroids[:, :2] - place[:2], axis=1)
     return taken(objects, np.flatnonzero(away < reach_m))
@@ -146,42 +128,20 @@ def _near(objects: ObjectMap, place: NDArray[np.float64], reach_m: float) -> Obj
 
 def _tilted(rng: np.random.Generator, tilt_deg: float) -> NDArray[np.float64]:
     """Return a random frame, its vertical off by an angle."""
-    way = rng.uniform(0, 2 * np.pi)
-    tilt = np.radians(tilt_deg) * np.array([np.cos(way), np.sin(way), 0.0])
+    heading = rng.uniform(0, 2 * np.pi)
+    tilt = np.radians(tilt_deg) * np.array([np.cos(heading), np.sin(heading), 0.0])
     return compose(from_rotation_translation(rotation_of_vector(tilt), np.zeros(3)), random_frame(rng))
 
 
-def _summary(found: Squares) -> str:
-    squares = np.array(found.squares)
-    told = f"squares {squares.mean():.2f} in the mean, {np.median(squares):.2f} in the middle; " if len(squares) else ""
-    return f"{told}{len(squares)} aligned, {found.refused} refused, {found.wrong} wrong"
-
-
-def _told(kind: str, found: Sequence[Squares]) -> list[Figure]:
+def _of_kind(kind: str, found: Sequence[Squares]) -> list[Figure]:
     groups = [np.array(one.squares) for one in found]
     squares = np.concatenate(groups)
     refused, wrong = sum(one.refused for one in found), sum(one.wrong for one in found)
-    of = f"{len(squares)} parts of {len(found)} pairs of maps, 6 dof; {refused} refused, {wrong} wrong"
-    within = int((squares < _CHI2_95).sum())
+    of = f"parts of {len(found)} pairs of maps, 6 dof; {refused} refused, {wrong} wrong"
+    interval = bootstrap(groups, lambda drawn: float(np.concatenate(drawn).mean()))
+    more = {"interval": interval, "interval_by": "bootstrap over parts, which overlap", "role": "tuned on"}
+    within = int((squares < CHI2_95).sum())
     return [
-        figure(
-            f"nees_mean_{kind}_maps",
-            squares.mean(),
-            "",
-            "same",
-            of,
-            interval=bootstrap(groups, lambda drawn: float(np.concatenate(drawn).mean())),
-            interval_by="bootstrap over parts, which overlap",
-            role="tuned on",
-        ),
-        figure(
-            f"nees_within_95_{kind}_maps",
-            within / len(squares),
-            "",
-            "higher",
-            of,
-            interval=wilson(within, len(squares)),
-            interval_by="Wilson",
-            role="tuned on",
-        ),
+        figure(f"nees_mean_{kind}_maps", squares.mean(), "", "same", f"{len(squares)} {of}", **more),
+        *share(f"nees_within_95_{kind}_maps", within, len(squares), of, role="tuned on"),
     ]

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from hickory_stream.alignment.align import evidence_of
 from hickory_stream.alignment.align_config import AlignConfig
 from hickory_stream.alignment.grouping import crowding
-from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.alignment.shape_scores import superquadric_scores
 from hickory_stream.evaluation.maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
 from tools.benchmarks.alignment.furnished_maps import unrelated_apartments
@@ -58,12 +57,6 @@ def pair_correlation(pairs: Iterable[SimulatedPair], share: float) -> tuple[NDAr
     return observed / np.maximum(tried_m3, 1e-9), observed.astype(np.int64)
 
 
-def crowding_quantiles(maps: Iterable[ObjectMap]) -> NDArray[np.float64]:
-    """Return the 5, 50 and 95 % quantiles of how many objects are near one another for each that is further off."""
-    counts = np.array([crowding(one.centroids) for one in maps])
-    return np.asarray(np.quantile((counts[:, 0] + 1) / (counts[:, 1] + 1), [0.05, 0.5, 0.95]))
-
-
 def main() -> None:
     """Measure, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -75,11 +68,12 @@ def main() -> None:
     furnished = [unrelated_apartments(seeds[k], "hard" if n % 2 else "easy") for n, k in enumerate(chosen)]
     print("distance of", *(f"{low:.2f}-{high:.2f}" for low, high in pairwise(_EDGES_M)), "m")
     for share in _SHARES:
-        densities, counts = pair_correlation(furnished, share)
-        print(f"best {share:.2f}:", *(f"{d:.3f} ({n})" for d, n in zip(densities, counts, strict=True)))
+        rows = zip(*pair_correlation(furnished, share), strict=True)
+        print(f"best {share:.2f}:", *(f"{density:.3f} ({count})" for density, count in rows))
     uniform = [simulate_pair(SimulationConfig(num_objects=20 + 20 * (n % 2)), n) for n in range(60)]
     for name, pairs in (("furnished", furnished), ("uniform", uniform)):
-        low, middle, high = crowding_quantiles(one for pair in pairs for one in (pair.map_a, pair.map_b))
+        counts = np.array([crowding(one.centroids) for pair in pairs for one in (pair.map_a, pair.map_b)])
+        low, middle, high = np.quantile((counts[:, 0] + 1) / (counts[:, 1] + 1), [0.05, 0.5, 0.95])
         print(f"{name}: {middle:.2f} times as many near as further off (5 to 95 %: {low:.2f} to {high:.2f})")
 
 

@@ -66,7 +66,9 @@ class Run:
     load: float | None
 
 
-def keep(name: str, figures: Sequence[Figure], *, options: str, code: str, folder: Path = MEASURED, **about: Any) -> None:
+def keep(
+    name: str, figures: Sequence[Figure], *, options: str, code: str, folder: Path = MEASURED, **about: Any
+) -> None:
     """Add the figures of a run to the kept ones; older figures of the same names are removed.
 
     Args:

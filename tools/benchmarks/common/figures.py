@@ -110,6 +110,4 @@ def write_json(figures: Sequence[Figure], path: Path) -> None:
 def records_of(figures: Sequence[Figure]) -> list[dict[str, object]]:
     """Return the figures as JSON; empty notes are left out."""
     always = ("name", "value", "unit", "better")
-    return [
-        {key: value for key, value in dataclasses.asdict(one).items() if key in always or value} for one in figures
-    ]
+    return [{key: value for key, value in dataclasses.asdict(one).items() if key in always or value} for one in figures]

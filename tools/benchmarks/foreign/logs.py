@@ -91,7 +91,9 @@ def foreign_log(
 
 def own_log(seed: int) -> WorldLog:
     """Return the log of an apartment of ours, recorded if it is not cached."""
-    return recorded(RecordingConfig(scene="apartment", seed=seed, seconds=60.0, rate_hz=_RATE_HZ, width=640, height=480))
+    return recorded(
+        RecordingConfig(scene="apartment", seed=seed, seconds=60.0, rate_hz=_RATE_HZ, width=640, height=480)
+    )
 
 
 def outdoor_log(seed: int) -> WorldLog:

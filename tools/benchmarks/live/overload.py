@@ -1,38 +1,40 @@
-"""A live run of the in-memory scene at 30 Hz and 640x480, in a process of its own.
+"""A live run of the in-memory scene at 30 Hz and 640x480, in a process of its own: part of `tools/bench engine`.
 
 Three times: with perception slowed by a factor, with the embedded one as it is, and with a sink that stalls besides;
-each prints one line of JSON. Run by `tools.benchmarks.scale.engine`.
+each prints one line of JSON.
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
-import threading
 import time
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import psutil
 from numpy.typing import NDArray
 
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
+from hickory_stream.config_text import read_config
 from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.map_folder import MapFolder
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.saved_map import open_map
+from hickory_stream.engine.step import Step
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.json_text import dumps
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.ports import Segmenter, Sink
 from hickory_stream.records import Frame, FrameReport, MapPrior, Segmentation
 from hickory_stream.sinks.disk_sink import DiskSink
+from tools.benchmarks.common.processes import NO_SHAPES, watched_peak_mb
 
 _CAMERA = Camera(width=640, height=480, fx=560.0, fy=560.0, cx=319.5, cy=239.5)
 _PERIOD_NS = 33_333_333
 _STEPS = 24
+_FATES = ("keyframes", "between_keyframes", "keyframes_dropped", "frames_dropped", "frames_late")
 
 
 class FastScene(SceneSource):
@@ -63,28 +65,27 @@ class SlowedSegmenter:
 
     def prepare(self, frame: Frame) -> object:
         """Prepare, slowly."""
-        started = time.perf_counter()
-        prepared = self._segmenter.prepare(frame)
-        time.sleep((self._factor - 1) * (time.perf_counter() - started))
-        return prepared
+        return self._slowly(self._segmenter.prepare, frame)
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Segment, slowly."""
+        return self._slowly(self._segmenter.segment, frame, prior, prepared)
+
+    def _slowly(self, work: Any, *arguments: object) -> Any:
         started = time.perf_counter()
-        segmentation = self._segmenter.segment(frame, prior, prepared)
+        result = work(*arguments)
         time.sleep((self._factor - 1) * (time.perf_counter() - started))
-        return segmentation
+        return result
 
 
 class StallingSink:
-    """A sink that does nothing for `seconds` when it is first shown something."""
+    """A sink that sleeps for `seconds` on its first report."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
 
-    def show(self, report: FrameReport) -> None:
+    def show(self, _report: FrameReport) -> None:
         """Stall once."""
-        del report
         seconds, self._seconds = self._seconds, 0.0
         time.sleep(seconds)
 
@@ -92,17 +93,22 @@ class StallingSink:
         """Do nothing."""
 
 
+def keyframe_steps(out: Path) -> list[Step]:
+    """Return the steps of the keyframes of a map folder."""
+    with Journal(out) as journal:
+        return [step for step in map(journal.step, range(len(journal))) if step.kind == "keyframe"]
+
+
 def main() -> None:
-    """Run, and print what was measured."""
+    """Run, and print the measurements."""
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
     parser.add_argument("--seconds", type=float, required=True)
     parser.add_argument("--slower", type=float, required=True)
     parser.add_argument("--stall", type=float, required=True)
     options = parser.parse_args()
-    peak_mb = [0.0]
-    threading.Thread(target=_watch_memory, args=(peak_mb,), daemon=True).start()
-    # What is compiled on first use is no part of a robot's day.
+    peak_mb = watched_peak_mb()
+    # Compilation on first use is not measured.
     asyncio.run(_run(options.out, 0.5, 1.0, 0.0))
     for slower, stall_s in ((options.slower, 0.0), (1.0, 0.0), (1.0, options.stall)):
         asyncio.run(_run(options.out, options.seconds, slower, stall_s))
@@ -110,15 +116,11 @@ def main() -> None:
 
 
 async def _run(out: Path, seconds: float, slower: float, stall_s: float) -> None:
-    config = MapperConfig()
-    # Shapes are not what is measured here: no job is ever asked for.
-    requests = replace(config.mapping.requests, max_failures=0)
-    config = replace(config, mapping=replace(config.mapping, requests=requests))
+    config = read_config(MapperConfig, None, (NO_SHAPES,))
     segmenter = SlowedSegmenter(make_segmenter(config.perception), slower)
 
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
-        made: list[tuple[Sink, bool]] = [(DiskSink(folder), True)]
-        return [*made, (StallingSink(stall_s), False)] if stall_s else made
+        return [(DiskSink(folder), True), *([(StallingSink(stall_s), False)] if stall_s else [])]
 
     async with Mapper(config, out=out, overwrite=True, segmenter=segmenter) as mapper:
         async for _ in mapper.run(FastScene(seconds), sinks=sinks, rate=1.0, mode="live"):
@@ -126,27 +128,14 @@ async def _run(out: Path, seconds: float, slower: float, stall_s: float) -> None
 
 
 def _measured(out: Path) -> dict[str, float]:
-    frames = dict(open_map(out).ledger["frames"])
-    fates = ("keyframes", "between_keyframes", "keyframes_dropped", "frames_dropped", "frames_late")
-    with Journal(out) as journal:
-        steps = [journal.step(i) for i in range(len(journal)) if journal.step(i).kind == "keyframe"]
-    latencies_s = np.array([dict(step.metrics)["time/latency"] for step in steps])
+    frames, steps = dict(open_map(out).ledger["frames"]), keyframe_steps(out)
+    latency_s = max(dict(step.metrics)["time/latency"] for step in steps)
     periods_s = np.diff([step.stamp_ns for step in steps]) / 1e9
     return {
         "keyframes": float(frames["keyframes"]),
-        "dropped": float(frames.get("keyframes_dropped", 0) + frames.get("frames_dropped", 0)),
-        "unaccounted": float(frames["read"] - sum(frames.get(fate, 0) for fate in fates)),
-        "latency_keyframes": float(latencies_s.max() / periods_s.mean()) if len(periods_s) else 0.0,
-        "latency_s": float(latencies_s.max()),
-        "period_s": float(periods_s.mean()) if len(periods_s) else 0.0,
+        "unaccounted": float(frames["read"] - sum(frames.get(fate, 0) for fate in _FATES)),
+        "latency_keyframes": float(latency_s / periods_s.mean()) if len(periods_s) else 0.0,
     }
-
-
-def _watch_memory(peak_mb: list[float]) -> None:
-    process = psutil.Process()
-    while True:
-        peak_mb[0] = max(peak_mb[0], process.memory_info().rss / 1e6)
-        time.sleep(0.05)
 
 
 if __name__ == "__main__":

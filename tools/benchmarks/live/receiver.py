@@ -8,25 +8,30 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import psutil
-
-from hickory_stream.engine.map_folder import MapFolder
-from hickory_stream.engine.mapper import Mapper
 from hickory_stream.json_text import dumps
-from hickory_stream.ports import Sink, SourceAround
+from hickory_stream.ports import SourceAround
 from hickory_stream.records import RawFrame
 from players.containers import LogMessage, Topic
 from players.live import LiveMapSource, open_live
 from players.live.inbox import Inbox
 from players.live.recorder import Recorder
 from players.peek import peek_stamp_ns
+from tools.benchmarks.common.processes import NO_SHAPES, watched_peak_mb
 
 _DRAINED_S = 3.0
 _LEAST_FRAMES = 15
+
+
+@dataclass(slots=True)
+class Moment:
+    """A moment by the clock and by the processor time of this process."""
+
+    wall_s: float = field(default_factory=time.monotonic)
+    cpu_s: float = field(default_factory=time.process_time)
 
 
 class Watched(SourceAround):
@@ -39,27 +44,33 @@ class Watched(SourceAround):
         self.waits_s: dict[int, float] = {}
         self.came_s: list[float] = []
         self.stamps_ns: list[int] = []
-        self.used_s: list[tuple[float, float]] = []
-        self.began_s = self.ended_s = (0.0, 0.0)
+        self.used: list[Moment] = []
+        self.began = self.ended = Moment(0.0, 0.0)
 
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames of the other one."""
         began_ns = self._inbox.clock()
-        self.began_s = self.ended_s = (time.monotonic(), time.process_time())
+        self.began = self.ended = Moment()
         for frame in self._source.frames():
             arrived_ns = self._arrivals.pop(frame.stamp_ns, None)
-            # What came while the route was being opened has waited for that.
+            # Messages that came while the route was being opened have waited for that.
             if arrived_ns is not None and arrived_ns > began_ns:
                 self.waits_s[frame.stamp_ns] = (self._inbox.clock() - arrived_ns) / 1e9
-                self.used_s.append((time.monotonic(), time.process_time()))
-            self.ended_s = (time.monotonic(), time.process_time())
+                self.used.append(Moment())
+            self.ended = Moment()
             self.came_s.append(time.time())
             self.stamps_ns.append(frame.stamp_ns)
             yield frame
 
+    @property
+    def cpu_share(self) -> float:
+        """The share of a core while frames came one by one; over all of them, where those were too few."""
+        came = self.used if len(self.used) >= _LEAST_FRAMES else [self.began, self.ended]
+        return (came[-1].cpu_s - came[0].cpu_s) / max(came[-1].wall_s - came[0].wall_s, 1e-3)
+
 
 def main() -> None:
-    """Receive, and print what came of it."""
+    """Receive, and print a report."""
     parser = argparse.ArgumentParser()
     parser.add_argument("uri")
     parser.add_argument("--out", type=Path)
@@ -82,16 +93,14 @@ def main() -> None:
     inbox = Inbox(tap=tap)
     source = open_live(options.uri, inbox=inbox, attempt_s=0.5)
     watched = Watched(source, arrivals, inbox)
-    peak_mb = [0.0]
-    threading.Thread(target=_watch_memory, args=(peak_mb,), daemon=True).start()
+    peak_mb = watched_peak_mb()
     threading.Thread(target=_end_with_input, args=(source, inbox), daemon=True).start()
     try:
         if mapper is None:
             for _ in watched.frames():
                 pass
         else:
-            published = _publisher(source) if options.publish else None
-            asyncio.run(_map(mapper, watched, published))
+            asyncio.run(_map(mapper, watched, _publisher(source) if options.publish else None))
         account = source.account()
         status = source.status()
     finally:
@@ -99,26 +108,22 @@ def main() -> None:
         source.close()
         if recorder is not None:
             recorder.close()
-    print(
-        dumps(
-            {
-                "totals": {entry.topic: entry.total for entry in account.topics},
-                "difference": account.as_dict()["difference"],
-                "lost": {entry.topic: entry.lost for entry in status.topics},
-                "frames": len(watched.came_s),
-                "came_s": watched.came_s,
-                "stamps_ns": watched.stamps_ns,
-                "cpu_share": _share(watched),
-                "wait_s": list(watched.waits_s.values()),
-                "latency_s": _latencies(options.out, watched) if options.out is not None else [],
-                "peak_mb": peak_mb[0],
-                "lost_of_recording": recorder.lost if recorder is not None else "",
-            }
-        )
-    )
+    report = {
+        "totals": {entry.topic: entry.total for entry in account.topics},
+        "difference": account.as_dict()["difference"],
+        "lost": {entry.topic: entry.lost for entry in status.topics},
+        "frames": len(watched.came_s),
+        "came_s": watched.came_s,
+        "stamps_ns": watched.stamps_ns,
+        "cpu_share": watched.cpu_share,
+        "wait_s": list(watched.waits_s.values()),
+        "latency_s": _latencies(options.out, watched) if options.out is not None else [],
+        "peak_mb": peak_mb[0],
+    }
+    print(dumps(report))
 
 
-def _publisher(source: LiveMapSource) -> Sink:
+def _publisher(source: LiveMapSource) -> Any:
     from hickory_stream.navigation.robot import load_robot
     from hickory_stream.sinks.publish_sink import PublishSink
 
@@ -126,68 +131,48 @@ def _publisher(source: LiveMapSource) -> Sink:
     return PublishSink(load_robot("point"), source.return_link, odom_frame=source.odom_frame)
 
 
-def _mapper(out: Path, *, has_shapes: bool) -> Mapper:
-    # Imported here: whoever does not map is there sooner.
+def _mapper(out: Path, *, has_shapes: bool) -> Any:
+    # Imported here: a receiver without a map starts sooner.
     from hickory_stream.config import MapperConfig
+    from hickory_stream.config_text import read_config
     from hickory_stream.engine.mapper import Mapper
 
-    config = MapperConfig()
-    if not has_shapes:
-        requests = replace(config.mapping.requests, max_failures=0)
-        config = replace(config, mapping=replace(config.mapping, requests=requests))
-    mapper = Mapper(replace(config, run=replace(config.run, workers=1)), out=out, overwrite=True)
+    config = read_config(MapperConfig, None, ("run.workers=1", *(() if has_shapes else (NO_SHAPES,))))
+    mapper = Mapper(config, out=out, overwrite=True)
     # A robot that waits for a listener begins as soon as there is one.
     mapper.rehearse()
     return mapper
 
 
-async def _map(mapper: Mapper, source: Watched, published: Sink | None) -> None:
+async def _map(mapper: Any, source: Watched, published: Any) -> None:
     from hickory_stream.sinks.disk_sink import DiskSink
 
-    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
-        return [(DiskSink(folder), True), *([(published, False)] if published is not None else [])]
-
+    more = [] if published is None else [(published, False)]
     async with mapper:
-        async for _ in mapper.run(source, sinks=sinks, mode="live"):
+        async for _ in mapper.run(source, sinks=lambda folder: [(DiskSink(folder), True), *more], mode="live"):
             pass
 
 
 def _latencies(out: Path, watched: Watched) -> list[float]:
     """Return seconds from the last image of each keyframe to its snapshot."""
-    from hickory_stream.engine.journal import Journal
+    from tools.benchmarks.live.overload import keyframe_steps
 
-    with Journal(out) as journal:
-        steps = [journal.step(i) for i in range(len(journal)) if journal.step(i).kind == "keyframe"]
-    found: list[float] = []
-    for step in steps:
+    found = []
+    for step in keyframe_steps(out):
         latency_s: Any = dict(step.metrics).get("time/latency")
         if latency_s is not None and step.stamp_ns in watched.waits_s:
             found.append(latency_s + watched.waits_s[step.stamp_ns])
     return found
 
 
-def _share(watched: Watched) -> float:
-    """Return the share of a core while frames came one by one; while any did, where those were too few."""
-    came = watched.used_s if len(watched.used_s) >= _LEAST_FRAMES else [watched.began_s, watched.ended_s]
-    (began_s, cpu_before_s), (ended_s, cpu_after_s) = came[0], came[-1]
-    return (cpu_after_s - cpu_before_s) / max(ended_s - began_s, 1e-3)
-
-
 def _end_with_input(source: LiveMapSource, inbox: Inbox) -> None:
-    """End when standard input ends, once what has come was read."""
+    """End when standard input ends, once all received messages were read."""
     sys.stdin.read()
     ends_s = time.monotonic() + _DRAINED_S
     while inbox.waiting() and time.monotonic() < ends_s:
         time.sleep(0.05)
     time.sleep(0.3)
     source.interrupt()
-
-
-def _watch_memory(peak_mb: list[float]) -> None:
-    process = psutil.Process()
-    while True:
-        peak_mb[0] = max(peak_mb[0], process.memory_info().rss / 1e6)
-        time.sleep(0.05)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Damaged logs: every message outside the damage is read, none is silently wrong, and nothing crashes or hangs.
 
-A case is a sound log of some container, a kind of damage and a seed. What must be read is known from the sound log and
-the bytes that were touched.
+A case is a sound log of some container, a kind of damage and a seed. The messages that must be read are known from the
+sound log and the damaged bytes.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -22,20 +21,19 @@ from players.damaging import KINDS, Kind, damaged, open_sound, parts_of, survivo
 from players.opening import open_container
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.repetitions import Repetitions, measurement_folder
-from tools.benchmarks.logs.damaged_maps import figures_of as map_figures_of
-from tools.benchmarks.logs.damaged_maps import run_map_cases
+from tools.benchmarks.logs import damaged_maps
 from tools.benchmarks.logs.small_logs import write_small_logs
 
 _CASES, _QUICK_CASES = 1000, 160
 _TOO_LONG_S = 20.0
-# Bytes of a message that is altered are noticed where a checksum covers them; a ROS 1 bag without compression, its lz4
-# as most writers make it, and SQLite have none.
+# Altered bytes of a message are noticed where a checksum covers them; a ROS 1 bag without compression, its lz4 as most
+# writers make it, and SQLite have none.
 _CHECKED = ("mcap_zstd", "mcap_lz4", "mcap_none", "bag_bz2")
 
 
 @dataclass(slots=True)
 class Tally:
-    """What came of all cases."""
+    """The result of one case, or the sum over all; `worst` has recovered and expected messages by container and kind."""
 
     cases: int = 0
     crashes: list[str] = field(default_factory=list)
@@ -45,43 +43,46 @@ class Tally:
     recovered: int = 0
     worst: dict[str, list[int]] = field(default_factory=dict)
 
+    def add(self, case: Tally) -> None:
+        """Add the result of a case."""
+        self.cases += case.cases
+        self.crashes += case.crashes
+        self.silent += case.silent
+        self.unprotected += case.unprotected
+        self.expected += case.expected
+        self.recovered += case.recovered
+        for group, counts in case.worst.items():
+            self.worst[group] = [a + b for a, b in zip(self.worst.get(group, (0, 0)), counts, strict=True)]
+
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures of all cases; of logs it prints the recovered share by container and kind."""
+    """Return the figures of all cases; for logs, print the recovered share by container and kind."""
+    num_cases = _QUICK_CASES if options.quick else _CASES
     repetitions = Repetitions()
     if not options.quick:
-        name = "maps.jsonl" if options.maps else "logs.jsonl"
-        kept = measurement_folder(options.state, "damage", seed=options.seed, fresh=options.fresh) / name
-        repetitions = Repetitions(kept, until=time.monotonic() + 60.0 * options.minutes)
-        print(f"kept in {kept}; {len(repetitions.records)} cases were there", flush=True)
-    if options.maps:
-        with closing(repetitions):
-            altered = run_map_cases(_QUICK_CASES if options.quick else _CASES, options.seed, repetitions)
-        for text in (*altered.crashes[:20], *altered.outside[:20]):
-            print(f"  {text}")
-        return map_figures_of(altered)
+        folder = measurement_folder(options.state, "damage", seed=options.seed, fresh=options.fresh)
+        file = folder / ("maps.jsonl" if options.maps else "logs.jsonl")
+        repetitions = Repetitions(file, until=time.monotonic() + 60.0 * options.minutes)
+        print(f"kept in {file}; {len(repetitions.records)} cases were there", flush=True)
     with closing(repetitions):
-        tally = run_cases(_QUICK_CASES if options.quick else _CASES, options.seed, repetitions)
+        if options.maps:
+            return damaged_maps.figures_of(damaged_maps.run_map_cases(num_cases, options.seed, repetitions))
+        tally = run_cases(num_cases, options.seed, repetitions)
     for name, (recovered, expected) in sorted(tally.worst.items()):
         print(f"  {name:<32} {recovered:>7} of {expected:>7} messages outside the damage")
     for text in (*tally.crashes[:10], *tally.silent[:10]):
         print(f"  {text}")
-    return figures_of(tally)
-
-
-def figures_of(tally: Tally) -> list[Figure]:
-    """Return a tally as figures."""
     return [
-        figure("damage_cases", tally.cases, "", "higher"),
+        figure("damage_cases", tally.cases),
         figure("damage_crashes", len(tally.crashes), "", "lower"),
         figure("damage_silent_errors", len(tally.silent), "", "lower"),
-        figure("damage_recovered_fraction", tally.recovered / max(tally.expected, 1), "", "higher"),
+        figure("damage_recovered_fraction", tally.recovered / max(tally.expected, 1)),
         figure("damage_unprotected_altered", tally.unprotected, "messages", "lower"),
     ]
 
 
 def run_cases(num_cases: int, seed: int, repetitions: Repetitions | None = None) -> Tally:
-    """Return what came of so many cases, spread over all containers and kinds; those of `repetitions` are there."""
+    """Return the result of so many cases, over all containers and kinds; those of `repetitions` are not repeated."""
     repetitions = repetitions or Repetitions()
     with tempfile.TemporaryDirectory() as temporary:
         sound = write_small_logs(Path(temporary))
@@ -91,43 +92,24 @@ def run_cases(num_cases: int, seed: int, repetitions: Repetitions | None = None)
             name, kind = names[i % len(names)], KINDS[i // len(names) % len(KINDS)]
             if name == "sqlite3" and kind == "shuffle":
                 kind = "zero"  # pages are found by their numbers: in another order they are another file
-            rng = np.random.default_rng([seed, i])
             target = Path(temporary) / f"case{sound[name].suffix}"
-            case = Tally()
-            _case(case, name, kind, truths[name], target, rng)
+            case = _case(name, kind, truths[name], target, np.random.default_rng([seed, i]))
             repetitions.add(**asdict(case))
-    return _sum(Tally(**record) for record in repetitions.records)
-
-
-def _sum(cases: Iterable[Tally]) -> Tally:
-    """Return what came of all of them."""
     tally = Tally()
-    for case in cases:
-        tally.cases += case.cases
-        tally.crashes += case.crashes
-        tally.silent += case.silent
-        tally.unprotected += case.unprotected
-        tally.expected += case.expected
-        tally.recovered += case.recovered
-        for group, (recovered, expected) in case.worst.items():
-            share = tally.worst.setdefault(group, [0, 0])
-            share[0] += recovered
-            share[1] += expected
+    for record in repetitions.records:
+        tally.add(Tally(**record))
     return tally
 
 
-def _case(
-    tally: Tally, name: str, kind: Kind, truth: tuple[bytes, Any], target: Path, rng: np.random.Generator
-) -> None:
+def _case(name: str, kind: Kind, truth: tuple[bytes, Any], target: Path, rng: np.random.Generator) -> Tally:
     data, parts = truth
     broken, touched = damaged(data, parts, kind, rng)
     target.write_bytes(broken)
     left = Counter(survivors(parts, touched))
     known = Counter(message for part in parts for message in part.messages)
-    tally.cases += 1
+    tally, case = Tally(cases=1), f"{name} {kind} ({touched[:2]})"
     started_s = time.monotonic()
     found: Counter[tuple[str, bytes]] = Counter()
-    case = f"{name} {kind} ({touched[:2]})"
     try:
         log = open_container(target)
         for message in log.messages([topic.name for topic in log.topics]):
@@ -135,18 +117,15 @@ def _case(
     except InputError as error:
         if "\n" in str(error):
             tally.crashes.append(f"{case}: an error of several lines")
-    except Exception as error:  # noqa: BLE001 # what is counted here
+    except Exception as error:  # noqa: BLE001 # counted here
         tally.crashes.append(f"{case}: {type(error).__name__}: {error}")
     if time.monotonic() - started_s > _TOO_LONG_S:
         tally.crashes.append(f"{case}: took {time.monotonic() - started_s:.0f} s")
-    wrong = sum((found - known).values())
+    wrong = (found - known).total()
     if wrong and name in _CHECKED:
         tally.silent.append(f"{case}: {wrong} messages that were never written")
     elif wrong:
-        tally.unprotected += wrong
-    recovered = sum((found & left).values())
-    tally.expected += left.total()
-    tally.recovered += recovered
-    share = tally.worst.setdefault(f"{name} {kind}", [0, 0])
-    share[0] += recovered
-    share[1] += left.total()
+        tally.unprotected = wrong
+    tally.expected, tally.recovered = left.total(), (found & left).total()
+    tally.worst[f"{name} {kind}"] = [tally.recovered, tally.expected]
+    return tally

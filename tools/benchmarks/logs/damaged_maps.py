@@ -1,8 +1,7 @@
-"""Altered maps: every command says in a sentence what is wrong, writes nothing elsewhere, and takes bounded memory.
+"""Altered maps: every command explains the fault in a sentence, writes nothing elsewhere, and takes bounded memory.
 
 A case is a small sound map, one change to it and a seed; a child process, forked where everything is loaded, runs the
-commands on it. An audit hook of the child tells what it opened, ran and connected to: what the code did, not what it
-left behind.
+commands on it. An audit hook of the child notes the files that it opened, the programs it ran and its connections.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -28,26 +26,30 @@ import numpy as np
 import psutil
 
 from hickory_stream.compiled import kernels_folder
+from hickory_stream.config_text import to_toml
+from hickory_stream.settings import Settings
 from tools.benchmarks.common.figures import Figure, figure
+from tools.benchmarks.common.processes import DEMO
 from tools.benchmarks.common.repetitions import Repetitions
 from tools.benchmarks.logs.map_changes import OUTSIDE, TARGETS, change_map, change_text
 from tools.benchmarks.logs.small_maps import as_live_and_killed, write_small_map
 
 _TOO_LONG_S = 60
 _MOST_BYTES = 2 << 30
-# What a command may exit with: done; does not hold (verify, replay, reconstruct); bad input; no path.
+# The exit status of a command: done; does not hold (verify, replay, reconstruct); bad input; no path.
 _STATUSES = {0, 1, 2, 3}
 _MAY_BE_1 = {"verify", "replay", "reconstruct"}
 _KINDS = (*TARGETS, "toml")
-_TOMLS = ("robot", "profile", "config")
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 _CHANGING = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink", "os.truncate", "shutil.rmtree")
 _RUNNING = ("subprocess.Popen", "os.exec", "os.system", "os.posix_spawn", "socket.connect", "ctypes.dlopen")
+_PLACES = ("--start", "0,-1.5", "--goal", "0,-1.4")
+_ALLOW_UNPROVEN = "--unproven"
 
 
 @dataclass(slots=True)
 class MapTally:
-    """What came of all cases; `peak_mb` is what a case took more than the process before it."""
+    """The result of one case, or the sum over all; `peak_mb` is the memory of a case beyond the process before it."""
 
     cases: int = 0
     refused: int = 0
@@ -55,24 +57,34 @@ class MapTally:
     outside: list[str] = field(default_factory=list)
     peak_mb: float = 0.0
 
+    def add(self, case: MapTally) -> None:
+        """Add the result of a case."""
+        self.cases += case.cases
+        self.refused += case.refused
+        self.crashes += case.crashes
+        self.outside += case.outside
+        self.peak_mb = max(self.peak_mb, case.peak_mb)
+
 
 def figures_of(tally: MapTally) -> list[Figure]:
-    """Return a tally as figures."""
+    """Return a tally as figures, and print the crashes."""
+    for text in (*tally.crashes[:20], *tally.outside[:20]):
+        print(f"  {text}")
     return [
-        figure("map_damage_cases", tally.cases, "", "higher"),
+        figure("map_damage_cases", tally.cases),
         figure("map_damage_crashes", len(tally.crashes), "", "lower"),
         figure("map_damage_outside", len(tally.outside), "", "lower"),
         figure("map_damage_peak_mb", tally.peak_mb, "MB", "lower"),
-        figure("map_damage_refused", tally.refused, "cases", "higher"),
+        figure("map_damage_refused", tally.refused, "cases"),
     ]
 
 
 def run_map_cases(
     num_cases: int, seed: int, repetitions: Repetitions | None = None, sound: Path | None = None
 ) -> MapTally:
-    """Return what came of so many cases, spread over all kinds of files; those of `repetitions` are there.
+    """Return the result of so many cases, over all kinds of files; those of `repetitions` are not repeated.
 
-    `sound` is the map that copies are altered of; one is made where there is none.
+    Copies of the map `sound` are altered; one is made where there is none.
     """
     repetitions = repetitions or Repetitions()
     with tempfile.TemporaryDirectory() as temporary:
@@ -82,11 +94,14 @@ def run_map_cases(
         _warm_up(sound, Path(temporary) / "warm")
         for i in repetitions.missing(num_cases):
             repetitions.add(**asdict(run_case(sound, Path(temporary) / "case", i, seed)))
-    return _sum(MapTally(**record) for record in repetitions.records)
+    tally = MapTally()
+    for record in repetitions.records:
+        tally.add(MapTally(**record))
+    return tally
 
 
 def run_case(sound: Path, folder: Path, index: int, seed: int) -> MapTally:
-    """Return what came of one change to a copy of a sound map, made and tried in `folder`, which is then removed."""
+    """Return the result of one change to a copy of a sound map, tried in `folder`, which is then removed."""
     rng = np.random.default_rng([seed, index])
     kind = _KINDS[index % len(_KINDS)]
     deep = folder / "a" / "b" / "c"
@@ -98,53 +113,44 @@ def run_case(sound: Path, folder: Path, index: int, seed: int) -> MapTally:
     try:
         shutil.copytree(sound, path)
         if kind == "toml":
-            told, commands = _toml_case(path, deep, rng)
+            change, commands = _toml_case(path, deep, rng)
         else:
             if rng.random() < 0.2:
                 as_live_and_killed(path)
-            told = change_map(path, kind, rng)
+            change = change_map(path, kind, rng)
             commands = _commands(path, deep / "out", kind, rng)
-        return _tried(f"case {index}, {told}", commands, deep)
+        return _tried(f"case {index}, {change}", commands, deep)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def _toml_case(path: Path, folder: Path, rng: np.random.Generator) -> tuple[str, list[list[str]]]:
-    kind = str(rng.choice(_TOMLS))
+    kind = str(rng.choice(("robot", "profile", "config")))
     file = folder / f"{kind}.toml"
-    file.write_text(change_text(_toml_text(kind), rng), encoding="utf-8")
-    places = ["--start", "0,-1.5", "--goal", "0,-1.4"]
-    commands = {
-        "robot": ["plan", str(path), *places, "--robot", str(file)],
-        "profile": ["doctor", str(Path("recordings/demo.mcap").absolute()), "--profile", str(file)],
-        "config": ["config", "check", str(file)],
-    }
-    return f"{kind}.toml", [commands[kind]]
-
-
-def _toml_text(kind: str) -> str:
+    name, command = str(path), []
     if kind == "robot":
-        return (resources.files("hickory_stream.navigation") / "robots" / "b2.toml").read_text(encoding="utf-8")
-    if kind == "profile":
-        return (resources.files("players") / "profiles" / "realsense.toml").read_text(encoding="utf-8")
-    from hickory_stream.config_text import to_toml
-    from hickory_stream.settings import Settings
-
-    return to_toml(Settings())
+        text = (resources.files("hickory_stream.navigation") / "robots" / "b2.toml").read_text(encoding="utf-8")
+        command = ["plan", name, *_PLACES, "--robot", str(file)]
+    elif kind == "profile":
+        text = (resources.files("players") / "profiles" / "realsense.toml").read_text(encoding="utf-8")
+        command = ["doctor", str(DEMO), "--profile", str(file)]
+    else:
+        text, command = to_toml(Settings()), ["config", "check", str(file)]
+    file.write_text(change_text(text, rng), encoding="utf-8")
+    return file.name, [command]
 
 
 def _commands(path: Path, out: Path, kind: str, rng: np.random.Generator) -> list[list[str]]:
-    """Return the commands that meet a change: those that read such files."""
-    name, proof = str(path), ["--unproven"]
-    looks = [["inspect", name, "--json"]]
-    exports = [["export", name, "--format", f, "-o", str(out / f / "scene"), *proof] for f in ("mjcf", "urdf")]
-    exports += [["export", name, "--format", f, "-o", str(out / f"scene.{f}"), *proof] for f in ("json", "ply", "glb")]
-    exports += [["export", name, "--format", "nav2", "-o", str(out / "grid.yaml"), "--robot", "point", *proof]]
-    plans = [["plan", name, "--start", "0,-1.5", "--goal", "0,-1.4", "--robot", "point", *proof]]
+    """Return the commands that read the files of a kind of change."""
+    name = str(path)
+    looks, checks, resumes = [["inspect", name, "--json"]], [["verify", name, "--json"]], [["resume", name]]
+    outputs = {kind: out / f"scene.{kind}" for kind in ("json", "ply", "glb")}
+    outputs = {"mjcf": out / "mjcf" / "scene", "urdf": out / "urdf" / "scene", **outputs}
+    exports = [["export", name, "--format", f, "-o", str(file), _ALLOW_UNPROVEN] for f, file in outputs.items()]
+    exports += [["export", name, "--format", "nav2", "-o", str(out / "grid.yaml"), "--robot", "point", _ALLOW_UNPROVEN]]
+    plans = [["plan", name, *_PLACES, "--robot", "point", _ALLOW_UNPROVEN]]
     history = [["replay", name], ["inspect", name, "--at", "0.4"], ["diff", name, "0", "0.4"]]
-    checks = [["verify", name, "--json"]]
     jobs = [["reconstruct", str(next((path / "failed").iterdir()))]] if (path / "failed").is_dir() else []
-    resumes = [["resume", name]]
     out.mkdir(parents=True, exist_ok=True)
     match kind:
         case "job":
@@ -163,7 +169,7 @@ def _commands(path: Path, out: Path, kind: str, rng: np.random.Generator) -> lis
 
 
 def _warm_up(sound: Path, folder: Path) -> None:
-    """Load and compile what the commands need, so that the children have it."""
+    """Load and compile the code of the commands, so that the children have it."""
     shutil.copytree(sound, folder / "map")
     for kind in ("objects", "journal", "job"):
         commands = _commands(folder / "map", folder / "out", kind, np.random.default_rng(0))
@@ -183,37 +189,32 @@ def _main(command: list[str]) -> int:
 
 
 def _tried(case: str, commands: list[list[str]], folder: Path) -> MapTally:
-    """Run commands in a child that is forked, and return what came of them."""
+    """Run commands in a child that is forked, and return the result."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(reading)
         try:
-            told = _child(commands, folder)
+            answer = _child(commands, folder)
         except BaseException as error:  # noqa: BLE001 # a child that ends otherwise would go on as its parent
-            told = {"crashes": [f"{type(error).__name__}: {error}"]}
-        os.write(writing, json.dumps(told).encode()[:60_000])
+            answer = {"crashes": [f"{type(error).__name__}: {error}"]}
+        os.write(writing, json.dumps(answer).encode()[:60_000])
         os._exit(0)
     os.close(writing)
     with os.fdopen(reading, "rb") as pipe:
-        answer = pipe.read()
+        text = pipe.read()
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    if status != 0 or not answer:
+    if status != 0 or not text:
         ended = signal.Signals(-status).name if status < 0 else str(status)
         return MapTally(cases=1, crashes=[f"{case}: ended with {ended}"])
-    told = json.loads(answer)
-    return MapTally(
-        cases=1,
-        refused=int(told.get("refused", 0)),
-        crashes=[f"{case}: {text}" for text in told.get("crashes", [])],
-        outside=[f"{case}: {text}" for text in told.get("outside", [])],
-        peak_mb=told.get("peak_mb", 0.0),
-    )
+    tally = MapTally(**{"cases": 1, **json.loads(text)})
+    tally.crashes = [f"{case}: {line}" for line in tally.crashes]
+    tally.outside = [f"{case}: {line}" for line in tally.outside]
+    return tally
 
 
 def _child(commands: list[list[str]], folder: Path) -> dict[str, Any]:
-    process = psutil.Process()
-    before = process.memory_info()
+    before = psutil.Process().memory_info()
     resource.setrlimit(resource.RLIMIT_AS, (before.vms + _MOST_BYTES, resource.RLIM_INFINITY))
     signal.alarm(_TOO_LONG_S)
     sys.dont_write_bytecode = True
@@ -227,30 +228,30 @@ def _child(commands: list[list[str]], folder: Path) -> dict[str, Any]:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(errors):
             try:
                 status = _main([*command, "--debug"])
-            except (Exception, SystemExit) as error:  # noqa: BLE001 # what is counted here
+            except (Exception, SystemExit) as error:  # noqa: BLE001 # counted here
                 where = traceback.extract_tb(error.__traceback__)[-1]
                 place = f"{Path(where.filename).name}:{where.lineno}"
                 crashes.append(f"{command[0]}: {type(error).__name__}: {error} ({place})"[:400])
                 continue
-        told = [line for line in errors.getvalue().splitlines() if line.startswith("hickory-stream: ")]
+        num_lines = sum(line.startswith("hickory-stream: ") for line in errors.getvalue().splitlines())
         is_refused |= status == 2
-        if not _is_an_answer(command[0], status, len(told)):
-            crashes.append(f"{command[0]}: status {status}, {len(told)} lines: {errors.getvalue()[-200:]}")
+        if not _is_an_answer(command[0], status, num_lines):
+            crashes.append(f"{command[0]}: status {status}, {num_lines} lines: {errors.getvalue()[-200:]}")
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before.rss / 2**20
-    return {"crashes": crashes, "outside": outside, "refused": is_refused, "peak_mb": max(peak_mb, 0.0)}
+    return {"crashes": crashes, "outside": outside, "refused": int(is_refused), "peak_mb": max(peak_mb, 0.0)}
 
 
 def _is_an_answer(command: str, status: int, num_lines: int) -> bool:
-    """Return whether a command ended as it may: what it refuses it refuses in one line."""
+    """Return whether a command ended as it may: it refuses in one line."""
     if status == 1:
         return command in _MAY_BE_1
-    # A page of its own says what is wrong with a log.
+    # The doctor's own page names the faults of a log.
     return status in _STATUSES and (status != 2 or num_lines == 1 or command == "doctor")
 
 
 def _watch(folder: Path, outside: list[str]) -> None:
-    """Note what this process opens, changes, runs or connects to outside of a folder, from now on."""
-    # Kernels that a command compiles are kept where all are.
+    """Note the files that this process opens or changes, its programs and connections outside of a folder from now."""
+    # Kernels that a command compiles are stored with all others.
     kernels = kernels_folder().resolve()
     canaries = (str(folder / OUTSIDE), str(folder.parents[2] / OUTSIDE), "/etc/passwd")
 
@@ -275,15 +276,3 @@ def _watch(folder: Path, outside: list[str]) -> None:
             outside.append(f"{event} {arguments[:2]}"[:200])
 
     sys.addaudithook(note)
-
-
-def _sum(cases: Iterable[MapTally]) -> MapTally:
-    """Return what came of all of them."""
-    tally = MapTally()
-    for case in cases:
-        tally.cases += case.cases
-        tally.refused += case.refused
-        tally.crashes += case.crashes
-        tally.outside += case.outside
-        tally.peak_mb = max(tally.peak_mb, case.peak_mb)
-    return tally

@@ -1,8 +1,8 @@
 """Seeded changes to a map folder: faults of disks, and malicious edits.
 
 `change_map` edits a copy in place; files are replaced, never written into, so that the copy may be of hard links. Where
-a file is guarded (a name with a hash, a CRC, a digest), half of the changes keep the guard right: it is the code behind
-it that is tried.
+a file is guarded (a name with a hash, a CRC, a digest), half of the changes keep the guard right, to test the code
+behind it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import os
 import shutil
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from typing import Any
 import cbor2
 import numpy as np
 import zstandard
-from mcap.records import Message
 
 from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.journal_chunks import JournalChunks
@@ -31,29 +30,11 @@ from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import HickoryError
 
 OUTSIDE = "OUTSIDE"
+_SECRETS = (f"../../../../{OUTSIDE}/secret", f"../{OUTSIDE}/secret", "/etc/passwd")
+_NUMBERS = (-1, 0, 2**31, 2**63, 10**400, 1e308, -1e308, 1e-320, float("nan"), float("inf"))
 _HOSTILE: tuple[Any, ...] = (
-    f"../../../../{OUTSIDE}/secret",
-    f"../{OUTSIDE}/secret",
-    "/etc/passwd",
-    "",
-    "\x1b[2J\x07",
-    "x" * 5000,
-    "NaN",
-    None,
-    True,
-    -1,
-    0,
-    2**31,
-    2**63,
-    10**400,
-    1e308,
-    -1e308,
-    1e-320,
-    float("nan"),
-    float("inf"),
-    [],
-    {},
-    [[[[]]]],
+    *(*_SECRETS, "", "\x1b[2J\x07", "x" * 5000, "NaN", None, True),
+    *(*_NUMBERS, [], {}, [[[[]]]]),
 )
 _MESH_HEADER = 12
 _BYTES = ("flip", "zero", "cut", "insert", "empty", "huge")
@@ -61,14 +42,21 @@ TARGETS = ("manifest", "objects", "view", "job", "points", "space", "mesh", "png
 
 
 def change_map(path: Path, target: str, rng: np.random.Generator) -> str:
-    """Change one thing of the map in a folder; return in a few words what."""
+    """Change one thing of the map in a folder; return a description in a few words."""
     match target:
-        case "manifest" | "objects" | "ledger" | "view" | "job":
-            return _change_json(path, _json_file(path, target, rng), rng)
+        case "manifest" | "objects":
+            return _change_json(path, path / f"{target}.json", rng)
+        case "ledger":
+            return _change_json(path, path / ("ledger.json" if rng.random() < 0.5 else "timings.json"), rng)
+        case "view":
+            return _change_json(path, _one(path / "views", "*.json", rng), rng)
+        case "job":
+            return _change_json(path, _one(path / "failed", "*/*", rng), rng)
         case "points" | "space":
             return _change_named(path, target, rng)
         case "mesh":
-            return _change_mesh(_one(path / "shapes", "*.mesh", rng), rng)
+            file = _one(path / "shapes", "*.mesh", rng)
+            return f"{file.name}: {_replace_compressed(file, _MESH_HEADER, rng)}"
         case "png":
             return _change_png(_one(path / "views", "*.png", rng), rng)
         case "journal":
@@ -90,101 +78,86 @@ def change_text(text: str, rng: np.random.Generator) -> str:
     if places and rng.random() < 0.7:
         place = places[int(rng.integers(len(places)))]
         value = _HOSTILE[int(rng.integers(len(_HOSTILE)))]
-        told = {None: "nan", float("inf"): "inf"}.get(value if isinstance(value, float | None) else 0)
-        lines[place] = f"{lines[place].split('=')[0]}= {told or json.dumps(value).replace('NaN', 'nan')}"
+        word = {None: "nan", float("inf"): "inf"}.get(value if isinstance(value, float | None) else 0)
+        lines[place] = f"{lines[place].split('=')[0]}= {word or json.dumps(value).replace('NaN', 'nan')}"
         return "\n".join(lines)
     return _damaged(text.encode(), rng)[0].decode("utf-8", errors="replace")
-
-
-# ---- one kind of file each ------------------------------------------------------------------------------------------
-
-
-def _json_file(path: Path, target: str, rng: np.random.Generator) -> Path:
-    if target == "view":
-        return _one(path / "views", "*.json", rng)
-    if target == "job":
-        return _one(path / "failed", "*/*", rng)
-    if target == "ledger":
-        return path / ("ledger.json" if rng.random() < 0.5 else "timings.json")
-    return path / f"{target}.json"
 
 
 def _change_json(path: Path, file: Path, rng: np.random.Generator) -> str:
     """Change the bytes of a file, or a value of its JSON; the digest is then made right in half of the cases."""
     name = file.relative_to(path)
     if file.suffix != ".json" or rng.random() < 0.25:
-        data, told = _damaged(file.read_bytes(), rng)
+        data, change = _damaged(file.read_bytes(), rng)
         _replace(file, data)
-        return f"{name}: {told}"
+        return f"{name}: {change}"
     document = json.loads(file.read_bytes())
-    told = ", ".join(_change_value(document, rng) for _ in range(int(rng.integers(1, 4))))
+    change = ", ".join(_change_value(document, rng) for _ in range(int(rng.integers(1, 4))))
     text = json.dumps(document)
     if rng.random() < 0.03:
-        text, told = "[" * 200_000, "too deep"
+        text, change = "[" * 200_000, "too deep"
     _replace(file, text.encode())
     if rng.random() < 0.5:
         _make_digest_right(path)
-    return f"{name}: {told}"
+    return f"{name}: {change}"
 
 
 def _change_named(path: Path, folder: str, rng: np.random.Generator) -> str:
     """Change a file whose name has the hash of its content; in most cases the name is made right again."""
     file = _one(path / folder, "*", rng)
-    data = file.read_bytes()
-    if rng.random() < 0.4:
-        # What is compressed: the frame around it is whole.
-        body, told = _damaged(zstandard.decompress(data), rng)
-        changed = zstandard.compress(body)
-    else:
-        changed, told = _damaged(data, rng)
+    change = _replace_compressed(file, 0, rng)
     if rng.random() < 0.8:
         stem = file.name.rpartition("-")[0]
-        renamed = file.with_name(f"{stem}-{hashlib.sha256(changed).hexdigest()[:16]}{file.suffix}")
-        file.unlink()
-        renamed.write_bytes(changed)
+        renamed = f"{stem}-{hashlib.sha256(file.read_bytes()).hexdigest()[:16]}{file.suffix}"
+        file.rename(file.with_name(renamed))
         objects = path / "objects.json"
-        _replace(objects, objects.read_bytes().replace(file.name.encode(), renamed.name.encode()))
-        return f"{folder}/{file.name}: {told}, renamed"
-    _replace(file, changed)
-    return f"{folder}/{file.name}: {told}"
+        _replace(objects, objects.read_bytes().replace(file.name.encode(), renamed.encode()))
+        change += ", renamed"
+    return f"{folder}/{file.name}: {change}"
 
 
-def _change_mesh(file: Path, rng: np.random.Generator) -> str:
+def _replace_compressed(file: Path, header: int, rng: np.random.Generator) -> str:
+    """Change the bytes of a file, or what is compressed in it after a header, with a whole frame around it."""
     data = file.read_bytes()
-    if rng.random() < 0.4:
-        changed, told = _damaged(data, rng)
+    if rng.random() < 0.5:
+        changed, change = _damaged(data, rng)
     else:
-        # What is compressed: the frame around it is whole.
-        body, told = _damaged(zstandard.decompress(data[_MESH_HEADER:]), rng)
-        changed = data[:_MESH_HEADER] + zstandard.compress(body)
+        body, change = _damaged(zstandard.decompress(data[header:]), rng)
+        changed = data[:header] + zstandard.compress(body)
     _replace(file, changed)
-    return f"{file.name}: {told}"
+    return change
 
 
 def _change_png(file: Path, rng: np.random.Generator) -> str:
     data = file.read_bytes()
     if rng.random() < 0.5:
-        changed, told = _damaged(data, rng)
+        changed, change = _damaged(data, rng)
     else:
         # Another size or depth of the pixels, with the checksum made right.
         header = bytearray(data[12:29])
         width, height = (int(rng.choice([0, 1, 70_000, 2**31 - 1])) for _ in range(2))
         header[4:12] = struct.pack(">II", width, height)
         changed = data[:12] + bytes(header) + struct.pack(">I", zlib.crc32(header)) + data[33:]
-        told = f"claims {width} x {height}"
+        change = f"claims {width} x {height}"
     _replace(file, changed)
-    return f"{file.name}: {told}"
+    return f"{file.name}: {change}"
 
 
 def _change_journal(path: Path, rng: np.random.Generator) -> str:
+    """Change the bytes of the journal, or one message of it, whose checksum will be right."""
     file = path / JOURNAL
     if rng.random() < 0.35:
-        data, told = _damaged(file.read_bytes(), rng)
+        data, change = _damaged(file.read_bytes(), rng)
         _replace(file, data)
-        return f"{JOURNAL}: {told}"
+        return f"{JOURNAL}: {change}"
     found = JournalChunks(path)
     chunks = [list(found.messages(i)) for i in range(len(found.places))]
-    told = _change_message(chunks, rng)
+    numbers = [(i, k) for i, chunk in enumerate(chunks) for k in range(len(chunk)) if chunk[k].channel_id != 3]
+    i, k = numbers[int(rng.integers(len(numbers)))]
+    # A list is changed in place, whatever the document is.
+    document = [cbor2.loads(chunks[i][k].data)]
+    change = f"chunk {i}, message {k}: {_change_value(document, rng)}"
+    chunks[i][k] = replace(chunks[i][k], data=cbor2.dumps(document[0]))
     file.unlink()
     with file.open("w+b") as written:
         begin_file(written)
@@ -192,19 +165,7 @@ def _change_journal(path: Path, rng: np.random.Generator) -> str:
             messages = [FileMessage(message.channel_id, message.log_time, message.data) for message in chunk]
             write_chunk(written, messages, number)
         end_file(written)
-    return f"{JOURNAL}: {told}"
-
-
-def _change_message(chunks: list[list[Message]], rng: np.random.Generator) -> str:
-    """Change one message of the chunks of a journal: its checksum will be right."""
-    numbers = [(i, k) for i, chunk in enumerate(chunks) for k in range(len(chunk)) if chunk[k].channel_id != 3]
-    i, k = numbers[int(rng.integers(len(numbers)))]
-    message = chunks[i][k]
-    # A list is changed in place, whatever the document is.
-    document = [cbor2.loads(message.data)]
-    told = f"chunk {i}, message {k}: {_change_value(document, rng)}"
-    chunks[i][k] = replace(message, data=cbor2.dumps(document[0]))
-    return told
+    return f"{JOURNAL}: {change}"
 
 
 def _put_link(path: Path, rng: np.random.Generator) -> str:
@@ -224,26 +185,28 @@ def _put_link(path: Path, rng: np.random.Generator) -> str:
     return f"{victim.relative_to(path)} is a link"
 
 
-# ---- bytes and values -----------------------------------------------------------------------------------------------
-
-
 def _damaged(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
     kind = str(rng.choice(_BYTES))
     if kind == "empty" or not data:
         return b"", "empty"
     at = int(rng.integers(len(data)))
-    patches: dict[str, Callable[[], bytes]] = {
-        "flip": lambda: data[:at] + bytes([data[at] ^ int(rng.integers(1, 256))]) + data[at + 1 :],
-        "zero": lambda: data[:at] + bytes(min(64, len(data) - at)) + data[at + 64 :],
-        "cut": lambda: data[:at],
-        "insert": lambda: data[:at] + rng.bytes(int(rng.integers(1, 64))) + data[at:],
-        "huge": lambda: data[:at] + b"\xff" * min(8, len(data) - at) + data[at + 8 :],
-    }
-    return patches[kind](), f"{kind} at {at}"
+    before, after = data[:at], data[at:]
+    match kind:
+        case "flip":
+            after = bytes([after[0] ^ int(rng.integers(1, 256))]) + after[1:]
+        case "zero":
+            after = bytes(min(64, len(after))) + after[64:]
+        case "cut":
+            after = b""
+        case "insert":
+            after = rng.bytes(int(rng.integers(1, 64))) + after
+        case _:
+            after = b"\xff" * min(8, len(after)) + after[8:]
+    return before + after, f"{kind} at {at}"
 
 
 def _change_value(document: Any, rng: np.random.Generator) -> str:
-    """Put something hostile in the place of a value of nested lists, dicts and tags, or take it out."""
+    """Put something hostile in the place of a value of nested lists, dicts and tags, or remove it."""
     places = list(_places(document))
     container, key = places[int(rng.integers(len(places)))]
     if isinstance(container, dict) and rng.random() < 0.15:
@@ -264,7 +227,7 @@ def _places(value: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _make_digest_right(path: Path) -> None:
-    """Write the digest of what is there into the manifest, as far as it can be read."""
+    """Write the digest of the present content into the manifest, as far as it can be read."""
     try:
         digest = map_digest(open_map(path, warns=False).snapshot)
         manifest = json.loads((path / "manifest.json").read_bytes())

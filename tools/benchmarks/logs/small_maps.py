@@ -1,8 +1,7 @@
-"""A small map of an in-memory scene, with everything that a map folder can hold: what damage to maps is done to."""
+"""A small map of an in-memory scene, with every kind of file of a map folder: the map that is damaged."""
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,15 +10,15 @@ from hickory_stream.config import MapperConfig
 from hickory_stream.config_text import read_config
 from hickory_stream.engine.jobs import write_job
 from hickory_stream.engine.manifest import MANIFEST, manifest_json
-from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.events import RequestShape
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
-from tools.benchmarks.common.coarse_runs import COARSE
+from tools.benchmarks.common.cached_runs import play_into
+from tools.benchmarks.common.processes import COARSE
 
 _NUM_FRAMES = 6
 _OVERRIDES = (
-    *(override.removeprefix("mapper.") for override in COARSE),
+    *COARSE,
     "mapping.requests.first_sightings=2",
     "mapping.requests.latency_s=0.5",
     "journal.checkpoint_keyframes=3",
@@ -30,7 +29,8 @@ _OVERRIDES = (
 def write_small_map(path: Path) -> None:
     """Write a finished map of a few objects, with the input of a shape job in `failed/`."""
     config = read_config(MapperConfig, None, _OVERRIDES)
-    asyncio.run(_map(config, path))
+    segmenter = InstanceSegmenter(SceneSource(_NUM_FRAMES).instances)
+    play_into(path, SceneSource(_NUM_FRAMES), config, segmenter=segmenter, extractor=MeanColorExtractor())
     saved = open_map(path)
     tracked = next(item for item in saved.snapshot.objects if item.shape is not None)
     request = RequestShape(
@@ -53,10 +53,3 @@ def as_live_and_killed(path: Path) -> None:
     killed = replace(manifest, finished_cleanly=False, digest=None, run=run)
     (path / MANIFEST).unlink()
     (path / MANIFEST).write_bytes(manifest_json(killed))
-
-
-async def _map(config: MapperConfig, path: Path) -> None:
-    segmenter = InstanceSegmenter(SceneSource(_NUM_FRAMES).instances)
-    async with Mapper(config, out=path, segmenter=segmenter, extractor=MeanColorExtractor()) as mapper:
-        async for _ in mapper.run(SceneSource(_NUM_FRAMES)):
-            pass

@@ -116,10 +116,7 @@ def pair_counts(truth_a: Truth, map_a: SavedMap, truth_b: Truth, map_b: SavedMap
 
 
 def judged(
-    found: Sequence[ObjectChange],
-    true: TrueChanges,
-    true_a: Mapping[int | None, int],
-    true_b: Mapping[int | None, int],
+    found: Sequence[ObjectChange], true: TrueChanges, true_a: Mapping[int | None, int], true_b: Mapping[int | None, int]
 ) -> list[tuple[float, bool]]:
     """Return probability and truth of each verdict about a true object; `true_*` are these, by map id."""
     verdicts = []

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+
 STEP_M = 0.08
 _NUM_ROOMS, _PITCH_M = 4, 5.0
 _WIDTH_M, _DEPTH_M, _HEIGHT_M = 4.0, 3.0, 2.0
@@ -85,8 +87,8 @@ def walk(rng: np.random.Generator, *, sigma_m: float, sigma_rad: float, returns:
         if step:
             scale = _WORSE * np.sqrt(rooms_passed)
             drift = drift @ _motion(rng, scale * sigma_m, scale * sigma_rad, about_x_m=_PITCH_M * room)
-        pieces = [*shared, *([own[room]] if own[room] is not None else [])]
-        seen.append(_seen(rng, room, pieces, drift, way_m=_PITCH_M * rooms_passed))
+        pieces = [piece for piece in (*shared, own[room]) if piece is not None]
+        seen.append(_seen(rng, room, pieces, drift, _PITCH_M * rooms_passed))
     return seen
 
 
@@ -97,19 +99,12 @@ def _piece(rng: np.random.Generator) -> tuple[float, float, float, float]:
 
 
 def _seen(
-    rng: np.random.Generator,
-    room: int,
-    pieces: list[tuple[float, float, float, float] | None],
-    drift: NDArray[np.float64],
-    *,
-    way_m: float,
+    rng: np.random.Generator, room: int, pieces: list[tuple[float, ...]], drift: NDArray[np.float64], way_m: float
 ) -> SeenRoom:
     x0 = _PITCH_M * room
     patches = bare_room(x0)
-    for piece in pieces:
-        if piece is not None:
-            x, y, side, height = piece
-            patches += box(x0 + x, y, side, height)
+    for x, y, side, height in pieces:
+        patches += box(x0 + x, y, side, height)
     points, normals = (np.concatenate(parts) for parts in zip(*patches, strict=True))
     # One side of the room is not seen, another one each time.
     facing = rng.normal(size=3) * (1, 1, 0)
@@ -130,10 +125,6 @@ def _seen(
 
 def _motion(rng: np.random.Generator, sigma_m: float, sigma_rad: float, *, about_x_m: float) -> NDArray[np.float64]:
     """Return a small level motion about a place."""
-    yaw = rng.normal(0, sigma_rad)
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    motion = np.eye(4)
-    motion[:2, :2] = [[cosine, -sine], [sine, cosine]]
-    place = np.array([about_x_m, 1.5])
-    motion[:2, 3] = place - motion[:2, :2] @ place + rng.normal(0, sigma_m, 2)
-    return motion
+    turn = yaw_rotation(rng.normal(0, sigma_rad))
+    place = np.array([about_x_m, 1.5, 0.0])
+    return from_rotation_translation(turn, place - turn @ place + np.array([*rng.normal(0, sigma_m, 2), 0.0]))

@@ -1,4 +1,4 @@
-"""Loops through rooms that look alike: how many there are that are found, and how many wrong ones are believed."""
+"""Loops through rooms that look alike: how many of them are found, and how many wrong ones are accepted."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 
+from hickory_stream.geometry.rigid import invert, rotation_angle_rad
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import odometry_covariance
 from hickory_stream.graph.solution import NoSolution, Solution
@@ -26,54 +27,48 @@ _TURN_RAD = 3.0
 def loop_figures(options: Options) -> list[Figure]:
     """Return the figures of 200 seeded walks: half come back to a room, half go into a further one that is alike."""
     num_walks = 8 if options.quick else 200
-    offered = found = wrong = believed = 0
+    covariance = odometry_covariance(5.0, _TURN_RAD, GraphConfig())
+    sigma_m, sigma_rad = float(np.sqrt(covariance[3, 3])), float(np.sqrt(covariance[2, 2]))
+    offered = found = wrong = accepted = 0
     seconds: list[float] = []
     for seed in range(num_walks):
         rng = np.random.default_rng((options.seed, seed))
         returns, differs = seed % 2 == 0, seed % 4 < 2
-        covariance = odometry_covariance(5.0, _TURN_RAD, GraphConfig())
-        sigma_m, sigma_rad = float(np.sqrt(covariance[3, 3])), float(np.sqrt(covariance[2, 2]))
         rooms = walk(rng, sigma_m=sigma_m, sigma_rad=sigma_rad, returns=returns, differs=differs)
         started = time.process_time()
-        loops, accepted = _closed(rooms)
+        loops = _accepted(rooms)
         seconds.append(time.process_time() - started)
-        right = [_is_right(loops[i], rooms) for i in accepted]
-        believed += len(right)
+        right = [_is_right(loop, rooms) for loop in loops]
+        accepted += len(right)
         wrong += right.count(False)
         offered += returns
         found += returns and any(right)
+    of_wrong = f"{wrong} of {accepted} believed, in {num_walks} walks through rooms that look alike"
+    of_found = f"{found} of {offered} walks that come back"
     return [
-        figure(
-            "wrong_loops",
-            wrong,
-            "",
-            "lower",
-            f"{wrong} of {believed} believed, in {num_walks} walks through rooms that look alike",
-        ),
-        figure("loops_found_fraction", found / offered, "", "higher", f"{found} of {offered} walks that come back"),
+        figure("wrong_loops", wrong, "", "lower", of_wrong),
+        figure("loops_found_fraction", found / offered, "", "higher", of_found),
         figure("loop_search_s", np.mean(seconds), "s", "lower", "processor time of a search, mean"),
     ]
 
 
-def _closed(rooms: list[SeenRoom]) -> tuple[tuple[Loop, ...], tuple[int, ...]]:
-    """Search the last submap in the others and solve the graph; return the loops, and the numbers of those believed."""
+def _accepted(rooms: list[SeenRoom]) -> list[Loop]:
+    """Search the last submap in the others and solve the graph; return the accepted loops."""
     config, later = GraphConfig(), len(rooms) - 1
     submaps = [_surveyed(i, room) for i, room in enumerate(rooms)]
-    stamps = list(range(len(rooms)))
     predicted = predictions(submaps, (), config, least_apart=LoopConfig().least_apart)
     assert not isinstance(predicted, NoSolution)
-    query = LoopQuery(later_id=later, surfaces=Surfaces(submaps), predicted=predicted)
-    loops = search_loops(query, LoopConfig())
-    solution = solve(pose_graph(submaps, loops, stamps, config), config)
-    return loops, solution.accepted if isinstance(solution, Solution) else ()
+    loops = search_loops(LoopQuery(later_id=later, surfaces=Surfaces(submaps), predicted=predicted), LoopConfig())
+    solution = solve(pose_graph(submaps, loops, list(range(len(rooms))), config), config)
+    return [loops[i] for i in solution.accepted] if isinstance(solution, Solution) else []
 
 
 def _is_right(loop: Loop, rooms: list[SeenRoom]) -> bool:
     earlier, later = rooms[loop.earlier], rooms[loop.later]
-    true = earlier.odometry_from_world @ np.linalg.inv(later.odometry_from_world)
-    step = np.linalg.inv(true @ later.anchor) @ (loop.earlier_from_later @ later.anchor)
-    turn_rad = float(np.arccos(np.clip((np.trace(step[:3, :3]) - 1) / 2, -1, 1)))
-    return earlier.room == later.room and float(np.linalg.norm(step[:3, 3])) < _WRONG_M and turn_rad < _WRONG_RAD
+    true = earlier.odometry_from_world @ invert(later.odometry_from_world)
+    step = invert(true @ later.anchor) @ (loop.earlier_from_later @ later.anchor)
+    is_near = float(np.linalg.norm(step[:3, 3])) < _WRONG_M and rotation_angle_rad(step[:3, :3]) < _WRONG_RAD
+    return earlier.room == later.room and is_near
 
 
 def _surveyed(submap_id: int, room: SeenRoom) -> SurveyedSubmap:

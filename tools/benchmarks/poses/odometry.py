@@ -1,6 +1,6 @@
-"""Poses: odometry against truth, corridors that do not tell how far one has come, where a camera sits, and fleets.
+"""Poses: odometry against truth, corridors without features along them, extrinsics of cameras, and fleets.
 
-Real data is read from `../shared/data` beside the checkout, or `$HICKORY_DATA`; what is not there has no figure.
+Real data is read from `../shared/data` beside the checkout, or `$HICKORY_DATA`; without it there is no figure of it.
 """
 
 from __future__ import annotations
@@ -8,10 +8,11 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,130 +35,109 @@ from players.log_source import LogSource
 from players.mounting import estimated_mounting
 from tools.benchmarks.alignment.covariance import square_figures
 from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.benchmarks.common.processes import ROOT
+from tools.benchmarks.common.processes import DEMO, ROOT
 from tools.benchmarks.poses.drift import drift_figures, registration_figures
 from tools.benchmarks.poses.fleets import fleet_figures
 from tools.benchmarks.poses.loop_walks import walk_figures
 from tools.benchmarks.poses.loops import loop_figures
-from tools.benchmarks.poses.pose_graph_figures import graph_figures
+from tools.benchmarks.poses.pose_graphs import graph_figures
 
 Posed = tuple[Scan, NDArray[np.float64]]
 
-_DEMO = ROOT / "recordings" / "demo.mcap"
 _WORLDS = tuple(RecordingConfig(scene="apartment", seed=seed, seconds=40.0, rate_hz=5.0) for seed in (24, 30))
 _ENDED = CorridorConfig()
 """A corridor of 30 m of which 18 m are walked: an end wall is 6 to 24 m away."""
 _ENDLESS = CorridorConfig(length_m=60.0, margin_m=20.0, range_m=12.0)
-_NUM_WALKS = 8
 _ROOM = CorridorConfig(length_m=8.0, width_m=6.0, margin_m=1.0, way_m=6.0)
+_EXTRINSICS_SEEDS = (7, 8, 9)
+_PARTS: dict[str, Callable[[Options], list[Figure]]] = {
+    "drift": lambda options: [*registration_figures(DEMO), *drift_figures(options)],
+    "fleet": fleet_figures,
+    "graph": graph_figures,
+    "loops": loop_figures,
+    "squares": square_figures,
+    "walks": walk_figures,
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Walked:
-    """What an odometry made of a walk."""
+    """The result of an odometry on a walk."""
 
     error: TrajectoryError
     end_error_m: float
     num_scans: int
-    num_lost: int
     num_degenerate: int
     ms: float
     poses: NDArray[np.float64]
+
+    @property
+    def drift(self) -> float:
+        """The error over the length of the walk."""
+        return self.error.ate_m / self.error.way_m
 
 
 def measure(options: Options) -> list[Figure]:
     """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method.
 
-    `--only fleet` measures fleets alone, `--only graph` the pose graph, `--only loops` the search for loops, `--only
-    walks` whole logs through rooms that look alike, `--only drift` logs whose odometry drifts, `--only squares` how
-    well alignment knows how sure it is of parts of whole maps.
+    `--only` measures one part: `fleet`, the pose `graph`, the search for `loops`, `walks` through rooms that look
+    alike, logs whose odometry has `drift`, or `squares`, the calibration of alignment on whole maps.
     """
-    if options.only == ("drift",):
-        return [*registration_figures(_DEMO), *drift_figures(options)]
-    if options.only == ("fleet",):
-        return fleet_figures(options)
-    if options.only == ("loops",):
-        return loop_figures(options)
-    if options.only == ("squares",):
-        return square_figures(options)
-    if options.only == ("walks",):
-        return walk_figures(options, num_walks=2 if options.quick else _NUM_WALKS)
-    figures: list[Figure] = graph_figures(options)
-    if options.only == ("graph",):
-        return figures
+    if len(options.only) == 1 and options.only[0] in _PARTS:
+        return _PARTS[options.only[0]](options)
+    quick = options.quick
+    figures = graph_figures(options)
     data = Path(os.environ.get("HICKORY_DATA") or ROOT.parent / "shared" / "data")
     if (data / "redkitchen").is_dir():
-        kitchen = list(_frames(data / "redkitchen"))
-        figures += _kitchen(kitchen, quick=options.quick)
-    logs = [_DEMO] if options.quick else [cached_recording(config)[0] for config in _WORLDS]
+        figures += _kitchen(list(_frames(data / "redkitchen")), quick=quick)
+    logs = [DEMO] if quick else [cached_recording(config)[0] for config in _WORLDS]
     rooms = [_walk("depth", _frames(log)) for log in logs]
-    worst = max(room.error.ate_m / room.error.way_m for room in rooms)
-    told = f"of {len(rooms)} worlds, the worst; exact truth"
-    figures.append(figure("depth_way_fraction", worst, "", "lower", told))
-    if not options.quick:
-        kiss = max(
-            each.error.ate_m / each.error.way_m for each in (_walk("depth", _frames(log), "kiss-icp") for log in logs)
-        )
-        figures.append(figure("depth_way_fraction_kiss_icp", kiss, "", "lower", told))
-    ms = float(np.mean([room.ms for room in rooms]))
+    of = f"of {len(rooms)} worlds, the worst; exact truth"
+    figures.append(figure("depth_way_fraction", max(room.drift for room in rooms), "", "lower", of))
+    if not quick:
+        kiss = max(_walk("depth", _frames(log), "kiss-icp").drift for log in logs)
+        figures.append(figure("depth_way_fraction_kiss_icp", kiss, "", "lower", of))
+    ms = np.mean([room.ms for room in rooms])
     figures.append(figure("depth_odometry_ms", ms, "ms", "lower", "processor time of a depth frame"))
     figures += registration_figures(logs[0])
     again = _walk("depth", _frames(logs[0]))
-    is_same = float(again.poses.tobytes() == rooms[0].poses.tobytes())
-    figures.append(figure("poses_identical", is_same, "", "higher"))
-    figures += _corridors(rooms, quick=options.quick)
+    figures.append(figure("poses_identical", again.poses.tobytes() == rooms[0].poses.tobytes()))
+    figures += _corridors(rooms, quick=quick)
     if (data / "kitti_lidar").is_dir():
         figures += _street(data / "kitti_lidar")
     figures += [*loop_figures(options), *fleet_figures(options)]
-    return (
-        figures
-        if options.quick
-        else [*figures, *_mountings((7, 8, 9)), *walk_figures(options, _NUM_WALKS), *drift_figures(options)]
-    )
+    return figures if quick else [*figures, *_extrinsics(), *walk_figures(options), *drift_figures(options)]
 
 
 def _kitchen(kitchen: list[Posed], *, quick: bool) -> list[Figure]:
     own = _walk("depth", kitchen)
-    found = [
-        figure(
-            "depth_odometry_ate_m",
-            own.error.ate_m,
-            "m",
-            "lower",
-            f"redkitchen, {own.num_scans} frames, {own.error.way_m:.1f} m",
-        )
-    ]
+    of = f"redkitchen, {own.num_scans} frames, {own.error.way_m:.1f} m"
+    figures = [figure("depth_odometry_ate_m", own.error.ate_m, "m", "lower", of)]
     if not quick:
         kiss = _walk("depth", kitchen, "kiss-icp")
-        found.append(figure("depth_kiss_icp_ate_m", kiss.error.ate_m, "m", "lower"))
-    return found
+        figures.append(figure("depth_kiss_icp_ate_m", kiss.error.ate_m, "m", "lower"))
+    return figures
 
 
 def _corridors(rooms: list[_Walked], *, quick: bool) -> list[Figure]:
-    """Return what is made of corridors, and how many scans of rooms are called degenerate by mistake."""
-    short = {"way_m": 6.0, "columns": 360} if quick else {}
-    ended = corridor_scans(replace(_ENDED, **short), 1)  # type: ignore[arg-type]
-    endless = corridor_scans(replace(_ENDLESS, **short), 1)  # type: ignore[arg-type]
+    """Return the errors in corridors, and how many scans of rooms are called degenerate by mistake."""
+    short: dict[str, Any] = {"way_m": 6.0, "columns": 360} if quick else {}
+    ended, endless = (corridor_scans(replace(config, **short), 1) for config in (_ENDED, _ENDLESS))
     own, blind = _walk("lidar", ended), _walk("lidar", endless)
     led = _walk("lidar", endless, is_led=True)
     rooms = [*rooms, _walk("lidar", corridor_scans(_ROOM, 1))]
     false = sum(room.num_degenerate for room in rooms) / sum(room.num_scans for room in rooms)
-    found = [
+    declared, of = blind.num_degenerate / blind.num_scans, "scans of a corridor without ends"
+    figures = [
         figure("corridor_end_error_m", own.end_error_m, "m", "lower", "its ends in reach"),
-        figure(
-            "corridor_declared_fraction",
-            blind.num_degenerate / blind.num_scans,
-            "",
-            "higher",
-            "scans of a corridor without ends",
-        ),
+        figure("corridor_declared_fraction", declared, "", "higher", of),
         figure("corridor_led_end_error_m", led.end_error_m, "m", "lower", "without ends, the motion given"),
         figure("degenerate_false_fraction", false, "", "lower", "scans of rooms"),
     ]
     if not quick:
         kiss = _walk("lidar", ended, "kiss-icp")
-        found.append(figure("corridor_kiss_icp_end_error_m", kiss.end_error_m, "m", "lower"))
-    return found
+        figures.append(figure("corridor_kiss_icp_end_error_m", kiss.end_error_m, "m", "lower"))
+    return figures
 
 
 def _street(folder: Path) -> list[Figure]:
@@ -169,17 +149,16 @@ def _street(folder: Path) -> list[Figure]:
     ]
     poses = [each.start_from_sensor for each in found if isinstance(each, Registered)]
     steps = np.array([np.linalg.norm(compose(invert(a), b)[:3, 3]) for a, b in pairwise(poses)])
-    jerk = float(np.abs(np.diff(steps)).max())
     return [
-        figure("street_registered_fraction", len(poses) / len(found), "", "higher"),
-        figure("street_step_change_m", jerk, "m", "lower", "from sweep to sweep, the most"),
+        figure("street_registered_fraction", len(poses) / len(found)),
+        figure("street_step_change_m", np.abs(np.diff(steps)).max(), "m", "lower", "from sweep to sweep, the most"),
     ]
 
 
-def _mountings(seeds: Iterable[int]) -> list[Figure]:
-    """Return how far the camera of a B2 is from where its motion says, the worst of some; what is open is left out."""
+def _extrinsics() -> list[Figure]:
+    """Return the error of a B2's camera extrinsics from its motion, the worst of some, without undetermined axes."""
     moved, turned, num_open = [], [], 0
-    for seed in seeds:
+    for seed in _EXTRINSICS_SEEDS:
         with tempfile.TemporaryDirectory() as folder:
             config = RecordingConfig(
                 seed=seed, seconds=30.0, width=320, height=180, layout="nus_clb", camera_offset=True
@@ -197,10 +176,10 @@ def _mountings(seeds: Iterable[int]) -> list[Figure]:
         turned.append(np.degrees(rotation_angle_rad(found.body_from_camera[:3, :3] @ drawn_mounting(seed)[:3, :3].T)))
     if not moved:
         return []
-    said = f"{len(moved)} mountings, the worst axis"
+    of, left_out = f"{len(moved)} mountings, the worst axis", f"{num_open} axes said to be open"
     return [
-        figure("hand_eye_error_m", max(moved), "m", "lower", said, left_out=f"{num_open} axes said to be open"),
-        figure("hand_eye_error_deg", max(turned), "deg", "lower", said),
+        figure("hand_eye_error_m", max(moved), "m", "lower", of, left_out=left_out),
+        figure("hand_eye_error_deg", max(turned), "deg", "lower", of),
     ]
 
 
@@ -213,7 +192,7 @@ def _frames(log: Path) -> Iterator[Posed]:
 
 
 def _walk(sensor: Sensor, walk: Iterable[Posed], method: MethodName | None = None, *, is_led: bool = False) -> _Walked:
-    """Return what an odometry makes of scans with true poses; `is_led`: the true motion predicts."""
+    """Return the result of an odometry on scans with true poses; `is_led`: the true motion predicts."""
     odometry = make_odometry(sensor, method)
     stamps_ns: list[int] = []
     poses: list[NDArray[np.float64]] = []
@@ -236,7 +215,6 @@ def _walk(sensor: Sensor, walk: Iterable[Posed], method: MethodName | None = Non
         error=trajectory_error(stamps_ns, estimated, stamps_ns, truth),
         end_error_m=float(np.linalg.norm(estimated[-1][:3, 3] - moved[:3, 3])),
         num_scans=num_scans,
-        num_lost=num_scans - len(poses),
         num_degenerate=num_degenerate,
         ms=1e3 * spent_s / num_scans,
         poses=estimated,
@@ -245,8 +223,6 @@ def _walk(sensor: Sensor, walk: Iterable[Posed], method: MethodName | None = Non
 
 def _points_of(file: Path) -> NDArray[np.float32]:
     """Return the points (N, 3) of a binary PCD whose fields are four floats."""
-    data = file.read_bytes()
-    start = data.index(b"DATA binary\n") + len(b"DATA binary\n")
-    count = next(int(line.split()[1]) for line in data[:start].decode().splitlines() if line.startswith("POINTS"))
-    rows = np.frombuffer(data, np.float32, 4 * count, start).reshape(count, 4)
-    return np.ascontiguousarray(rows[:, :3])
+    header, _, data = file.read_bytes().partition(b"DATA binary\n")
+    count = next(int(line.split()[1]) for line in header.decode().splitlines() if line.startswith("POINTS"))
+    return np.ascontiguousarray(np.frombuffer(data, np.float32, 4 * count).reshape(count, 4)[:, :3])

@@ -1,7 +1,7 @@
-"""What the engine promises: one log one map, nothing lost to a kill, no stall, no growth, a quick stop.
+"""Promises of the engine: one log one map, nothing lost to a kill, no stall, no growth, a quick stop.
 
 On the first seconds of the embedded recording, with coarse shapes where only the engine is measured. A quick run takes
-a smaller sample of each. A whole one takes hours: it can be broken off at any moment, and the next one goes on.
+a smaller sample of each. A whole one takes hours: it can be stopped at any moment, and the next one continues.
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ import psutil
 
 from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError, MapFolderError
-from tools.benchmarks.common.coarse_runs import die_with_parent, finished, play_coarsely
 from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.benchmarks.common.processes import ROOT
+from tools.benchmarks.common.processes import ROOT, finished, output_of, overridden, play_coarsely
 from tools.benchmarks.common.repetitions import Repetitions, measurement_folder
 from tools.benchmarks.scale.processors import digest_on, variants
 
@@ -36,7 +35,10 @@ _SLOWER = 10.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sample:
-    """How much is measured: runs, kills and stops; frames of the log that each plays; seconds of the live runs."""
+    """The size of a run: runs, kills and stops; frames of the log that each plays; seconds of the live runs.
+
+    `variant_frames` are played as on other processors; None: all of them, with whole shapes, on all processors.
+    """
 
     runs: int
     kills: int
@@ -47,7 +49,6 @@ class Sample:
     soak_s: float
     soak_warm_s: float
     soak_record_s: float
-    # Frames that are played as on other processors; None: all of them, with whole shapes, on all processors.
     variant_frames: int | None
 
 
@@ -78,8 +79,31 @@ QUICK = Sample(
 )
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Work:
+    """One part of a run: its sample and seed, its records so far, and a folder for its maps."""
+
+    sample: Sample
+    seed: int
+    repetitions: Repetitions
+    folder: Path
+
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        """The records so far."""
+        return self.repetitions.records
+
+    def values(self, name: str) -> list[Any]:
+        """Return a value of each record."""
+        return [record[name] for record in self.records]
+
+    def random(self, name: str, index: int) -> random.Random:
+        """Return the generator of one repetition."""
+        return random.Random(f"{name} {self.seed} {index}")
+
+
 def measure(options: Options) -> list[Figure]:
-    """Return the figures of the parts that are asked for; each prints a line when it is done, or its time is up.
+    """Return the figures of the requested parts; each prints a line when it is done, or its time is up.
 
     Raises:
         InputError: there is no such part.
@@ -87,26 +111,29 @@ def measure(options: Options) -> list[Figure]:
     """
     if unknown := set(options.only) - set(_PARTS):
         raise InputError(f"no part {', '.join(sorted(unknown))}; parts are {', '.join(_PARTS)}")
-    sample = QUICK if options.quick else FULL
     until = time.monotonic() + 60.0 * options.minutes
     figures: list[Figure] = []
     with tempfile.TemporaryDirectory() as temporary:
-        kept = None
+        stored = None
         if not options.quick:
-            kept = measurement_folder(options.state, "engine", seed=options.seed, fresh=options.fresh)
-            print(f"kept in {kept}", flush=True)
+            stored = measurement_folder(options.state, "engine", seed=options.seed, fresh=options.fresh)
+            print(f"kept in {stored}", flush=True)
         for name in options.only or _PARTS:
             started = time.perf_counter()
-            folder = (kept or Path(temporary)) / name
-            # What a broken off run left half done.
+            folder = (stored or Path(temporary)) / name
+            # Left half done by a run that was stopped.
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir()
-            with closing(Repetitions(kept and kept / f"{name}.jsonl", until=until)) as repetitions:
+            with closing(Repetitions(stored and stored / f"{name}.jsonl", until=until)) as repetitions:
                 if repetitions.records:
                     print(f"{name}: goes on after {len(repetitions.records)} records", flush=True)
-                found = _PARTS[name](sample, options.seed, repetitions, folder)
-            told = ", ".join(f"{figure.name} {figure.value:g}" for figure in found) or f"{name}: nothing yet"
-            print(f"{told} ({time.perf_counter() - started:.0f} s)", flush=True)
+                sample = QUICK if options.quick else FULL
+                work = Work(sample=sample, seed=options.seed, repetitions=repetitions, folder=folder)
+                measure_part, of_records = _PARTS[name]
+                measure_part(work)
+                found = of_records(work) if work.records else []
+            values = ", ".join(f"{one.name} {one.value:g}" for one in found) or f"{name}: nothing yet"
+            print(f"{values} ({time.perf_counter() - started:.0f} s)", flush=True)
             figures += found
             shutil.rmtree(folder)
     return figures
@@ -115,35 +142,35 @@ def measure(options: Options) -> list[Figure]:
 # ---- one log, one map -----------------------------------------------------------------------------------------------
 
 
-def _digests(sample: Sample, seed: int, repetitions: Repetitions, folder: Path) -> list[Figure]:
-    """Play with 1 to 4 workers, slow ones, killed ones, pauses of the whole process, a rate; count the digests."""
-    slow = _slow_interpreter(folder / "slow-python")
-    for i in repetitions.missing(sample.runs):
-        rng = random.Random(f"digests {seed} {i}")
-        out = folder / "run"
+def _digests(work: Work) -> None:
+    """Play with 1 to 4 workers, slow ones, killed ones, pauses of the whole process, a rate."""
+    # Our interpreter after a random while: its answers are the same, only later.
+    sleep = 'sleep 0.$(od -An -N1 -tu1 /dev/urandom | tr -d " ")'
+    slow = work.folder / "slow-python"
+    slow.write_text(f'#!/bin/sh\n{sleep}\nexec "{sys.executable}" "$@"\n')
+    slow.chmod(0o755)
+    for i in work.repetitions.missing(work.sample.runs):
+        rng = work.random("digests", i)
         arguments = ["--workers", str(1 + i % 4)]
-        if i % 3 == 1:
-            arguments += ["--set", f"mapper.run.worker_python={slow}"]
-        if i % 5 == 2:
-            arguments += ["--rate", f"{rng.uniform(2.0, 6.0):.2f}"]
-        if i % 4 == 3:
-            arguments += ["--rrd", str(folder / "run.rrd")]
-        process = play_coarsely(out, sample.frames, *arguments)
+        arguments += overridden(f"run.worker_python={slow}") if i % 3 == 1 else []
+        arguments += ["--rate", f"{rng.uniform(2.0, 6.0):.2f}"] if i % 5 == 2 else []
+        arguments += ["--rrd", str(work.folder / "run.rrd")] if i % 4 == 3 else []
+        process = play_coarsely(work.folder / "run", work.sample.frames, *arguments)
         kills = 2 if i % 2 else 0
         while process.poll() is None:
             time.sleep(rng.uniform(0.2, 1.0))
             kills -= _disturb(process.pid, rng, kills=kills > 0, pauses=i % 5 == 4)
         digest = finished(process)["digest"]
-        repetitions.add(digest=digest, delay_ms=open_map(out).timings["loop_delay_p99_ms"], disturbed=i % 5 != 0)
-    records = repetitions.records
-    if not records:
-        return []
+        delay_ms = open_map(work.folder / "run").timings["loop_delay_p99_ms"]
+        work.repetitions.add(digest=digest, delay_ms=delay_ms, disturbed=i % 5 != 0)
+
+
+def _of_digests(work: Work) -> list[Figure]:
+    calm_ms = [record["delay_ms"] for record in work.records if not record["disturbed"]]
     return [
-        figure("digest_runs", len(records), "", "higher"),
-        figure("digests_distinct", len({record["digest"] for record in records}), "", "lower"),
-        figure(
-            "loop_delay_p99_ms", min(record["delay_ms"] for record in records if not record["disturbed"]), "ms", "lower"
-        ),
+        figure("digest_runs", len(work.records)),
+        figure("digests_distinct", len(set(work.values("digest"))), "", "lower"),
+        figure("loop_delay_p99_ms", min(calm_ms), "ms", "lower"),
     ]
 
 
@@ -162,76 +189,73 @@ def _disturb(pid: int, rng: random.Random, *, kills: bool, pauses: bool) -> int:
     return num_killed
 
 
-def _slow_interpreter(path: Path) -> Path:
-    """Write a program that is our interpreter after a random while: what it answers is the same, only later."""
-    path.write_text(f'#!/bin/sh\nsleep 0.$(od -An -N1 -tu1 /dev/urandom | tr -d " ")\nexec "{sys.executable}" "$@"\n')
-    path.chmod(0o755)
-    return path
-
-
-def _processors(sample: Sample, seed: int, repetitions: Repetitions, folder: Path) -> list[Figure]:
-    """Play as on other processors, and count the digests."""
-    del seed
+def _processors(work: Work) -> None:
+    """Play as on other processors."""
     every = variants()
-    chosen = every if sample.variant_frames is None else (every[0], *every[-3:-1])
-    for i in repetitions.missing(len(chosen)):
-        digest = digest_on(chosen[i], folder / "run", frames=sample.variant_frames)
+    chosen = every if work.sample.variant_frames is None else (every[0], *every[-3:-1])
+    for i in work.repetitions.missing(len(chosen)):
+        digest = digest_on(chosen[i], work.folder / "run", frames=work.sample.variant_frames)
         print(f"{digest[:16]} {chosen[i].name}", flush=True)
-        repetitions.add(name=chosen[i].name, digest=digest)
-    if not repetitions.records:
-        return []
+        work.repetitions.add(name=chosen[i].name, digest=digest)
+
+
+def _of_processors(work: Work) -> list[Figure]:
     return [
-        figure("digest_variants", len(repetitions.records), "", "higher"),
-        figure("digest_variants_distinct", len({record["digest"] for record in repetitions.records}), "", "lower"),
+        figure("digest_variants", len(work.records)),
+        figure("digest_variants_distinct", len(set(work.values("digest"))), "", "lower"),
     ]
 
 
 # ---- kills and stops ------------------------------------------------------------------------------------------------
 
 
-def _kills(sample: Sample, seed: int, repetitions: Repetitions, folder: Path) -> list[Figure]:
-    """Kill the whole process group at a random moment, resume, compare; look for what was left running."""
-    # The first record is of a run that nobody disturbs.
-    for _ in repetitions.missing(1):
+def _kills(work: Work) -> None:
+    """Kill the whole process group at a random moment, resume, compare; find processes that are left."""
+    frames, out = work.sample.frames, work.folder / "killed"
+    # The first record is of an undisturbed run.
+    for _ in work.repetitions.missing(1):
         started = time.perf_counter()
-        digest = finished(play_coarsely(folder / "calm", sample.frames))["digest"]
-        repetitions.add(digest=digest, seconds=time.perf_counter() - started)
-    if not repetitions.records:
-        return []
-    calm, killed = repetitions.records[0], _killed(repetitions)
-    while len(killed) < sample.kills and not repetitions.is_time_up:
-        i = len(repetitions.records)
-        process = play_coarsely(folder / "killed", sample.frames)
-        # A busier machine than that of the first run only makes the kills come earlier in the run.
-        after_s = random.Random(f"kills {seed} {i}").uniform(0.1, 1.0) * calm["seconds"]
+        digest = finished(play_coarsely(work.folder / "calm", frames))["digest"]
+        work.repetitions.add(digest=digest, seconds=time.perf_counter() - started)
+    while len(_killed(work)) < work.sample.kills and not work.repetitions.is_time_up:
+        i, calm = len(work.records), work.records[0]
+        process = play_coarsely(out, frames)
+        # On a busier machine than that of the first run the kills only come earlier in the run.
+        after_s = work.random("kills", i).uniform(0.1, 1.0) * calm["seconds"]
         with suppress(subprocess.TimeoutExpired):
             process.wait(after_s)
-        family = _family(process.pid)
+        family = []
+        with suppress(psutil.Error):
+            family = psutil.Process(process.pid).children(recursive=True)
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
         was_over = process.returncode == 0
-        orphans = _still_running(family)
-        why_not = _why_not_recovered(folder / "killed", sample.frames, calm["digest"])
+        # Processes that outlive their run by two seconds.
+        orphans = len(psutil.wait_procs(family, timeout=2.0)[1])
+        why_not = _why_not_recovered(out, frames, calm["digest"])
         if why_not is not None:
             print(f"kill {i}, {after_s:.2f} s after the start: {why_not}", flush=True)
-            shutil.copytree(folder / "killed", folder.with_name(f"not-recovered-{i:03d}"), dirs_exist_ok=True)
-        repetitions.add(after_s=after_s, was_over=was_over, orphans=orphans, why_not=why_not)
-        killed = _killed(repetitions)
+            shutil.copytree(out, work.folder.with_name(f"not-recovered-{i:03d}"), dirs_exist_ok=True)
+        work.repetitions.add(after_s=after_s, was_over=was_over, orphans=orphans, why_not=why_not)
+
+
+def _of_kills(work: Work) -> list[Figure]:
+    killed = _killed(work)
     return [
-        figure("kills", len(killed), "", "higher"),
-        figure("kills_recovered", sum(record["why_not"] is None for record in killed), "", "higher"),
+        figure("kills", len(killed)),
+        figure("kills_recovered", sum(record["why_not"] is None for record in killed)),
         figure("orphans", sum(record["orphans"] for record in killed), "", "lower"),
     ]
 
 
-def _killed(repetitions: Repetitions) -> list[dict[str, Any]]:
+def _killed(work: Work) -> list[dict[str, Any]]:
     """Return the records of the runs that were not over before their kill."""
-    return [record for record in repetitions.records[1:] if not record["was_over"]]
+    return [record for record in work.records[1:] if not record["was_over"]]
 
 
 def _why_not_recovered(out: Path, frames: int, wanted: str) -> str | None:
-    """Return why a killed run's folder does not open and go on to the wanted map; None where it does."""
+    """Return why a killed run's folder does not open and continue to the wanted map; None where it does."""
     if not (out / "manifest.json").exists():  # killed before it made anything
         digest = finished(play_coarsely(out, frames))["digest"]
         return None if digest == wanted else f"another digest when played again: {digest}"
@@ -250,27 +274,13 @@ def _why_not_recovered(out: Path, frames: int, wanted: str) -> str | None:
     return f"resume ended with {resumed.returncode}: {last} {resumed.stderr.splitlines()[-1:]}"
 
 
-def _family(pid: int) -> list[psutil.Process]:
-    try:
-        return psutil.Process(pid).children(recursive=True)
-    except psutil.Error:
-        return []
-
-
-def _still_running(family: list[psutil.Process]) -> int:
-    """Return how many processes outlive their run by two seconds."""
-    _, alive = psutil.wait_procs(family, timeout=2.0)
-    return len(alive)
-
-
-def _stops(sample: Sample, seed: int, repetitions: Repetitions, folder: Path) -> list[Figure]:
+def _stops(work: Work) -> None:
     """Send SIGINT while keyframes are mapped; from there to the end of the process, with a complete saved map."""
-    for i in repetitions.missing(sample.stops):
-        out = folder / "stopped"
-        process = play_coarsely(out, 120, "--set", "mapper.run.grace_s=0.0")
-        assert process.stderr is not None
-        wanted = random.Random(f"stops {seed} {i}").randint(2, 8)
-        for line in process.stderr:
+    out = work.folder / "stopped"
+    for i in work.repetitions.missing(work.sample.stops):
+        process = play_coarsely(out, 120, *overridden("run.grace_s=0.0"))
+        wanted = work.random("stops", i).randint(2, 8)
+        for line in process.stderr or ():
             if line.startswith("{") and json.loads(line).get("keyframes", 0) >= wanted:
                 break
         began = time.perf_counter()
@@ -278,29 +288,26 @@ def _stops(sample: Sample, seed: int, repetitions: Repetitions, folder: Path) ->
         process.communicate()
         if open_map(out).manifest.digest is None:
             raise RuntimeError("a stopped run left no complete map")
-        repetitions.add(seconds=time.perf_counter() - began)
-    if not repetitions.records:
-        return []
-    slowest = max(record["seconds"] for record in repetitions.records)
-    return [figure("stops", len(repetitions.records), "", "higher"), figure("stop_seconds", slowest, "s", "lower")]
+        work.repetitions.add(seconds=time.perf_counter() - began)
+
+
+def _of_stops(work: Work) -> list[Figure]:
+    return [figure("stops", len(work.records)), figure("stop_seconds", max(work.values("seconds")), "s", "lower")]
 
 
 # ---- live -----------------------------------------------------------------------------------------------------------
 
 
-def _live(sample: Sample, seed: int, repetitions: Repetitions, folder: Path) -> list[Figure]:
+def _live(work: Work) -> None:
     """Map at 30 Hz with perception slowed tenfold, then as it is, then with a viewer that stalls."""
-    del seed
-    for _ in repetitions.missing(1):
-        options = ("--seconds", str(sample.live_s), "--slower", str(_SLOWER), "--stall", str(sample.stall_s))
-        command = [sys.executable, "-m", "tools.benchmarks.live.overload", str(folder / "live"), *options]
-        ran = subprocess.run(
-            command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True, preexec_fn=die_with_parent
-        )
-        repetitions.add(runs=[json.loads(line) for line in ran.stdout.splitlines()[-3:]])
-    if not repetitions.records:
-        return []
-    slowed, plain, stalled = runs = repetitions.records[0]["runs"]
+    for _ in work.repetitions.missing(1):
+        options = ("--seconds", work.sample.live_s, "--slower", _SLOWER, "--stall", work.sample.stall_s)
+        lines = output_of("-m", "tools.benchmarks.live.overload", work.folder / "live", *options).splitlines()
+        work.repetitions.add(runs=[json.loads(line) for line in lines[-3:]])
+
+
+def _of_live(work: Work) -> list[Figure]:
+    slowed, plain, stalled = runs = work.records[0]["runs"]
     slowdown = 1.0 - stalled["keyframes"] / plain["keyframes"]
     return [
         figure("overload_rss_mb", slowed["peak_mb"], "MB", "lower"),
@@ -313,57 +320,26 @@ def _live(sample: Sample, seed: int, repetitions: Repetitions, folder: Path) -> 
 # ---- hours ----------------------------------------------------------------------------------------------------------
 
 
-def _soak(sample: Sample, seed: int, repetitions: Repetitions, folder: Path) -> list[Figure]:
-    """Play the log round after round; compare memory and open files at the end with those after a while.
+def _soak(work: Work) -> None:
+    """Play the log round after round until the end of the soak, or of the time; store peaks every few seconds.
 
-    One process goes all the way, so one that is broken off is begun again; what it showed until then is kept, and the
-    figures are of the one that went furthest.
+    One process goes all the way, so a stopped one begins again as another attempt.
     """
-    del seed
-    goal_s = sample.soak_s
-    if not repetitions.is_time_up and not any(record["at_s"] >= goal_s for record in repetitions.records):
-        attempt = 1 + max((record["attempt"] for record in repetitions.records), default=0)
-        _soak_once(sample, attempt, repetitions, folder)
-    furthest = max(repetitions.records, key=lambda record: record["at_s"], default=None)
-    if furthest is None:
-        return []
-    figures = [
-        figure("soak_seconds", min(furthest["at_s"], goal_s), "s", "higher"),
-        figure("soak_journal_mb", furthest["journal_mb"], "MB", "lower"),
-    ]
-    # A window's peak rather than a moment: memory comes and goes with each keyframe.
-    window_s = sample.soak_warm_s / 2
-    shown = [record for record in repetitions.records if record["attempt"] == furthest["attempt"]]
-    warm = [record for record in shown if sample.soak_warm_s - window_s <= record["at_s"] < sample.soak_warm_s]
-    last = [record for record in shown if record["at_s"] >= furthest["at_s"] - window_s]
-    if not warm or furthest["at_s"] < sample.soak_warm_s + window_s:
-        return figures  # it went on for too short a time to say
-    growth = max(record["rss_mb"] for record in last) / max(record["rss_mb"] for record in warm) - 1.0
-    files = max(record["open_files"] for record in last) - max(record["open_files"] for record in warm)
-    return [
-        *figures,
-        figure("soak_rss_growth_fraction", growth, "", "lower"),
-        figure("soak_open_files_growth", files, "", "lower"),
-    ]
-
-
-def _soak_once(sample: Sample, attempt: int, repetitions: Repetitions, folder: Path) -> None:
-    """Play until the end of the soak, or of the time; every few seconds, keep the peaks since the last record."""
-    out = folder / "map"
-    said = folder / "said"
-    with said.open("w") as stderr:
+    sample, repetitions, out, log = work.sample, work.repetitions, work.folder / "map", work.folder / "stderr"
+    if repetitions.is_time_up or any(at_s >= sample.soak_s for at_s in work.values("at_s")):
+        return
+    attempt = 1 + max(work.values("attempt"), default=0)
+    with log.open("w") as stderr:
         process = play_coarsely(out, sample.frames, "--loop", "100000", stderr=stderr)
         watched = psutil.Process(process.pid)
-        began = time.monotonic()
-        at_s = 0.0
+        began, at_s = time.monotonic(), 0.0
         while at_s < sample.soak_s and not repetitions.is_time_up:
-            rss_mb, open_files, kept_s = 0.0, 0, at_s
-            while at_s < min(kept_s + sample.soak_record_s, sample.soak_s):
+            rss_mb, open_files, recorded_s = 0.0, 0, at_s
+            while at_s < min(recorded_s + sample.soak_record_s, sample.soak_s):
                 time.sleep(0.2)
                 if process.poll() is not None:
-                    raise RuntimeError(
-                        f"play ended after {at_s:.0f} s of the soak: {said.read_text().splitlines()[-1:]}"
-                    )
+                    last = log.read_text().splitlines()[-1:]
+                    raise RuntimeError(f"play ended after {at_s:.0f} s of the soak: {last}")
                 at_s = time.monotonic() - began
                 rss_mb = max(rss_mb, watched.memory_info().rss / 1e6)
                 open_files = max(open_files, watched.num_fds())
@@ -376,11 +352,35 @@ def _soak_once(sample: Sample, attempt: int, repetitions: Repetitions, folder: P
         raise RuntimeError("the soak left no complete map")
 
 
-_PARTS: dict[str, Callable[[Sample, int, Repetitions, Path], list[Figure]]] = {
-    "digests": _digests,
-    "kills": _kills,
-    "stops": _stops,
-    "live": _live,
-    "soak": _soak,
-    "processors": _processors,
+def _of_soak(work: Work) -> list[Figure]:
+    """Return the memory and open files at the end against those after a while, of the attempt that went furthest."""
+    furthest, warm_s = max(work.records, key=lambda record: record["at_s"]), work.sample.soak_warm_s
+    figures = [
+        figure("soak_seconds", min(furthest["at_s"], work.sample.soak_s), "s"),
+        figure("soak_journal_mb", furthest["journal_mb"], "MB", "lower"),
+    ]
+    # A window's peak rather than a moment: memory comes and goes with each keyframe.
+    window_s = warm_s / 2
+    shown = [record for record in work.records if record["attempt"] == furthest["attempt"]]
+    warm = [record for record in shown if warm_s - window_s <= record["at_s"] < warm_s]
+    last = [record for record in shown if record["at_s"] >= furthest["at_s"] - window_s]
+    if not warm or furthest["at_s"] < warm_s + window_s:
+        return figures  # too short for a comparison
+    (warm_mb, warm_files), (last_mb, last_files) = (
+        [max(record[name] for record in records) for name in ("rss_mb", "open_files")] for records in (warm, last)
+    )
+    return [
+        *figures,
+        figure("soak_rss_growth_fraction", last_mb / warm_mb - 1.0, "", "lower"),
+        figure("soak_open_files_growth", last_files - warm_files, "", "lower"),
+    ]
+
+
+_PARTS: dict[str, tuple[Callable[[Work], None], Callable[[Work], list[Figure]]]] = {
+    "digests": (_digests, _of_digests),
+    "kills": (_kills, _of_kills),
+    "stops": (_stops, _of_stops),
+    "live": (_live, _of_live),
+    "soak": (_soak, _of_soak),
+    "processors": (_processors, _of_processors),
 }

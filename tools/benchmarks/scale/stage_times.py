@@ -1,8 +1,8 @@
-"""Processor time of a playback by stage, in a process of its own: what each thread does for each of its calls.
+"""Processor time of a playback by stage, in a process of its own: the time of each thread for each of its calls.
 
 All work of a run is handed to executors; each call is timed by the processor time of its thread, so that neither other
-load nor waiting counts. What the event loop and start-up take is the rest of the process; shapes are built by child
-processes. Linux alone.
+load nor waiting counts. The event loop and start-up are the rest of the process; shapes are built by child processes.
+Linux alone.
 """
 
 from __future__ import annotations
@@ -11,8 +11,6 @@ import argparse
 import functools
 import json
 import os
-import subprocess
-import sys
 import threading
 import time
 from collections import defaultdict
@@ -28,7 +26,7 @@ from hickory_stream.engine.play import play
 from hickory_stream.json_text import dumps
 from hickory_stream.sinks.disk_sink import DiskSink
 from players import SourceOptions, note_of, open_noted
-from tools.benchmarks.common.processes import ROOT
+from tools.benchmarks.common.processes import folder_mb, json_of
 
 STAGE_BUDGETS_MS = {
     "reading": 6.0,
@@ -44,65 +42,51 @@ STAGE_BUDGETS_MS = {
 In all 2 / (3 * 4 Hz) = 167 ms; shared out about as the stages were to each other at commit 5029994.
 """
 BUDGET_MS = sum(STAGE_BUDGETS_MS.values())
-# By what a call's name contains; the first that fits. What fits none is writing: files of views, journal, shapes.
+# By a part of a call's name; the first that fits. Other calls are writing: files of views, journal, shapes.
 _STAGES = (
     ("reading", ("decode", "_renumbered", "_placed", "next", "open_")),
     ("perception", ("prepare", "_perceived", "free_space")),
     ("registration", ("KeyframePlaces", "keyframe_surface", "_found")),
     ("deciding", ("handle", "decide", "_answered", "features", "extract", "pooled")),
 )
-STAGES = tuple(STAGE_BUDGETS_MS)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StageTimes:
     """Seconds of processor time by stage, over so many keyframes of a log of so many seconds; `wall_s` of the run.
 
-    `folder_mb` is the map with its journal and images.
+    `map_mb` is the map folder with its journal and images; `calls` are the 25 longest calls.
     """
 
     keyframes: int
     objects: int
     log_s: float
     wall_s: float
-    folder_mb: float
+    map_mb: float
     seconds: dict[str, float]
     calls: dict[str, float]
 
-    def per_keyframe_ms(self) -> dict[str, float]:
-        """Return milliseconds a keyframe by stage."""
-        return {stage: 1e3 * seconds / max(self.keyframes, 1) for stage, seconds in self.seconds.items()}
+    def table(self) -> str:
+        """Return the processor time a keyframe by stage beside the budget, a line each."""
+        spent = {stage: 1e3 * seconds / max(self.keyframes, 1) for stage, seconds in self.seconds.items()}
+        rows = [(stage, spent[stage], budget) for stage, budget in STAGE_BUDGETS_MS.items()]
+        rows.append(("all", sum(spent.values()), BUDGET_MS))
+        return "\n".join(
+            [f"  {'stage':<14}{'ms':>8}{'budget':>8}", *(f"  {a:<14}{b:>8.1f}{c:>8.0f}" for a, b, c in rows)]
+        )
 
 
-def table_of_stages(times: StageTimes) -> str:
-    """Return the processor time a keyframe by stage beside the budget, a line each."""
-    spent = times.per_keyframe_ms()
-    lines = [f"  {'stage':<14}{'ms':>8}{'budget':>8}"]
-    lines += [f"  {stage:<14}{spent[stage]:>8.1f}{STAGE_BUDGETS_MS[stage]:>8.0f}" for stage in STAGES]
-    lines.append(f"  {'all':<14}{sum(spent.values()):>8.1f}{BUDGET_MS:>8.0f}")
-    return "\n".join(lines)
-
-
-def stage_times(log: Path, out: Path, *overrides: str, frames: int | None = None) -> StageTimes:
+def stage_times(log: Path, out: Path) -> StageTimes:
     """Return the times of a playback, from a process of its own.
 
     Raises:
         RuntimeError: the child failed.
     """
-    command = [sys.executable, "-m", "tools.benchmarks.scale.stage_times", str(log), str(out), *overrides]
-    command += [] if frames is None else ["--frames", str(frames)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    if done.returncode != 0:
-        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}: {done.stderr.splitlines()[-1:]}")
-    return StageTimes(**json.loads(done.stdout.splitlines()[-1]))
-
-
-def _stage_of(call: str) -> str:
-    return next((stage for stage, names in _STAGES if any(name in call for name in names)), "writing")
+    return StageTimes(**json_of("-m", __name__, log, out))
 
 
 class _Clock:
-    """Adds up the processor time of calls by their names, whatever thread they are made on."""
+    """Adds up the processor time of calls by their names, whatever thread makes them."""
 
     def __init__(self) -> None:
         self.seconds: defaultdict[str, float] = defaultdict(float)
@@ -124,14 +108,14 @@ class _Clock:
 
 
 def _name_of(function: Any) -> str:
-    """Return the name of what a call is: asyncio hands functions over within a context, bound to their arguments."""
+    """Return the name of a call: asyncio hands functions over within a context, bound to their arguments."""
     if isinstance(function, functools.partial):
         is_context = getattr(function.func, "__qualname__", "") == "Context.run" and function.args
         return _name_of(function.args[0] if is_context else function.func)
     return str(getattr(function, "__qualname__", type(function).__name__))
 
 
-def _measured(log: Path, out: Path, overrides: tuple[str, ...], frames: int | None) -> StageTimes:
+def _measured(log: Path, out: Path, overrides: list[str], frames: int | None) -> StageTimes:
     clock = _Clock()
     submit = ThreadPoolExecutor.submit
 
@@ -152,36 +136,29 @@ def _measured(log: Path, out: Path, overrides: tuple[str, ...], frames: int | No
         )
     finally:
         source.close()
-    ended = os.times()
-    seconds = dict.fromkeys(STAGES, 0.0)
+    ended, snapshot = os.times(), played.snapshot
+    assert snapshot is not None
+    seconds = dict.fromkeys(STAGE_BUDGETS_MS, 0.0)
     for call, spent in clock.seconds.items():
-        seconds[_stage_of(call)] += spent
+        seconds[next((stage for stage, names in _STAGES if any(name in call for name in names)), "writing")] += spent
+    own_s = ended.user + ended.system - began_all.user - began_all.system
+    seconds["other"] = max(0.0, own_s - sum(seconds.values()))
     seconds["shapes"] = ended.children_user + ended.children_system
-    own = ended.user + ended.system - began_all.user - began_all.system
-    seconds["other"] = max(0.0, own - sum(seconds[stage] for stage in STAGES if stage not in ("shapes", "other")))
-    ledger = json.loads((out / "ledger.json").read_text())["frames"]
-    snapshot = played.snapshot
     return StageTimes(
-        keyframes=int(ledger["keyframes"]),
-        objects=0 if snapshot is None else len(snapshot.objects),
-        log_s=0.0 if snapshot is None else (snapshot.stamp_ns - (source.info.start_ns or snapshot.stamp_ns)) / 1e9,
+        keyframes=int(json.loads((out / "ledger.json").read_text())["frames"]["keyframes"]),
+        objects=len(snapshot.objects),
+        log_s=(snapshot.stamp_ns - (source.info.start_ns or snapshot.stamp_ns)) / 1e9,
         wall_s=time.monotonic() - began,
-        folder_mb=sum(file.stat().st_size for file in out.rglob("*") if file.is_file()) / 1e6,
+        map_mb=folder_mb(out),
         seconds=seconds,
         calls=dict(sorted(clock.seconds.items(), key=lambda one: -one[1])[:25]),
     )
 
 
-def main() -> None:
-    """Measure, and print one line of JSON."""
+if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("log", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("overrides", nargs="*")
     parser.add_argument("--frames", type=int)
-    options = parser.parse_args()
-    print(dumps(asdict(_measured(options.log, options.out, tuple(options.overrides), options.frames))))
-
-
-if __name__ == "__main__":
-    main()
+    print(dumps(asdict(_measured(**vars(parser.parse_args())))))
