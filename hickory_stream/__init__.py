@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.mapper import Mapper
-    from hickory_stream.engine.saved_map import SavedMap, open_map
     from hickory_stream.errors import HickoryError
+    from hickory_stream.map_folder.saved_map import SavedMap, open_map
     from hickory_stream.navigation.clearance import Answer, ClearanceScene
     from hickory_stream.navigation.free_space import free_space_of
     from hickory_stream.navigation.robot import load_robot
@@ -49,7 +49,7 @@ __all__ = [
 _HOMES = {
     "hickory_stream.config": ("MapperConfig",),
     "hickory_stream.engine.mapper": ("Mapper",),
-    "hickory_stream.engine.saved_map": ("SavedMap", "open_map"),
+    "hickory_stream.map_folder.saved_map": ("SavedMap", "open_map"),
     "hickory_stream.errors": ("HickoryError",),
     "hickory_stream.navigation.clearance": ("Answer", "ClearanceScene"),
     "hickory_stream.navigation.free_space": ("free_space_of",),

@@ -6,16 +6,16 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from hickory_stream.config_text import converted, type_hints
+from hickory_stream.base.config_text import converted, type_hints
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.depth_sensor import SensorConfig
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.loops.config import LoopConfig
-from hickory_stream.mapping.keyframes import KeyframeConfig
-from hickory_stream.mapping.mapping_config import MappingConfig
+from hickory_stream.mapping.config import MappingConfig
+from hickory_stream.mapping.rules.keyframes import KeyframeConfig
 from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.poses.registration_config import RegistrationConfig
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.shapes.build import ShapeConfig
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.directions import no_directions
-from hickory_stream.geometry.rigid import is_rigid
+from hickory_stream.geometry.rigid import is_rigid, no_directions
 
 if TYPE_CHECKING:
     import numpy as np

@@ -9,8 +9,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any, Literal, NotRequired, TypedDict
 
-from hickory_stream.json_schema import schema_of
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_schema import schema_of
+from hickory_stream.base.json_text import dumps
 
 VERSION = 1
 
@@ -865,7 +865,7 @@ OUTPUTS: dict[str, Any] = {
     "resume-saved": Saved,
     "replay": Replayed,
     "doctor": Diagnosis,
-    "inspect": "hickory_stream.evaluation.inspect.MapSummary",
+    "inspect": "hickory_stream.inspection.inspect.MapSummary",
     "verify": Verified,
     "render": Rendered,
     "export": Exported,
@@ -881,7 +881,7 @@ OUTPUTS: dict[str, Any] = {
     "reconstruct": Reconstructed,
     "evaluate": "hickory_stream.evaluation.evaluate.Evaluation",
     "evaluate-explain": Definitions,
-    "explain": "hickory_stream.evaluation.place_story.PlaceStory",
+    "explain": "hickory_stream.inspection.point_history.PlaceStory",
     "explain-object": "hickory_stream.evaluation.why.ObjectStory",
     "explain-truth": "hickory_stream.evaluation.why.Why",
     "evaluate-views": Strategies,

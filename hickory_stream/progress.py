@@ -8,13 +8,13 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Literal
 
+from hickory_stream.base.terminal import clear_line
 from hickory_stream.outputs import output
-from hickory_stream.terminal import clear_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
 
 Style = Literal["bar", "lines", "json", "none"]
 

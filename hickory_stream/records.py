@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from hickory_stream.confined import plain_name, whole_number
+from hickory_stream.base.confined import plain_name, whole_number
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.geometry.directions import no_directions
-from hickory_stream.geometry.made_arrays import GivesUpArrays
+from hickory_stream.geometry.lazy_arrays import GivesUpArrays
+from hickory_stream.geometry.rigid import no_directions
 from hickory_stream.geometry.superquadric import check_bodies
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class RawFrame:
     odometry jumped since the frame before: it takes the old world into the new one. The pose itself does not jump: a
     source that knows of a jump takes it out, so that all its poses are in the first world. `goes_back`: somebody went
     back in the log to this frame, and wants the map as it was known before it. `is_posed`: False where the pose is none
-    and odometry has yet to put one in, before anybody is handed the source (`players/odometry_source.py`).
+    and odometry has yet to put one in, before anybody is handed the source (`players/poses/odometry_source.py`).
     """
 
     index: int
@@ -287,7 +287,7 @@ class CoarseFrame:
 
 
 class Phase(StrEnum):
-    """The phases of a track; the rules between them are the table in `mapping/lifecycle.py`."""
+    """The phases of a track; the rules between them are the table in `mapping/rules/lifecycle.py`."""
 
     TENTATIVE = "tentative"
     ACTIVE = "active"
@@ -492,8 +492,8 @@ class SurveyedSubmap(GivesUpArrays):
     far the camera moved and turned in it, `after_jump` whether the odometry jumped before it. `registered` (6, 6) is
     the covariance of its least sure keyframe, None if not all were registered. `blind` and `unfixed` (6, 6) are the
     lengths of its way along which the odometry, and the registration of keyframes, saw nothing
-    (`mapping/blind_ways.py`); None: of no length. `points` and unit `normals` (N, 3) are its surface, `free` the sorted
-    keys of voxels of `voxel_m` that were seen to be free.
+    (`mapping/entities/submaps.py`); None: of no length. `points` and unit `normals` (N, 3) are its surface, `free` the
+    sorted keys of voxels of `voxel_m` that were seen to be free.
     """
 
     id: int

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
-from hickory_stream.sinks.rerun_config import RerunConfig
+from hickory_stream.sinks.rerun.config import RerunConfig
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -3,8 +3,8 @@
 `open_source(uri)` is the way in; a source is whatever fulfils `hickory_stream.ports.Source`.
 """
 
-from players.noted import note_of, open_noted
 from players.opening import open_source
 from players.options import SourceOptions
+from players.source_note import note_of, open_noted
 
 __all__ = ["SourceOptions", "note_of", "open_noted", "open_source"]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from hickory_stream.ports import Source
-    from players.containers import Log
+    from players.logs.containers import Log
 
 logger = logging.getLogger(__name__)
 
@@ -54,7 +54,7 @@ def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptio
     Raises:
         HickoryError: as of `open_source`; or the chosen sensor or method is not available.
     """
-    from players.odometry_source import with_odometry
+    from players.poses.odometry_source import with_odometry
 
     choice = options.odometry
     return with_odometry(_open(uri, options if options.estimates_poses else replace(options, odometry="depth")), choice)
@@ -71,12 +71,12 @@ def _open(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Sou
                     f"found --robot {options.robot}, but a folder of images is of no robot; leave it out"
                 )
             return source
-    from players.log_opening import open_log
+    from players.logs.log_opening import open_log
 
     log = open_log(open_container(*paths), options)
     if options.extrinsics == "log":
         return log
-    from players.mounting import with_estimated_mounting
+    from players.poses.extrinsics import with_estimated_mounting
 
     return with_estimated_mounting(log)
 
@@ -97,7 +97,7 @@ def open_container(*paths: Path) -> Log:
             raise RecordingError(f"{error.filename or path} cannot be read: {error.strerror or error}") from error
     if len(logs) == 1:
         return logs[0]
-    from players.joined_log import JoinedLog
+    from players.logs.joined_log import JoinedLog
 
     kinds = list(dict.fromkeys(log.kind for log in logs))
     return JoinedLog(paths[0], f"{len(logs)} logs ({', '.join(kinds)})", logs)
@@ -114,11 +114,11 @@ def _open_file(path: Path) -> Log:
     if not magic:
         raise RecordingError(f"{path} is empty; expected {_KINDS}")
     if magic.startswith(_ROS1):
-        from players.ros1_log import Ros1Log
+        from players.logs.ros1_log import Ros1Log
 
         return Ros1Log(path)
     if magic.startswith((_MCAP, _SQLITE, _ZSTD)) and (magic[:4] != _ZSTD or path.suffix == ".zstd"):
-        from players.ros2_bag import open_bag_file
+        from players.logs.ros2_bag import open_bag_file
 
         return open_bag_file(path)
     # The first bytes may be damaged.
@@ -134,9 +134,9 @@ def _open_file(path: Path) -> Log:
 
 def _open_by_suffix(path: Path, suffix: str) -> Log:
     """Return the log in a file of a known suffix whose first bytes are damaged."""
-    from players.mcap_log import McapLog
-    from players.ros1_log import Ros1Log
-    from players.sqlite_log import SqliteLog
+    from players.logs.mcap_log import McapLog
+    from players.logs.ros1_log import Ros1Log
+    from players.logs.sqlite_log import SqliteLog
 
     log: Log = Ros1Log(path) if suffix == "bag" else McapLog(path) if suffix == "mcap" else SqliteLog(path)
     if not log.topics:
@@ -146,7 +146,7 @@ def _open_by_suffix(path: Path, suffix: str) -> Log:
 
 def _open_bag_folder(folder: Path) -> Log:
     """Return the log of a folder of bag files."""
-    from players.ros2_bag import METADATA, bag_files, open_ros2_bag
+    from players.logs.ros2_bag import METADATA, bag_files, open_ros2_bag
 
     names = sorted(entry.name for entry in folder.iterdir())
     if METADATA in names:
@@ -178,7 +178,7 @@ def _open_folder(folder: Path, options: SourceOptions) -> Source | None:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError as error:
         raise RecordingError(f"{folder} cannot be read: {error.strerror or error}") from error
-    from players.folder_layouts import (
+    from players.logs.folder_layouts import (
         CAM_PARAMS,
         CAMERA_POSES,
         TRAJECTORY,

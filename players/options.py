@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path  # noqa: TC003 -- `from_dict` looks the types up
 from typing import Literal
 
-from hickory_stream.ranges import Ranged, number
+from hickory_stream.base.ranges import Ranged, number
 
 DEFAULT_MAX_POSE_GAP_NS = 500_000_000
 MAX_GAP_NS = 3_600_000_000_000

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import compose
-from hickory_stream.mapping.keyframes import Keyframe, KeyframeConfig, is_keyframe
+from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe
 from hickory_stream.ports import SourceAround
 
 if TYPE_CHECKING:

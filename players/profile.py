@@ -14,22 +14,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.base.ranges import Range, Ranged, number, required
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import from_rotation_translation, rotation_from_quaternion
-from hickory_stream.ranges import Range, Ranged, number, required
 from players.options import MAX_GAP_NS
-from players.poses import nearest_rigid
-from players.tf import Edge
-from players.tracks import JumpLimits
+from players.poses.interpolation import nearest_rigid
+from players.poses.tf import Edge
+from players.poses.tracks import JumpLimits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from players.containers import Topic
+    from players.logs.containers import Topic
 
 _TOLERANCE = Range(low=0.001, high=MAX_GAP_NS / 1e6, unit="ms")
 _OFFSET = Range(low=-1000, high=1000, unit="m")

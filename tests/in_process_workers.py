@@ -10,7 +10,7 @@ import asyncio
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Self
 
-from hickory_stream.engine.shape_worker import serve
+from hickory_stream.engine.shape_jobs.worker import serve
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.mapping.cloud import Cloud, cloud_of
+from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
 from hickory_stream.records import View
 
 coordinate = st.floats(-20, 20)

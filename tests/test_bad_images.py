@@ -12,8 +12,8 @@ import pytest
 
 from hickory_stream.box_scene import PERIOD_NS, SCENE_BOXES, SCENE_CAMERA, START_NS, SceneBox, cast_scene, scene_pose
 from hickory_stream.cli import main
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.worlds.zed_log import COLOR_INFO_TOPIC, COLOR_TOPIC, ZedLog
 
 if TYPE_CHECKING:

@@ -16,11 +16,11 @@ import player_scenes as scenes
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import CalibrationError
-from players.containers import Topic
-from players.log_opening import choose_profile
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import create_map_folder
+from players.logs.containers import Topic
+from players.logs.log_opening import choose_profile
 from players.options import SourceOptions
 
 if TYPE_CHECKING:
@@ -351,7 +351,7 @@ def test_a_map_larger_than_memory_is_said_to_be(
     def too_large(*_: object) -> None:
         raise MemoryError("Unable to allocate 446. GiB")
 
-    monkeypatch.setattr("hickory_stream.cli.inspect.run", too_large)
+    monkeypatch.setattr("hickory_stream.cli.maps.inspect.run", too_large)
     ended = run("inspect", tmp_path)
     assert ended.status == 2
     assert ended.errors == [

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from hickory_stream import caches
+from hickory_stream.base import caches
+from hickory_stream.base.compiled import source_hash
 from hickory_stream.cli import main
-from hickory_stream.compiled import source_hash
 from hickory_stream.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -21,12 +21,11 @@ ROOT = Path(__file__).resolve().parent.parent
 KERNELS = {
     "players/__init__.py": "",
     "players/sizes.py": "SIZE = 3\n",
-    "players/inner.py": (
-        "from hickory_stream.compiled import numba\n\n@numba.njit(cache=True)\ndef two():\n    return 2\n"
-    ),
+    "players/inner.py": ("from hickory_stream.base.compiled import kernel\n\n@kernel\ndef two():\n    return 2\n"),
     "players/outer.py": (
-        "from hickory_stream.compiled import numba\nfrom players.inner import two\nfrom players.sizes import SIZE\n"
-        "from players.words import word\n\n@numba.njit(cache=True)\ndef five():\n    return two() + SIZE\n"
+        "from hickory_stream.base.compiled import kernel\nfrom players.inner import two\n"
+        "from players.sizes import SIZE\n"
+        "from players.words import word\n\n@kernel\ndef five():\n    return two() + SIZE\n"
     ),
     "players/words.py": "def word():\n    return 'word'\n",
 }

@@ -21,14 +21,14 @@ import pytest
 import trimesh
 from rerun.chunk import RrdReader
 
+from hickory_stream.base.config_text import from_dict, read_config
 from hickory_stream.cli import main
-from hickory_stream.config_text import from_dict, read_config
-from hickory_stream.engine.digest import map_digest
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
-from hickory_stream.engine.saved_map import open_map
-from hickory_stream.evaluation.raycast import image_colors
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.pictures.raycast import image_colors
 from hickory_stream.records import Phase
 from hickory_stream.settings import Settings
 from hickory_stream.testing import RememberingSink

@@ -14,10 +14,10 @@ from hickory_stream.alignment.object_map import object_map
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.manifest import MANIFEST
-from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.relocalise import relocalise
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.map_folder.manifest import MANIFEST
+from hickory_stream.map_folder.writer import create_map_folder
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 
 if TYPE_CHECKING:

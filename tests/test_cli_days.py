@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.cli import main
-from hickory_stream.cli.align import objects_of
-from hickory_stream.cli.stationarity import movable_objects
+from hickory_stream.cli.maps.align import objects_of
+from hickory_stream.cli.maps.stationarity import movable_objects
 from hickory_stream.engine.relocalise import without
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.map_folder.saved_map import open_map
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.navigation.rooms import seen_room
 from tests.test_cli_align import save

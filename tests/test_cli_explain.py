@@ -12,10 +12,6 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.history.recorded import frame_indices, recorded_steps
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS
@@ -24,12 +20,16 @@ from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.evaluation.why import Why, reasons_of
 from hickory_stream.evaluation.why_text import why_text
 from hickory_stream.events import FrameObserved
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.writer import JournalWriter
+from hickory_stream.map_folder.history.recorded import frame_indices, recorded_steps
+from hickory_stream.map_folder.saved_map import open_map
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.history.recorded import RecordedStep
     from hickory_stream.evaluation.evaluate import Evaluation
+    from hickory_stream.map_folder.history.recorded import RecordedStep
     from hickory_stream.records import Observation
 
 pytestmark = pytest.mark.timeout(180)

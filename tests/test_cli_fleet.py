@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from hickory_stream.engine.journal_format import JOURNAL
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.journal.format import JOURNAL
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.worlds.fleet import make_fleet
 from hickory_stream.worlds.recording_config import RecordingConfig
 from tests.conftest import COARSE_SHAPES

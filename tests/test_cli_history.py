@@ -12,9 +12,9 @@ import numpy as np
 import psutil
 import pytest
 
-from hickory_stream.changes.pictures import pictures_of
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.changes.run_page import pictures_of
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.saved_map import open_map
 from tests.test_cli import COMMAND, EAGER, Playing, look, run
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ import pytest
 
 from hickory_stream.changes.stationarity import Stationarity, StayCount, write_stationarity
 from hickory_stream.cli import main
-from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.evaluation.truth import Truth, TruthObject, truth_record
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.navigation.free_space import obstacle_grid
 from hickory_stream.navigation.robot import Part, Posture, Robot
 from tests.engine.snapshot_fixtures import box_mesh, placed

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from hickory_stream import caches
+from hickory_stream.base import caches
 from hickory_stream.cli import main
-from hickory_stream.engine.crops import write_crop
-from hickory_stream.engine.map_folder import create_map_folder
+from hickory_stream.map_folder.views import write_crop
+from hickory_stream.map_folder.writer import create_map_folder
 from tests.engine.snapshot_fixtures import make_crop, make_snapshot
 from tests.navigation.rooms import table, tracked
 from tests.perception.small_pairs import write_pair

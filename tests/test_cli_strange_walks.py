@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.box_scene import SCENE_BOXES, cast_scene, scene_pose
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
+from hickory_stream.map_folder.saved_map import open_map
 from tests.engine.registration_sources import CAMERA, ROOM
 from tests.test_cli import Ended, look, run
 

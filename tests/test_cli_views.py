@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from hickory_stream.cli import main
 from hickory_stream.cli.evaluate_views import reconstructors_of
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.views.trials import BEST, OURS, STRATEGIES
+from hickory_stream.map_folder.saved_map import open_map
 from tests.examples.generators import HERE
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
+from hickory_stream.base.config_text import _GONE, _MOVED, from_dict, read_config, to_toml
+from hickory_stream.base.ranges import ranges_of
 from hickory_stream.config import MapperConfig, RunConfig, as_far_as_known
-from hickory_stream.config_text import _GONE, _MOVED, from_dict, read_config, to_toml
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.lattice import Lattice
-from hickory_stream.ranges import ranges_of
 from hickory_stream.settings import Settings
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.confined import OutsideError, open_new, path_within, plain_name, read_within, whole_number
+from hickory_stream.base.confined import OutsideError, open_new, path_within, plain_name, read_within, whole_number
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,7 +8,7 @@ import re
 import cv2
 import numpy as np
 
-from hickory_stream.html_page import page, picture
+from hickory_stream.base.html_page import page, picture
 
 
 def test_a_page_shows_what_a_stranger_wrote_and_loads_nothing() -> None:

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.json_text import dumps, dumps_exactly, toml_string
+from hickory_stream.base.json_text import dumps, dumps_exactly, toml_string
 
 ROOT = Path(__file__).resolve().parent.parent
 WRITER = ROOT / "hickory_stream" / "json_text.py"

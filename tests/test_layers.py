@@ -16,11 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # Lowest first; the parts of one layer import nothing of one another, those joined by "+" are one part.
 LAYERS = (
-    ("hickory_stream.errors", "hickory_stream.confined"),
-    (
-        "hickory_stream.ranges+hickory_stream.config_text+hickory_stream.json_text+hickory_stream.terminal+hickory_stream.html_page",
-        "hickory_stream.caches+hickory_stream.compiling+hickory_stream.kernel_loading+hickory_stream.compiled",
-    ),
+    ("hickory_stream.errors",),
+    ("hickory_stream.base",),
     ("hickory_stream.geometry",),
     ("hickory_stream.records+hickory_stream.events",),
     ("hickory_stream.ports", "hickory_stream.storeys"),
@@ -36,14 +33,17 @@ LAYERS = (
     ),
     ("hickory_stream.merging", "hickory_stream.loops"),
     ("hickory_stream.config+hickory_stream.box_scene+hickory_stream.testing",),
+    ("hickory_stream.journal",),
+    ("hickory_stream.map_folder",),
     ("hickory_stream.engine",),
-    ("hickory_stream.sinks", "players", "hickory_stream.evaluation"),
+    ("hickory_stream.sinks", "players", "hickory_stream.inspection"),
+    ("hickory_stream.pictures",),
+    ("hickory_stream.evaluation",),
     ("hickory_stream.worlds", "hickory_stream.fleet", "hickory_stream.query", "hickory_stream.changes"),
     ("hickory_stream.batch",),
     (
-        "hickory_stream.settings+hickory_stream.progress+hickory_stream.outputs+hickory_stream.json_schema+hickory_stream.cli+hickory_stream.__main__",
+        "hickory_stream.settings+hickory_stream.progress+hickory_stream.outputs+hickory_stream.cli+hickory_stream.__main__",
     ),
-    # The package itself offers the API, and loads it only when it is asked for.
     ("hickory_stream",),
 )
 PARTS = {name: (rank, part) for rank, parts in enumerate(LAYERS) for part in parts for name in part.split("+")}
@@ -122,10 +122,26 @@ def test_nothing_prints_but_the_command_line() -> None:
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
     }
-    assert {name.rpartition(".")[0] if name.count(".") > 1 else name for name in printers} == {"hickory_stream.cli"}
+    assert {name for name in printers if not f"{name}.".startswith("hickory_stream.cli.")} == set()
 
 
 def test_twins_for_tests_are_imported_by_tests_only() -> None:
     """What a run needs, such as the scene that warms it up, is no twin for tests."""
     users = [module_of(file) for file in FILES if "hickory_stream.testing" in set(imports_of(file))]
+    assert users == []
+
+
+@pytest.mark.parametrize("file", FILES, ids=module_of)
+def test_all_functions_but_kernels_have_type_hints(file: Path) -> None:
+    bare = []
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            decorators = {ast.unparse(decorator).partition("(")[0] for decorator in node.decorator_list}
+            if not decorators & {"kernel", "overload"} and node.returns is None:
+                bare.append(node.name)
+    assert bare == []
+
+
+def test_the_product_imports_no_tools() -> None:
+    users = [module_of(file) for file in FILES if any(name.split(".")[0] == "tools" for name in imports_of(file))]
     assert users == []

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
 import jsonschema
 import pytest
 
+from hickory_stream.base.json_schema import schema_of
 from hickory_stream.cli import main
 from hickory_stream.config import RunConfig
-from hickory_stream.json_schema import schema_of
 from hickory_stream.outputs import OUTPUTS, VERSION, output, output_schema
 from hickory_stream.progress import ProgressPrinter
 from tests.output_forms import checked
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).resolve().parent.parent
-FILES = [*sorted((ROOT / "hickory_stream" / "cli").glob("*.py")), ROOT / "hickory_stream" / "progress.py"]
+FILES = [*sorted((ROOT / "hickory_stream" / "cli").rglob("*.py")), ROOT / "hickory_stream" / "progress.py"]
 
 
 def calls(name: str) -> Iterator[tuple[Path, ast.Call]]:
@@ -115,7 +115,7 @@ def test_what_commands_print_keeps_to_its_form(
 
 
 def test_progress_keeps_to_its_form(capsys: pytest.CaptureFixture[str]) -> None:
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
 
     ProgressPrinter("json")(Progress(phase="mapping", frames=3, total=None, keyframes=2, objects=1, open_shapes=0))
     assert checked(json.loads(capsys.readouterr().err))["frames"] == 3

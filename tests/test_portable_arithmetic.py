@@ -16,26 +16,25 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).resolve().parent.parent
-# Networks round as onnxruntime does: a run with them says so (`engine/processor.py`).
+# Networks round as onnxruntime does: a run with them says so (`engine/shape_jobs/processor.py`).
 REGISTRATION = ("keyframe_registration", "registration_config", "surface_alignment", "surface_image")
+BOXES = ("geometry", "perception", "mapping", "shapes", "graph", "journal", "map_folder", "engine")
 PATHS = (
-    *sorted((ROOT / "hickory_stream" / "geometry").glob("*.py")),
-    *sorted((ROOT / "hickory_stream" / "perception").glob("*.py")),
-    *sorted((ROOT / "hickory_stream" / "mapping").glob("*.py")),
-    *sorted((ROOT / "hickory_stream" / "shapes").glob("*.py")),
-    *sorted((ROOT / "hickory_stream" / "graph").glob("*.py")),
-    *sorted((ROOT / "hickory_stream" / "engine").glob("*.py")),
+    *sorted(
+        file
+        for box in BOXES
+        for file in (ROOT / "hickory_stream" / box).rglob("*.py")
+        # Networks and generators run outside of it; what looks back decides nothing.
+        if not {"models", "generators", "history"} & set(file.parts)
+    ),
     *(ROOT / "hickory_stream" / "poses" / f"{name}.py" for name in REGISTRATION),
-    *sorted((ROOT / "players").glob("*.py")),
+    *sorted(file for file in (ROOT / "players").rglob("*.py") if "live" not in file.parts),
 )
 # Not on the way from pixels to a digest.
 EXEMPT = {
-    "hickory_stream/geometry/framing.py": "from where a viewer looks at first",
-    "hickory_stream/geometry/components.py": "colours of features in the viewer",
-    "hickory_stream/geometry/shape_score.py": "scores for alignment and the papers' tables",
-    "players/agreement.py": "what `doctor` says of a calibration",
-    "players/depth_noise.py": "what `doctor` says of the depth camera",
-    "hickory_stream/engine/history/time_travel.py": "what is shown of two moments of a map",
+    "hickory_stream/geometry/display.py": "where a viewer looks first, and its colours of features",
+    "players/doctor/depth_color_alignment.py": "what `doctor` says of a calibration",
+    "players/doctor/depth_noise.py": "what `doctor` says of the depth camera",
 }
 # Choose their code by the processor, or leave the order of their terms to a library that does.
 NUMPY = frozenset(
@@ -59,7 +58,7 @@ SCIPY = {
     "special": {"beta"},
 }  # fmt: skip
 # Integers, copies and comparisons, or single precision without products that could be fused: as measured, the same
-# with and without AVX2, FMA and IPP. Filters of floating-point images are not (`perception/gradients.py`).
+# with and without AVX2, FMA and IPP. Filters of floating-point images are not (`perception/descriptor.py`).
 CV2 = frozenset(
     "resize dilate erode morphologyEx blur connectedComponentsWithStats distanceTransformWithLabels copyMakeBorder "
     "cvtColor imdecode imencode remap initUndistortRectifyMap fisheye".split()
@@ -78,7 +77,7 @@ def forbidden_in(source: str) -> Iterator[str]:
 
 
 def _is_kernel(function: ast.FunctionDef) -> bool:
-    return any("njit" in ast.unparse(decorator) for decorator in function.decorator_list)
+    return any("kernel" in ast.unparse(decorator) for decorator in function.decorator_list)
 
 
 def _why_not(node: ast.AST, *, in_kernel: bool) -> str | None:
@@ -111,7 +110,7 @@ def _outside(module: str, names: set[str]) -> str | None:
 
 def _why_no_call(name: str, keywords: set[str], in_kernel: bool) -> str | None:
     first, _, rest = name.partition(".")
-    if name.endswith("njit") and keywords & {"fastmath", "parallel"}:
+    if name.endswith(("njit", "kernel")) and keywords & {"fastmath", "parallel"}:
         return f"{name}: the order of terms is the compiler's"
     if name.endswith(".dot") and first not in ("np", "portable"):
         return f"{name}: portable.dot"
@@ -153,6 +152,7 @@ def test_the_way_to_a_map_rounds_in_one_way_only(path: Path) -> None:
         "from scipy.linalg import eigh",
         "x = ndimage.gaussian_filter(a, 1)",
         "@numba.njit(fastmath=True)\ndef f(): ...",
+        "@kernel(parallel=True)\ndef f(): ...",
     ],
 )
 def test_what_rounds_as_its_processor_does_is_found(line: str) -> None:

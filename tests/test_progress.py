@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from hickory_stream.cli.compile_notice import CompileNotice
-from hickory_stream.engine.run_progress import Progress
+from hickory_stream.cli import CompileNotice
+from hickory_stream.engine.modes import Progress
 from hickory_stream.progress import ProgressPrinter
 
 AT_START = Progress(phase="mapping", frames=0, total=1000, keyframes=0, objects=0, open_shapes=0)

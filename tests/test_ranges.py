@@ -9,18 +9,18 @@ from typing import Any, get_type_hints
 
 import pytest
 
-from hickory_stream.alignment.align_config import AlignConfig
-from hickory_stream.config_text import from_dict, read_config, to_toml
+from hickory_stream.alignment.config import AlignConfig
+from hickory_stream.base.config_text import from_dict, read_config, to_toml
+from hickory_stream.base.ranges import Range, Ranged, check_order, number, ranges_of
 from hickory_stream.errors import ConfigError, RangeError
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.merging.merge_maps import MergeMapsConfig
 from hickory_stream.navigation.robot import Part, Posture, Robot
 from hickory_stream.navigation.search import SearchConfig
-from hickory_stream.ranges import Range, Ranged, check_order, number, ranges_of
 from hickory_stream.settings import Settings
 from players.options import SourceOptions
+from players.poses.tracks import JumpLimits
 from players.profile import Intrinsics, Profile
-from players.tracks import JumpLimits
 
 ROOTS = (Settings, AlignConfig, MergeMapsConfig, SearchConfig)
 SUFFIXES = {"m": "m", "m2": "m2", "m3": "m3", "s": "s", "deg": "deg", "rad": "rad", "ns": "ns", "px": "px", "mb": "MB"}

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hickory_stream.base.terminal import VisibleStream, clear_line, shown_safely, visible
 from hickory_stream.cli import main
-from hickory_stream.cli.verify import tell
-from hickory_stream.terminal import VisibleStream, clear_line, shown_safely, visible
+from hickory_stream.cli.maps.verify import tell
 
 if TYPE_CHECKING:
     from pathlib import Path

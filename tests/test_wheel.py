@@ -14,7 +14,7 @@ import cv2
 import pytest
 from packaging.requirements import Requirement
 
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.map_folder.saved_map import open_map
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -19,12 +19,10 @@ import numpy as np
 from hickory_stream.errors import HickoryError, ModelError
 from hickory_stream.perception.models.dinov2 import DinoConfig, DinoExtractor
 from hickory_stream.perception.models.fastsam import FastSam, FastSamConfig
-from hickory_stream.perception.models.imagenet import normalised
 from hickory_stream.perception.models.library import ModelEntry, add_model, models_folder, sha256_of
 from hickory_stream.perception.models.network import Network, NetworkConfig
-from hickory_stream.perception.models.oneformer import PanopticConfig
-from hickory_stream.perception.models.picture import built_in_picture
-from hickory_stream.perception.models.semantic_graph import GraphSemantics
+from hickory_stream.perception.models.preprocessing import built_in_picture, normalised
+from hickory_stream.perception.models.semantic_graph import GraphSemantics, PanopticConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable

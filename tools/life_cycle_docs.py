@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hickory_stream.mapping.lifecycle import life_cycle_table
+from hickory_stream.mapping.rules.lifecycle import life_cycle_table
 from tools.readmes import ROOT, filled
 
 README = ROOT / "hickory_stream" / "mapping" / "README.md"

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from hickory_stream.perception.absolute_features import is_size
-from hickory_stream.perception.features import joined
-from hickory_stream.perception.join import Groups, JoinConfig, rounds
-from hickory_stream.perception.odds_features import odds_features
-from hickory_stream.perception.pair_features import pair_features
-from hickory_stream.perception.trees import Trees
+from hickory_stream.perception.regions.absolute_features import is_size
+from hickory_stream.perception.regions.features import joined
+from hickory_stream.perception.regions.join import Groups, JoinConfig, rounds
+from hickory_stream.perception.regions.odds_features import odds_features
+from hickory_stream.perception.regions.pair_features import pair_features
+from hickory_stream.perception.regions.trees import Trees
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.evaluation.truth import instances_of
-from hickory_stream.perception.fragment_odds import fragment_odds
-from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
-from hickory_stream.perception.join import JoinConfig, region_graph_of
+from hickory_stream.perception.affinity.odds_split import SplitConfig, divided_by_odds
+from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.masks import enlarged_mask
-from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
-from hickory_stream.perception.trees import Trees
+from hickory_stream.perception.regions.fragment_odds import fragment_odds
+from hickory_stream.perception.regions.join import JoinConfig, region_graph_of
+from hickory_stream.perception.regions.trees import Trees
 from hickory_stream.records import Frame, Segmentation
 from hickory_stream.worlds.clutter.frames import frames_of
 from hickory_stream.worlds.depth_camera import sensed_depth
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.perception.fragment_odds import FragmentOdds
-    from hickory_stream.perception.over_segmentation import Fragments
-    from hickory_stream.perception.pixel_network import PixelNetwork
-    from hickory_stream.perception.region_graph import RegionGraph
+    from hickory_stream.perception.affinity.pixel_network import PixelNetwork
+    from hickory_stream.perception.fragments.over_segmentation import Fragments
+    from hickory_stream.perception.regions.fragment_odds import FragmentOdds
+    from hickory_stream.perception.regions.region_graph import RegionGraph
     from hickory_stream.records import MapPrior
     from tools.network_training.frames import Scene, TrueFrame
 

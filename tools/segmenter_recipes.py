@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.perception.trees import averaged
+from hickory_stream.perception.regions.trees import averaged
 from hickory_stream.worlds.cache import cached_recording
 from hickory_stream.worlds.recording_config import RecordingConfig
 from tools.network_training.scenes import Scene, told
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.perception.pixel_network import PixelNetwork
-    from hickory_stream.perception.trees import Trees
+    from hickory_stream.perception.affinity.pixel_network import PixelNetwork
+    from hickory_stream.perception.regions.trees import Trees
     from tools.segmenter_lessons import Lesson
 
 ROOMS = (0, 1)

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 
 import sklearn
 
-from hickory_stream.caches import cache_root
-from hickory_stream.json_text import dumps_exactly
-from hickory_stream.perception import pixel_network
-from hickory_stream.perception.join import JoinConfig, rounds
+from hickory_stream.base.caches import cache_root
+from hickory_stream.base.json_text import dumps_exactly
+from hickory_stream.perception.affinity import pixel_network
+from hickory_stream.perception.affinity.pixel_network import PixelNetwork
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig
-from hickory_stream.perception.pixel_network import PixelNetwork
-from hickory_stream.perception.trees import EMBEDDED
+from hickory_stream.perception.regions.join import JoinConfig, rounds
+from hickory_stream.perception.regions.trees import EMBEDDED
 from tools.benchmarks.perception.mask_scores import MaskScore, total
 from tools.network_training.scenes import HELD_OUT as HELD_OUT_VIEWS
 from tools.segmenter_lessons import lessons_of, lessons_of_scene, score_groups, true_groups
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.trees import Trees
+    from hickory_stream.perception.regions.trees import Trees
     from tools.segmenter_lessons import Lesson
 
 _PACKAGE = Path(__file__).resolve().parents[1] / "hickory_stream" / "perception"

@@ -1,4 +1,4 @@
-"""Layer 3 of real maps as `hickory_stream/evaluation/maps/shapes.npz`: what simulated objects are drawn from."""
+"""Layer 3 of real maps as `tools/evaluation/simulated_maps/shapes.npz`: what simulated objects are drawn from."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.geometry.superquadric import centroid_world
+from hickory_stream.map_folder.saved_map import open_map
 
-_OUT = Path(__file__).resolve().parents[1] / "hickory_stream" / "evaluation" / "maps" / "shapes.npz"
+_OUT = Path(__file__).resolve().parent / "evaluation" / "simulated_maps" / "shapes.npz"
 
 
 def main(maps: list[str]) -> int:

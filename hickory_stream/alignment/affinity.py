@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -205,8 +205,8 @@ def _distances(centroids: NDArray[np.float64], is_level: bool) -> tuple[NDArray[
     return np.linalg.norm(offsets, axis=2), np.zeros(offsets.shape[:2])
 
 
-@numba.njit(cache=True, nogil=True)
-def _bins(sorted_rows, most, bin_m):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _bins(sorted_rows, most, bin_m):
     """Return for each row where the distances of each bin begin: a look-up instead of a search."""
     count = int(most / bin_m) + 2
     bins = np.empty((len(sorted_rows), count), dtype=np.int32)
@@ -219,8 +219,8 @@ def _bins(sorted_rows, most, bin_m):  # type: ignore[no-untyped-def] # pragma: n
     return bins
 
 
-@numba.njit(cache=True, nogil=True)
-def _edges(along_a, up_a, sorted_up_b, order_b, sorted_b, bins, bin_m, pairs, index, sigma_m, tilt_rad, gate):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _edges(along_a, up_a, sorted_up_b, order_b, sorted_b, bins, bin_m, pairs, index, sigma_m, tilt_rad, gate):
     """Return the pairs (c, d), c < d, of candidates that agree, and how well: by c, unordered in d."""
     room = 1024
     first, second = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
@@ -255,15 +255,15 @@ def _edges(along_a, up_a, sorted_up_b, order_b, sorted_b, bins, bin_m, pairs, in
     return first[:count], second[:count], agreement[:count]
 
 
-@numba.njit(cache=True, nogil=True)
-def _longer(values, room):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _longer(values, room):
     longer = np.empty(room, dtype=values.dtype)
     longer[: len(values)] = values
     return longer
 
 
-@numba.njit(cache=True, nogil=True)
-def _rows(count, first, second, agreement):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _rows(count, first, second, agreement):
     """Return the graph in compressed rows, the neighbours of each ascending: two passes of counting sort."""
     starts = np.zeros(count + 1, dtype=np.int64)
     for e in range(len(first)):

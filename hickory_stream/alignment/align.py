@@ -14,8 +14,8 @@ from hickory_stream.alignment.affinity import (
     semantic_scores,
     why_no_semantics,
 )
-from hickory_stream.alignment.align_config import AlignConfig
 from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
+from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.grouping import grouped_probability
 from hickory_stream.alignment.hypothesis import Evidence, matched
 from hickory_stream.alignment.hypothesis import judged as judged_as

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 
-@numba.njit(cache=True, nogil=True)
-def heaviest_clique(starts, neighbors, gains, incumbent, max_nodes):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def heaviest_clique(starts, neighbors, gains, incumbent, max_nodes):
     """Return the vertices of the clique with the greatest total gain, or the best one found in `max_nodes` nodes.
 
     The graph is in compressed rows, neighbours ascending; `gains` (C,) are positive; `incumbent` is a clique to beat.
@@ -59,8 +59,8 @@ def heaviest_clique(starts, neighbors, gains, incumbent, max_nodes):  # type: ig
     return best
 
 
-@numba.njit(cache=True, nogil=True)
-def _smallest_last(starts, neighbors):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _smallest_last(starts, neighbors):
     """Return the vertices with the one of least degree among the remaining first, and its position of each."""
     count = len(starts) - 1
     degree = starts[1:] - starts[:-1]
@@ -93,8 +93,8 @@ def _smallest_last(starts, neighbors):  # type: ignore[no-untyped-def] # pragma:
     return order, position
 
 
-@numba.njit(cache=True, nogil=True)
-def _colored(linked, gains, members, size, order, bound):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _colored(linked, gains, members, size, order, bound):
     """Write the members by colour class and, for each, the maximum gain of a clique among the members up to it."""
     left = members[:size].copy()
     num_left = size
@@ -126,8 +126,8 @@ def _colored(linked, gains, members, size, order, bound):  # type: ignore[no-unt
             bound[t] = total
 
 
-@numba.njit(cache=True, nogil=True)
-def _search(linked, gains, best_gain, nodes, max_nodes):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _search(linked, gains, best_gain, nodes, max_nodes):
     """Return the heaviest clique above best_gain (empty if there is none), its gain, and the nodes spent so far."""
     count = len(gains)
     order = np.empty((count + 1, count), dtype=np.int64)

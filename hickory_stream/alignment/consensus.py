@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.alignment.clique import heaviest_clique
-from hickory_stream.compiled import numba
-from hickory_stream.ranges import Ranged, number
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -76,8 +76,8 @@ def ascended_clique(
     return np.sort(_rounded(starts, neighbors, np.argsort(-u, kind="stable")))
 
 
-@numba.njit(cache=True, nogil=True)
-def _alive_graph(starts, neighbors, weights, alive):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _alive_graph(starts, neighbors, weights, alive):
     """Return the graph among the candidates that are alive, renumbered."""
     vertices = np.flatnonzero(alive)
     rank = np.full(len(alive), -1, dtype=np.int32)
@@ -96,8 +96,8 @@ def _alive_graph(starts, neighbors, weights, alive):  # type: ignore[no-untyped-
     return vertices, new_starts, new_neighbors[:at], new_weights[:at]
 
 
-@numba.njit(cache=True, nogil=True)
-def _ascend(starts, neighbors, weights, strengths, penalties, steps):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _ascend(starts, neighbors, weights, strengths, penalties, steps):
     """Return u of projected gradient ascent; M has strengths^2 on its diagonal, and weights times strengths elsewhere.
 
     A coordinate that has become zero stays zero, so that the problem becomes smaller with every step.
@@ -149,8 +149,8 @@ def _ascend(starts, neighbors, weights, strengths, penalties, steps):  # type: i
     return u
 
 
-@numba.njit(cache=True, nogil=True)
-def _linked(starts, neighbors, c, d):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _linked(starts, neighbors, c, d):
     low, high = starts[c], starts[c + 1]
     while low < high:
         middle = (low + high) // 2
@@ -161,8 +161,8 @@ def _linked(starts, neighbors, c, d):  # type: ignore[no-untyped-def] # pragma: 
     return low < starts[c + 1] and neighbors[low] == d
 
 
-@numba.njit(cache=True, nogil=True)
-def _rounded(starts, neighbors, order):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _rounded(starts, neighbors, order):
     """Return the clique found greedily: vertices are taken in `order` if they agree with all before them."""
     clique = np.empty(len(order), dtype=np.int64)
     size = 0

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.alignment.answer import Contradictions
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import contains, contains_near, keys_of_cells
-from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

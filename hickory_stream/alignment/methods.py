@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from hickory_stream.alignment.align import align, evidence_of
-from hickory_stream.alignment.align_config import AlignConfig
 from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
+from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.consensus import ascended_clique
 from hickory_stream.alignment.hypothesis import judged
 from hickory_stream.alignment.object_map import taken

@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.alignment.contradiction import thinned
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
-from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

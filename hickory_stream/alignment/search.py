@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.alignment.affinity import Affinity
-    from hickory_stream.alignment.align_config import AlignConfig
+    from hickory_stream.alignment.config import AlignConfig
 
 # Further searches are skipped if the evidence exceeds the required one by this many decades.
 _CLEAR = 4.0

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.alignment.object_map import shape_box
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
 
 if TYPE_CHECKING:
@@ -104,8 +104,8 @@ def _primitive_sets(
     return points, shares**_SHARE_POWER, starts
 
 
-@numba.njit(cache=True, nogil=True)
-def _kernels(points_a, weights_a, starts_a, points_b, weights_b, starts_b, only_diagonal=False):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _kernels(points_a, weights_a, starts_a, points_b, weights_b, starts_b, only_diagonal=False):
     """Return (N, M) sums of Gaussian kernels between all primitives of two objects; on request the diagonal only."""
     sums = np.zeros((len(starts_a) - 1, len(starts_b) - 1))
     for i in range(sums.shape[0]):

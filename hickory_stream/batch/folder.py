@@ -9,11 +9,11 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.base.atomic_files import disk_errors, write_atomically
+from hickory_stream.base.json_text import dumps
 from hickory_stream.batch.tasks import LogOutcome
-from hickory_stream.engine.atomic import disk_errors, write_atomically
-from hickory_stream.engine.folder_lock import FolderLock
 from hickory_stream.errors import InputError, MapFolderError
-from hickory_stream.json_text import dumps
+from hickory_stream.map_folder.layout import FolderLock
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

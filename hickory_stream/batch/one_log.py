@@ -18,14 +18,14 @@ from contextlib import suppress
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.batch.tasks import LogOutcome, LogTask, software
 from hickory_stream.errors import HickoryError, MapFolderError
-from hickory_stream.json_text import dumps_exactly
 
 if TYPE_CHECKING:
     from hickory_stream.batch.tasks import State
-    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.play import Played
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
 
 ABANDONED = 75
@@ -80,7 +80,7 @@ def outcome_of(task: LogTask) -> LogOutcome:
 
 def _is_begun(task: LogTask) -> bool:
     """Return whether the task's map was begun and can be gone on with; what was not, is removed."""
-    from hickory_stream.engine.manifest import MANIFEST, read_manifest
+    from hickory_stream.map_folder.manifest import MANIFEST, read_manifest
 
     if not (task.out / MANIFEST).is_file():
         return False
@@ -109,7 +109,7 @@ def _mapped(task: LogTask, *, resumes: bool) -> Played:
 
 
 def _wait_for_lock(task: LogTask) -> None:
-    from hickory_stream.engine.folder_lock import check_unlocked
+    from hickory_stream.map_folder.layout import check_unlocked
 
     until_s = time.monotonic() + _LOCK_S
     while True:
@@ -130,7 +130,7 @@ def _is_disk_full(error: BaseException | None) -> bool:
 
 
 def _told(task: LogTask, played: Played, worker: str, wall_s: float, *, resumes: bool) -> LogOutcome:
-    from hickory_stream.engine.manifest import read_json
+    from hickory_stream.map_folder.manifest import read_json
 
     frames = read_json(task.out, "ledger.json").get("frames", {})
     children, own = os.times(), time.process_time()

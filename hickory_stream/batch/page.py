@@ -5,9 +5,9 @@ from __future__ import annotations
 import html
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.atomic import write_output
-from hickory_stream.html_page import page
-from hickory_stream.terminal import visible
+from hickory_stream.base.atomic_files import write_output
+from hickory_stream.base.html_page import page
+from hickory_stream.base.terminal import visible
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

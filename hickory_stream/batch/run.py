@@ -1,4 +1,7 @@
-"""A batch from its beginning, or from where it was left, to its table."""
+"""A batch from its beginning, or from where it was left, to its table.
+
+Where the maps of a batch overlap, and one map of those that do.
+"""
 
 from __future__ import annotations
 
@@ -10,22 +13,75 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.batch.cluster import outcomes_on
+import numpy as np
+
+from hickory_stream.alignment.answer import Alignment
+from hickory_stream.base.json_text import dumps
+from hickory_stream.batch.executors import outcomes_here, outcomes_on
 from hickory_stream.batch.folder import BatchFolder
-from hickory_stream.batch.joining import join_maps
-from hickory_stream.batch.local import outcomes_here
-from hickory_stream.batch.result import BatchResult, Row
+from hickory_stream.batch.place_signature import candidate_pairs, place_signatures
+from hickory_stream.batch.result import BatchResult, Joined, MergedMap, Overlap, Row
 from hickory_stream.batch.tasks import LogOutcome, LogTask, names_of, software
 from hickory_stream.errors import InputError, MapFolderError, WorkerError
-from hickory_stream.json_text import dumps
+from hickory_stream.fleet.finish import finish
 from players import note_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Sequence
+    from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 
+    from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.config import MapperConfig
     from hickory_stream.sinks.disk_sink import DiskSinkConfig
     from players import SourceOptions
+
+
+MERGED = "merged"
+"""What the merged maps of a batch are called."""
+
+
+def join_maps(folders: Mapping[str, Path], out: Path, tell: Callable[[str], None]) -> Joined:
+    """Align those of the maps that may overlap, and merge those that do into OUT/merged.map, merged-2.map, ...
+
+    Raises:
+        MapFolderError: a merged map cannot be written.
+    """
+    sizes: list[float] = []
+
+    def choose(maps: Sequence[ObjectMap]) -> Iterable[tuple[int, int]]:
+        signatures = place_signatures(maps)
+        sizes.extend(one.num_bytes / 1e3 for one in signatures)
+        return candidate_pairs(signatures)
+
+    finished = finish(folders, out, overwrite=True, tell=tell, choose=choose, name=MERGED)
+    believed = {pair for frame in finished.frames for pair in frame.pairs}
+    overlaps = tuple(
+        Overlap(
+            a=pair[0],
+            b=pair[1],
+            is_believed=pair in believed,
+            num_pairs=len(answer.pairs) if isinstance(answer, Alignment) else 0,
+            told="" if isinstance(answer, Alignment) else f"{answer.refusal.value}: {answer.reason}",
+        )
+        for pair, answer in finished.answers.items()
+    )
+    count = len(finished.maps)
+    return Joined(
+        num_pairs=count * (count - 1) // 2,
+        overlaps=overlaps,
+        merged=tuple(
+            MergedMap(
+                path=one.path,
+                names=one.names,
+                digest=one.digest,
+                num_objects=one.num_objects,
+                num_united=one.num_united,
+            )
+            for one in finished.merged
+        ),
+        signature_kb=float(np.mean(sizes)) if sizes else 0.0,
+        problems=tuple(f"{name}: {why}" for name, why in finished.problems.items()),
+    )
+
 
 _FULL = "the disk is full: free space, then the same command goes on"
 

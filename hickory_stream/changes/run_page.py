@@ -1,25 +1,69 @@
-"""The HTML page of what changed between two moments of a run: a plan, and every change with its pictures."""
+"""The HTML page of what changed between two moments of a run: a plan, and every change with its pictures.
+
+Pictures of objects that a map had at some moment: kept views, else cut out of the journal's keyframe images.
+"""
 
 from __future__ import annotations
 
 import html
 from typing import TYPE_CHECKING
 
-from hickory_stream.changes.page import COLORS, STYLE
-from hickory_stream.changes.pictures import pictures_of
-from hickory_stream.changes.plan_view import Footprint, plan_svg
+import cv2
+import numpy as np
+
+from hickory_stream.base.html_page import page, picture
+from hickory_stream.changes.page import COLORS, STYLE, Footprint, plan_svg
 from hickory_stream.changes.records import Verdict
-from hickory_stream.html_page import page, picture
+from hickory_stream.errors import MapFolderError
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.views import read_crop
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.history.time_travel import Change
-    from hickory_stream.records import MapSnapshot, TrackedObject
+    from hickory_stream.map_folder.history.time_travel import Change
+    from hickory_stream.records import MapSnapshot, TrackedObject, View
+
+
+_MARGIN_PX = 8
+
+
+def pictures_of(folder: Path, views: Iterable[View]) -> dict[str, NDArray[np.uint8]]:
+    """Return (h, w, 3) pictures of views by their names; left out are those of which a map folder has nothing any more.
+
+    The pixels of a view that no object has any more were removed; the image of its keyframe is in the journal, unless
+    `journal.keep_images` was off.
+    """
+    found: dict[str, NDArray[np.uint8]] = {}
+    removed = []
+    for view in views:
+        try:
+            found[view.name] = read_crop(folder / "views", view.name).rgb
+        except MapFolderError:
+            removed.append(view)
+    if removed:
+        try:
+            with Journal(folder) as journal:
+                cut = {view.name: _cut_out(journal, view) for view in removed}
+        except MapFolderError:
+            return found
+        found |= {name: rgb for name, rgb in cut.items() if rgb is not None}
+    return found
+
+
+def _cut_out(journal: Journal, view: View) -> NDArray[np.uint8] | None:
+    steps = np.flatnonzero(journal.stamps_ns == view.stamp_ns)
+    color = journal.color(int(steps[0])) if len(steps) else None
+    image = None if color is None else cv2.imdecode(np.frombuffer(color, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        return None
+    x0, y0, x1, y1 = view.box_px
+    part = image[max(0, y0 - _MARGIN_PX) : y1 + _MARGIN_PX, max(0, x0 - _MARGIN_PX) : x1 + _MARGIN_PX]
+    return np.ascontiguousarray(part[..., ::-1]) if part.size else None
+
 
 _PICTURE_PX = 150
 _OTHER = "#5d6b82"

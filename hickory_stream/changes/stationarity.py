@@ -13,9 +13,9 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.changes.records import ChangesConfig, Verdict
 from hickory_stream.errors import InputError
-from hickory_stream.json_text import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

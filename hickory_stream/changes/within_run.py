@@ -16,7 +16,7 @@ import numpy as np
 from hickory_stream.changes.compare import compare_maps
 from hickory_stream.changes.evidence import clear_points, compared_objects, evidence_at, not_in_free_space, seen_places
 from hickory_stream.changes.records import ChangesConfig, Verdict
-from hickory_stream.engine.history.time_travel import Change, changes
+from hickory_stream.map_folder.history.time_travel import Change, changes
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.align import METHODS, objects_of
+from hickory_stream.cli.maps.align import METHODS, objects_of
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.cli.commands import Commands
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
@@ -42,7 +42,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from hickory_stream.alignment.methods import align_by
-    from hickory_stream.cli.values import open_map_at
+    from hickory_stream.cli.option_values import open_map_at
     from hickory_stream.evaluation.alignment_table import format_table, row_of, table_json
 
     paths, truths = options.maps, options.truth

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.values import positive
+from hickory_stream.cli.option_values import positive
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -34,7 +34,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.cli.values import open_map_at
+    from hickory_stream.cli.option_values import open_map_at
     from hickory_stream.evaluation.navigation_scene import score_saved_map
     from hickory_stream.evaluation.navigation_table import format_table, table_json
     from hickory_stream.evaluation.truth import load_truth

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from hickory_stream.cli.values import read_settings
+from hickory_stream.cli.option_values import read_settings
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -93,8 +93,8 @@ def reconstructors_of(names: list[str] | None, config: MapperConfig, *, told: bo
     Raises:
         ConfigError: one that is named cannot be used.
     """
-    from hickory_stream.engine.generators.choose import check_generator, generating
-    from hickory_stream.engine.generators.spec import find_spec, generators_folder, read_spec
+    from hickory_stream.engine.shape_jobs.generators.choose import check_generator, generating
+    from hickory_stream.engine.shape_jobs.generators.spec import find_spec, generators_folder, read_spec
     from hickory_stream.errors import ConfigError
     from hickory_stream.shapes.build import make_reconstructor
 

@@ -9,41 +9,26 @@ from textwrap import fill
 from typing import Any
 
 from hickory_stream import __version__
-from hickory_stream.cli import (
+from hickory_stream.cli import completion, evaluate_alignment, evaluate_navigation, evaluate_views
+from hickory_stream.cli.examples import TEXTS
+from hickory_stream.cli.logs import doctor, odometry, segment
+from hickory_stream.cli.maps import (
     align,
-    batch,
-    cache,
-    completion,
-    config,
-    demo,
     diff,
-    doctor,
     evaluate,
-    evaluate_alignment,
-    evaluate_navigation,
-    evaluate_views,
     explain,
     export,
-    fleet,
-    generators,
     inspect,
-    live,
     merge,
-    models,
-    odometry,
     plan,
-    play,
     query,
     reconstruct,
     relocalise,
     render,
-    replay,
-    resume,
-    schema,
-    segment,
     verify,
 )
-from hickory_stream.cli.examples import TEXTS
+from hickory_stream.cli.runs import batch, demo, fleet, live, play, replay, resume
+from hickory_stream.cli.setup import cache, config, generators, models, schema
 
 _COMMANDS = (
     demo,

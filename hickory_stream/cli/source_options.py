@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.values import parse_nanoseconds
+from hickory_stream.cli.option_values import parse_nanoseconds
 from hickory_stream.errors import InputError
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from hickory_stream.errors import MapFolderError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
 
 
 def resume_command(folder: Path) -> str:
@@ -23,8 +23,8 @@ def unfinished_note(saved: SavedMap) -> str | None:
     mode = saved.manifest.run.get("mode")
     if saved.manifest.finished_cleanly or mode is None:
         return None
-    from hickory_stream.engine.folder_lock import check_unlocked
-    from hickory_stream.engine.journal import Journal
+    from hickory_stream.journal.reader import Journal
+    from hickory_stream.map_folder.layout import check_unlocked
 
     try:
         with Journal(saved.folder) as journal:

@@ -1,1 +1,1 @@
-"""The engine: the only package that knows asyncio, and the map folder that a run leaves behind."""
+"""The event loop of a run; no other package uses asyncio."""

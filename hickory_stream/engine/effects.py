@@ -1,13 +1,18 @@
-"""Carries out effects: gives the core an event, then does what its effects ask for until none is left."""
+"""Carries out effects: gives the core an event, then does what its effects ask for until none is left.
+
+What is kept of a keyframe's images: cut-outs around observations, and the colour image, compressed.
+
+Commits results of shape jobs to the core: when they are due (playback) or have arrived (live), and at the end.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, assert_never
 
-from hickory_stream.engine.crops import write_crop
-from hickory_stream.engine.keyframe_images import crop_of
-from hickory_stream.engine.threads import on_thread
+import numpy as np
+
+from hickory_stream.engine.async_tools import on_thread
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
@@ -19,25 +24,61 @@ from hickory_stream.events import (
     Publish,
     RequestShape,
     SearchLoops,
+    ShapeReady,
 )
+from hickory_stream.map_folder.views import write_crop
 from hickory_stream.perception.perceive import features_of
+from hickory_stream.ports import Crop
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from concurrent.futures import ThreadPoolExecutor
 
-    import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.config import RunConfig
+    from hickory_stream.config import JournalConfig, RunConfig
+    from hickory_stream.engine.async_tools import Stop
     from hickory_stream.engine.loop_closing import LoopCloser
-    from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.recorder import Recorder
-    from hickory_stream.engine.shape_queue import ShapeQueue
-    from hickory_stream.engine.step_writer import StepWriter
+    from hickory_stream.engine.modes import Mode
+    from hickory_stream.engine.shape_jobs.queue import ShapeQueue
+    from hickory_stream.engine.step_writer import Recorder, StepWriter
+    from hickory_stream.events import ShapeFailed
+    from hickory_stream.journal.step import StepKind
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.mapping.core import MapperCore
     from hickory_stream.ports import FeatureExtractor
-    from hickory_stream.records import Frame, MapSnapshot, Observation
+    from hickory_stream.records import Frame, MapSnapshot, Observation, RawFrame
+
+
+def crop_of(frame: Frame, observation: Observation, margin: float) -> Crop:
+    """Return the cut-out of a frame around an observation, with `margin` of its box more on every side."""
+    x0, y0, x1, y1 = observation.box_px
+    dx, dy = round((x1 - x0) * margin) + 2, round((y1 - y0) * margin) + 2
+    left, top = max(0, x0 - dx), max(0, y0 - dy)
+    right, bottom = min(frame.camera.width, x1 + dx), min(frame.camera.height, y1 + dy)
+    mask = np.zeros((bottom - top, right - left), dtype=bool)
+    mask[y0 - top : y1 - top, x0 - left : x1 - left] = observation.mask
+    return Crop(
+        rgb=frame.rgb[top:bottom, left:right],
+        depth_m=frame.depth_m[top:bottom, left:right],
+        mask=mask,
+        camera=frame.camera.cropped(left, top, right, bottom),
+        world_from_camera=frame.world_from_camera,
+        sensor=frame.sensor,
+    )
+
+
+def color_of(raw: RawFrame, frame: Frame, config: JournalConfig) -> bytes | None:
+    """Return the compressed image of a keyframe: the log's own, else a JPEG; None where none are to be kept."""
+    if not config.keep_images:
+        return None
+    if raw.color_bytes is not None:
+        return raw.color_bytes
+    import cv2
+
+    quality = [cv2.IMWRITE_JPEG_QUALITY, config.jpeg_quality]
+    encoded: bytes = cv2.imencode(".jpg", frame.rgb[..., ::-1], quality)[1].tobytes()
+    return encoded
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -167,3 +208,61 @@ class EffectRunner:
                 write_crop(views, keep.view.name, crop, self._config)
 
         await self._to.recorder.write_views(write)
+
+
+class OutOfPatienceError(Exception):
+    """The grace period of a stopped run is over."""
+
+
+class DueShapes:
+    """Commits results of shape jobs: each is an event for the core, and its job is over with the step that has it."""
+
+    def __init__(
+        self,
+        shapes: ShapeQueue,
+        effects: EffectRunner,
+        steps: StepWriter,
+        folder: MapFolder,
+        stop: Stop,
+        *,
+        mode: Mode,
+        grace_s: float,
+    ) -> None:
+        self._shapes = shapes
+        self._effects = effects
+        self._steps = steps
+        self._folder = folder
+        self._stop = stop
+        self._mode = mode
+        self._grace_s = grace_s
+
+    async def commit(self, stamp_ns: int | None) -> None:
+        """Tell the core of the shapes that are due at a stamp, None: of all that are open.
+
+        Raises:
+            OutOfPatienceError: the run was stopped and one of them is not there yet: what came after this would not be
+                what an uninterrupted run does.
+        """
+        while (event := await self._next(stamp_ns)) is not None:
+            await self._ended(event)
+        if self._mode == "playback" and self._shapes.has_due(stamp_ns):
+            raise OutOfPatienceError
+
+    async def commit_last(self, kind: StepKind, stamp_ns: int, tell: Callable[[], None]) -> None:
+        """Tell the core of the shapes that are open, or those that come within the grace of a stop; each is a step."""
+        while (event := await self._next(None)) is not None:
+            await self._ended(event)
+            await self._steps.commit(kind, stamp_ns)
+            tell()
+
+    async def _ended(self, event: ShapeReady | ShapeFailed) -> None:
+        await self._effects.handle(event)
+        self._steps.end_job(event.ticket)
+        if isinstance(event, ShapeReady):
+            self._folder.keep_shape(event.shape.mesh_name)
+
+    async def _next(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
+        """Return the next shape that is due; None where none is, or where a stop has no patience left for it."""
+        if self._mode == "live" and stamp_ns is not None:
+            return await self._shapes.next_arrived(stamp_ns)
+        return await self._stop.within_grace(self._shapes.next_due(stamp_ns), "next-shape", self._grace_s)

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 
 import llvmlite.binding
 
-from hickory_stream.caches import cache_root, mark_used
-from hickory_stream.compiled import kernels_folder, numba, source_hash
+from hickory_stream.base.caches import cache_root, mark_used
+from hickory_stream.base.compiled import kernels_folder, numba, source_hash
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -31,7 +31,7 @@ _ROOT = Path(__file__).resolve().parents[1]
 _PACKAGES = ("geometry", "perception", "mapping", "shapes")
 _LEFT_OUT = "models"  # networks have kernels that few runs need
 _TELL_EVERY_S = 1.0
-_DECORATOR = "@numba.njit("
+_DECORATOR = "\n@kernel"
 
 
 async def compile_kernels(tell: Callable[[int, int], None]) -> None:

@@ -16,8 +16,8 @@ from hickory_stream.poses.surface_image import surface_image
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.history.registration_history import RegistrationHistory
     from hickory_stream.geometry.camera import Camera
+    from hickory_stream.map_folder.history.registration_history import RegistrationHistory
     from hickory_stream.poses.registration_config import RegistrationConfig
     from hickory_stream.poses.surface_image import SurfaceImage
     from hickory_stream.records import Frame

@@ -1,6 +1,8 @@
 """The mapper as a Python object.
 
 `async with Mapper(config) as mapper: async for snapshot in mapper.run(source): ...`
+
+The end of a run: its sinks are closed, and the ledger, the timings and the manifest of its map are written.
 """
 
 from __future__ import annotations
@@ -15,39 +17,116 @@ from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
-from hickory_stream import caches
+from hickory_stream.base import caches
 from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.first_run import are_compiled
-from hickory_stream.engine.history.recorded_config import resumed_config
-from hickory_stream.engine.history.resume import reopen
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.processor import processor_kind, processor_of_run
-from hickory_stream.engine.run import Run
-from hickory_stream.engine.run_closing import MapSaver, close_run, why_empty
-from hickory_stream.engine.run_parts import RunParts
-from hickory_stream.engine.sink_threads import SinkThread
+from hickory_stream.engine.publisher import SinkThread
+from hickory_stream.engine.run import Run, RunParts
+from hickory_stream.engine.shape_jobs.choose import make_workers
+from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers, ShapeWorkers
+from hickory_stream.engine.shape_jobs.processor import processor_kind, processor_of_run
 from hickory_stream.engine.warm_up import rehearse
-from hickory_stream.engine.worker_choice import make_workers
-from hickory_stream.engine.workers import LocalWorkers, ShapeWorkers
 from hickory_stream.errors import InputError, MapFolderError, RecordingError
+from hickory_stream.journal.writer import JournalWriter
+from hickory_stream.map_folder.history.recorded_config import resumed_config
+from hickory_stream.map_folder.history.resume import reopen
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.choose import make_extractor, make_segmenter
 from hickory_stream.ports import continue_from, poses_by
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Mapping
+    from collections.abc import AsyncIterator, Callable, Mapping, Sequence
     from types import TracebackType
 
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.history.resume_point import ResumePoint
-    from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.modes import Mode
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Mode, Progress
+    from hickory_stream.map_folder.history.resume import ResumePoint
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot
+
+
+class MapSaver:
+    """Keeps the newest snapshot and saves it at the end: the sink of a mapper that was given none."""
+
+    def __init__(self, folder: MapFolder) -> None:
+        self._folder = folder
+        self._newest: MapSnapshot | None = None
+
+    def show(self, report: Any) -> None:
+        """Keep the snapshot of a report."""
+        self._newest = report.snapshot or self._newest
+
+    def close(self) -> None:
+        """Save the newest snapshot."""
+        if self._newest is not None:
+            self._folder.save(self._newest)
+
+
+async def close_run(
+    run: Run, folder: MapFolder, journal: JournalWriter, threads: Sequence[SinkThread], *, is_clean: bool
+) -> None:
+    """Close sinks and journal, and finish the map folder.
+
+    Essential sinks are closed first, so that a viewer that hangs cannot keep the map from being finished.
+
+    Raises:
+        Exception: the first error of an essential sink or of the journal, after everything was closed.
+    """
+    failed: BaseException | None = None
+    for thread in threads:
+        if thread.is_essential:
+            try:
+                await thread.close()
+            except Exception as error:  # noqa: BLE001 -- kept, and raised once every sink is closed
+                failed = error
+    try:
+        await asyncio.to_thread(journal.close)
+    except MapFolderError as error:
+        failed = failed or error
+    if failed is None or not is_clean:
+        # Asked here: what the run counts belongs to the event loop.
+        ledger, timings, is_reproducible = run.ledger(), run.timings(), run.is_reproducible
+        is_finished = is_clean and failed is None
+        await asyncio.to_thread(_finish, folder, ledger, timings, is_clean=is_finished, is_reproducible=is_reproducible)
+    await asyncio.gather(*(thread.close() for thread in threads if not thread.is_essential))
+    if failed is not None:
+        raise failed
+
+
+def why_empty(source: Source, run: Run) -> str | None:
+    """Return why a source that was played to its end has given no map, None if it has or was not played to its end."""
+    uri, counts = source.info.uri, run.counts
+    if not run.is_complete:
+        return None
+    if run.num_keyframes == 0:
+        told = ", ".join(f"{name} {count}" for name, count in sorted({**source.ledger(), **counts}.items()))
+        needed = "it must hold colour, depth and poses that overlap in time"
+        return f"{uri} gave no usable frame ({told or 'nothing'}); {needed}"
+    if counts.get("keyframes_without_depth", 0) == run.num_keyframes:
+        return f"{uri} has no depth in any of {run.num_keyframes} keyframes; mapping needs depth in metres above 0"
+    return None
+
+
+def _finish(
+    folder: MapFolder,
+    ledger: Mapping[str, Any],
+    timings: Mapping[str, float],
+    *,
+    is_clean: bool,
+    is_reproducible: bool,
+) -> None:
+    folder.write_json("ledger.json", ledger)
+    folder.write_json("timings.json", timings)
+    if is_clean:
+        shutil.rmtree(folder.jobs, ignore_errors=True)
+    folder.finish(finished_cleanly=is_clean, is_reproducible=is_reproducible)
+    if is_clean:
+        caches.prune()
+
 
 _LIVE_NICENESS = 10
 

@@ -11,16 +11,16 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.config_text import from_dict
-from hickory_stream.confined import path_within
-from hickory_stream.engine.atomic import disk_errors, link_or_copy, outside_errors, write_atomically
-from hickory_stream.engine.crops import crop_files, read_crop
-from hickory_stream.engine.manifest import read_json
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.processor import processor_kind
+from hickory_stream.base.atomic_files import disk_errors, link_or_copy, outside_errors, write_atomically
+from hickory_stream.base.config_text import from_dict
+from hickory_stream.base.confined import path_within
+from hickory_stream.base.json_text import dumps_exactly
+from hickory_stream.engine.shape_jobs.processor import processor_kind
+from hickory_stream.geometry.codecs.mesh_file import SUFFIX, mesh_file_bytes
 from hickory_stream.geometry.mesh import sha256_of
-from hickory_stream.geometry.mesh_file import SUFFIX, mesh_file_bytes
-from hickory_stream.json_text import dumps_exactly
+from hickory_stream.map_folder.manifest import read_json
+from hickory_stream.map_folder.views import crop_files, read_crop
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.ports import NoShape, ShapeInputs
 from hickory_stream.records import ObjectShape
 from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from hickory_stream.engine.manifest import Manifest
-    from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.manifest import Manifest
+    from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.merging.layout import PairOutcome
     from hickory_stream.merging.merge_maps import Merged
     from hickory_stream.merging.objects import MergedObject

@@ -13,10 +13,9 @@ from hickory_stream.ports import interrupt
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping
 
-    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.mapper import Mapper
-    from hickory_stream.engine.modes import Mode
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Mode, Progress
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink, Source
     from hickory_stream.records import MapSnapshot
 

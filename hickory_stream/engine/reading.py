@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine.channel import Channel, ChannelClosed
+from hickory_stream.engine.async_tools import Channel, ChannelClosed, Pacer, on_thread
 from hickory_stream.engine.keyframe_places import keyframe_surface
-from hickory_stream.engine.pacing import Pacer
-from hickory_stream.engine.threads import on_thread
 from hickory_stream.errors import RecordingError
-from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
+from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.space import free_space
 
 if TYPE_CHECKING:
@@ -26,9 +24,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.async_tools import Stop
     from hickory_stream.engine.modes import Mode
-    from hickory_stream.engine.stopping import Stop
     from hickory_stream.geometry.depth_sensor import SensorConfig
+    from hickory_stream.map_folder.history.resume import Position
     from hickory_stream.ports import FeatureExtractor, Segmenter, Source
     from hickory_stream.poses.surface_image import SurfaceImage
     from hickory_stream.records import Frame, RawFrame
@@ -74,17 +73,6 @@ class Read:
     is_torn: bool = False
     counts: Mapping[str, int] = field(default_factory=dict)
     arrived_s: float = 0.0
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Position:
-    """Where reading goes on: after the frame `last_index` of a round, whose last keyframe was `keyframe`."""
-
-    round_index: int = 0
-    first_index: int = 0
-    last_index: int = -1
-    keyframe: Keyframe | None = None
-    last_ns: int | None = None
 
 
 class Reader:

@@ -13,6 +13,8 @@
 `Run` perceives a keyframe against the map as it is after the one before. `RunClock` knows where the run stands, `Stop`
 whether it is to end. Whatever takes longer than a millisecond runs on a thread or in a child. A playback waits wherever
 something is full; a live run never does: it maps the newest keyframe and counts what it left out.
+
+The input of a run, as one record.
 """
 
 from __future__ import annotations
@@ -22,49 +24,52 @@ import logging
 import time
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.caches import cache_folder
-from hickory_stream.engine.announcer import Announcer
-from hickory_stream.engine.corrections import Corrections
-from hickory_stream.engine.due_shapes import DueShapes, OutOfPatienceError
-from hickory_stream.engine.effects import AtHand, EffectRunner, EffectTargets
-from hickory_stream.engine.far_arrays import FarArrays
+from hickory_stream.base.caches import cache_folder
+from hickory_stream.engine.accounting import engine_metrics, run_ledger, run_timings
+from hickory_stream.engine.async_tools import LoopDelay, Stop, on_thread
+from hickory_stream.engine.corrections import Corrections, Placing
+from hickory_stream.engine.effects import AtHand, DueShapes, EffectRunner, EffectTargets, OutOfPatienceError, color_of
 from hickory_stream.engine.first_run import compile_kernels
-from hickory_stream.engine.frame_outcomes import FrameOutcome, KeyframeChoice
-from hickory_stream.engine.frame_placing import Placing
-from hickory_stream.engine.frame_reports import final_report, keyframe_report, plain_report
-from hickory_stream.engine.generators.choose import generator_key
-from hickory_stream.engine.history.rewind import rewound_to
-from hickory_stream.engine.keyframe_images import color_of
+from hickory_stream.engine.frame_accounting import FrameOutcome, KeyframeChoice, RunClock
 from hickory_stream.engine.loop_closing import LoopCloser
-from hickory_stream.engine.loop_delay import LoopDelay
-from hickory_stream.engine.reading import Ahead, Position, Read, Reader, sensed
-from hickory_stream.engine.recorder import Recorder
-from hickory_stream.engine.run_accounts import engine_metrics, run_ledger, run_timings
-from hickory_stream.engine.run_clock import RunClock
-from hickory_stream.engine.shape_cache import ShapeCache
-from hickory_stream.engine.shape_queue import ShapeQueue
-from hickory_stream.engine.step import StepKind
-from hickory_stream.engine.step_writer import StepWriter
-from hickory_stream.engine.stopping import Stop
-from hickory_stream.engine.threads import on_thread
+from hickory_stream.engine.publisher import Announcer
+from hickory_stream.engine.reading import Ahead, Read, Reader, sensed
+from hickory_stream.engine.shape_jobs.cache import ShapeCache
+from hickory_stream.engine.shape_jobs.generators.choose import generator_key
+from hickory_stream.engine.shape_jobs.queue import ShapeQueue
+from hickory_stream.engine.step_writer import Recorder, StepWriter
 from hickory_stream.errors import RecordingError
 from hickory_stream.events import PoseJumped, SourceEnded, WayEnded
+from hickory_stream.journal.step import StepKind
+from hickory_stream.map_folder.array_spill import FarArrays
+from hickory_stream.map_folder.history.frame_reports import final_report, keyframe_report, plain_report
+from hickory_stream.map_folder.history.resume import Position
+from hickory_stream.map_folder.history.rewind import rewound_to
 from hickory_stream.perception.perceive import Perceived, perceive
 from hickory_stream.ports import interrupt, num_seeks, prepared_at
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.run_parts import RunParts
-    from hickory_stream.engine.step import FramePose
-    from hickory_stream.records import Decision, Frame
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.engine.modes import Mode, Progress
+    from hickory_stream.engine.publisher import SinkThread
+    from hickory_stream.engine.shape_jobs.local_workers import ShapeWorkers
+    from hickory_stream.journal.step import FramePose
+    from hickory_stream.journal.writer import JournalWriter
+    from hickory_stream.map_folder.history.resume import ResumePoint
+    from hickory_stream.map_folder.writer import MapFolder
+    from hickory_stream.mapping.core import MapperCore
+    from hickory_stream.ports import FeatureExtractor, Segmenter, Source
+    from hickory_stream.records import Decision, Frame, MapSnapshot
+
 
 logger = logging.getLogger(__name__)
 
@@ -415,3 +420,27 @@ class Run:
         self._announcer.progress(
             "compiling", self._clock, self._shapes, num_compiled=num_compiled, num_kernels=num_kernels
         )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RunParts:
+    """The source, the components that map it, the destination of the map, and the receivers of snapshots and progress.
+
+    `resumes` is the state of an interrupted run that this one continues, with its core. `rehearse` has
+    perception and core process a made-up scene before the first frame is read, which then takes no longer than others.
+    """
+
+    config: MapperConfig
+    mode: Mode
+    source: Source
+    core: MapperCore
+    segmenter: Segmenter
+    extractor: FeatureExtractor
+    workers: ShapeWorkers
+    folder: MapFolder
+    journal: JournalWriter
+    sinks: Sequence[SinkThread]
+    publish: Callable[[MapSnapshot], None]
+    progress: Callable[[Progress], None]
+    resumes: ResumePoint | None = None
+    rehearse: Callable[[], None] | None = None

@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.base.compiled import kernels_folder
+from hickory_stream.base.compiling import tell_when_compiling
+from hickory_stream.base.json_text import dumps
 from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, SceneBox, SceneSource, cast_scene, scene_pose
-from hickory_stream.compiled import kernels_folder
-from hickory_stream.compiling import tell_when_compiling
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.checkpoints import Packer
 from hickory_stream.engine.keyframe_places import KeyframePlaces
-from hickory_stream.engine.packed_frames import PackedFrame, packed_frame, unpacked_frame
-from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.events import ComputeFeatures, FeaturesReady
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.json_text import dumps
+from hickory_stream.journal.checkpoints import Packer
+from hickory_stream.journal.packed_frames import PackedFrame, packed_frame, unpacked_frame
+from hickory_stream.journal.record_codec import decode, encode
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
@@ -35,8 +35,8 @@ from hickory_stream.perception.perceive import features_of, perceive
 from hickory_stream.ports import Crop, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape
 from hickory_stream.shapes.connected import piece_around
-from hickory_stream.shapes.fit import FitConfig, fitted_shape
-from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor, VolumeConfig
+from hickory_stream.shapes.fit.marching_primitives import FitConfig, fitted_shape
+from hickory_stream.shapes.reconstruct.fused import FusedConfig, FusedReconstructor, VolumeConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -1,4 +1,9 @@
-"""A map against truth: detection, surfaces, containment, poses and masks, each as `evaluate --explain` defines it."""
+"""A map against truth: detection, surfaces, containment, poses and masks, each as `evaluate --explain` defines it.
+
+Mask purity: the share of a kept view's mask that shows one true object.
+
+The visible samples of true surfaces: which of them a log shows, from the truth folder alone.
+"""
 
 from __future__ import annotations
 
@@ -7,30 +12,108 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine.crops import read_mask
 from hickory_stream.evaluation.exposed import exposed_samples
 from hickory_stream.evaluation.match import Score, meshes_of, score_map
 from hickory_stream.evaluation.placement import placed_truth
-from hickory_stream.evaluation.pose_error import PoseError, pose_error
-from hickory_stream.evaluation.purity import purity
-from hickory_stream.evaluation.seen_samples import seen_samples
 from hickory_stream.evaluation.surface_score import SAMPLES, TrueSurface, diameter_m, surface_score
+from hickory_stream.evaluation.trajectory_error import PoseError, pose_error
 from hickory_stream.evaluation.truth import instances_of, mesh_of, moved_mesh, structure_meshes
+from hickory_stream.geometry.camera import project
+from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.superquadric import implicit_value
+from hickory_stream.map_folder.views import read_mask
+from hickory_stream.pictures.raycast import Scene, Surface
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.match import TruthScore
     from hickory_stream.evaluation.placement import Placement, ViewFrame
     from hickory_stream.evaluation.surface_score import SurfaceScore
-    from hickory_stream.evaluation.truth import Truth, TruthObject
+    from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.records import TrackedObject
+
+
+def purity(mask: NDArray[np.bool_], box_px: tuple[int, int, int, int], instances: NDArray[np.uint16]) -> float | None:
+    """Return the share of a mask's pixels that show its most frequent true instance; the background counts as one.
+
+    `mask` is cut out along its bounds `box_px` (x0, y0, x1, y1) in the (H, W) image. None if it is empty, or if the
+    bounds are not those of the mask or exceed the image.
+    """
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    x0, y0, x1, y1 = box_px
+    if len(rows) == 0 or y1 > instances.shape[0] or x1 > instances.shape[1]:
+        return None
+    inner = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    shown = instances[y0:y1, x0:x1]
+    if inner.shape != shown.shape:
+        return None
+    _, counts = np.unique(shown[inner], return_counts=True)
+    return float(counts.max() / counts.sum())
+
+
+_FRAMES = 120
+_RANGE_M = (0.3, 8.0)
+_OFF_SURFACE_M = 0.003
+
+
+def seen_samples(
+    truth: Truth, surfaces: Mapping[int, TrueSurface], structure: Sequence[Mesh]
+) -> dict[int, NDArray[np.bool_]]:
+    """Return for every true object which of its samples some frame shows.
+
+    At most 120 frames, evenly spread over the log, are examined. A sample is seen in a frame if its pixel shows its
+    object, its distance is 0.3 to 8 m, and nothing lies between it and the camera.
+
+    Raises:
+        RecordingError: an instance image is missing or torn.
+    """
+    solids = [surface.mesh for surface in surfaces.values()] + list(structure)
+    scene = Scene([Surface(vertices=m.vertices, faces=m.faces, colors=m.colors, owner=0) for m in solids])
+    seen = {i: np.zeros(len(surface.samples), dtype=bool) for i, surface in surfaces.items()}
+    shown = {item.id: set(item.frames) for item in truth.objects}
+    last = len(truth.frames) - 1
+    for k in sorted({round(place) for place in np.linspace(0, last, _FRAMES).tolist()} if last >= 0 else ()):
+        frame = truth.frames[k]
+        ids = [i for i in surfaces if frame.index in shown[i] and not seen[i].all()]
+        if ids:
+            _mark(truth, frame, {i: surfaces[i] for i in ids}, scene, seen)
+    return seen
+
+
+def _mark(
+    truth: Truth,
+    frame: TruthFrame,
+    surfaces: Mapping[int, TrueSurface],
+    scene: Scene,
+    seen: dict[int, NDArray[np.bool_]],
+) -> None:
+    instances = instances_of(truth, frame)
+    camera_from_world, eye = invert(frame.world_from_camera), frame.world_from_camera[:3, 3]
+    for i, surface in surfaces.items():
+        open_ = np.flatnonzero(~seen[i])
+        points_camera = apply(camera_from_world, surface.samples[open_])
+        near = (points_camera[:, 2] > _RANGE_M[0]) & (points_camera[:, 2] < _RANGE_M[1])
+        open_, points_camera = open_[near], points_camera[near]
+        uv = np.round(project(points_camera, truth.camera)).astype(np.int64)
+        inside = (uv >= 0).all(axis=1) & (uv < (truth.camera.width, truth.camera.height)).all(axis=1)
+        open_, uv = open_[inside], uv[inside]
+        shows = instances[uv[:, 1], uv[:, 0]] == i
+        open_ = open_[shows]
+        if len(open_) == 0:
+            continue
+        towards = eye - surface.samples[open_]
+        length = np.linalg.norm(towards, axis=1)
+        towards = towards / length[:, None]
+        # No surface between the camera and the sample; samples that face away are occluded by their own object.
+        free_m = scene.distances_m(surface.samples[open_] + _OFF_SURFACE_M * towards, towards)
+        seen[i][open_[free_m > length - 2 * _OFF_SURFACE_M]] = True
+
 
 _LOOSE_ADD_S, _STRICT_ADD_S = 0.1, 0.05
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.ray_caster import ray_caster
 from hickory_stream.geometry.mesh import Mesh, sample_surface
+from hickory_stream.pictures.ray_caster import ray_caster
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hickory_stream.evaluation.track_story import ending_text, when
 from hickory_stream.geometry.boxes import OrientedBox, box_iou
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.inspection.track_history import ending_text, when
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from hickory_stream.engine.history.track_histories import Ending
     from hickory_stream.evaluation.overlap import LiesOn, Overlap
     from hickory_stream.evaluation.truth_sightings import Part, Sighting, TruthSightings
-    from hickory_stream.mapping.existence import ExistenceConfig
+    from hickory_stream.map_folder.history.track_histories import Ending
+    from hickory_stream.mapping.entities.existence import ExistenceConfig
 
 MissReason = Literal[
     "on no keyframe",

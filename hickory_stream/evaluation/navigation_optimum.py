@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -55,8 +55,8 @@ class OptimalLengths:
         return float(found) * self._frame.cell_m
 
 
-@numba.njit(cache=True, nogil=True)
-def _sees(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _sees(blocked, x0, y0, x1, y1):
     """Return whether a segment avoids the interior of every blocked square; it may touch their borders."""
     rows, columns = blocked.shape
     if y1 < y0:
@@ -102,14 +102,14 @@ def _bends(blocked: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.
     return np.column_stack([columns, rows]).astype(np.float64), sides.astype(np.int8)
 
 
-@numba.njit(cache=True, nogil=True)
-def _is_taut(side, dx, dy):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _is_taut(side, dx, dy):
     """Return whether a path in this direction can bend around the square of a corner."""
     return side * dx * dy <= 0.0
 
 
-@numba.njit(cache=True, nogil=True)
-def _edges(blocked, corners, sides):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _edges(blocked, corners, sides):
     most = 1024
     count = 0
     a, b, lengths = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
@@ -130,8 +130,8 @@ def _edges(blocked, corners, sides):  # type: ignore[no-untyped-def] # pragma: n
     return a[:count].copy(), b[:count].copy(), lengths[:count].copy()
 
 
-@numba.njit(cache=True, nogil=True)
-def _seen_from(blocked, corners, sides, place):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _seen_from(blocked, corners, sides, place):
     seen, far = np.empty(len(corners), np.int64), np.empty(len(corners))
     count = 0
     for n in range(len(corners)):

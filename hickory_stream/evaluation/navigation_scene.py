@@ -20,10 +20,10 @@ from hickory_stream.storeys import floor_of
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.navigation.free_space import UnknownSpace
     from hickory_stream.navigation.robot import Robot
 

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.evaluation.match import SURFACE_REACH_M
-from hickory_stream.evaluation.raycast import Scene, Surface
 from hickory_stream.evaluation.truth import mesh_of, moved_mesh, structure_meshes
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.mesh import sample_surface
+from hickory_stream.pictures.raycast import Scene, Surface
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:

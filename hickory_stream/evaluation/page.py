@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.engine.atomic import write_output
-from hickory_stream.engine.crops import read_crop
-from hickory_stream.evaluation.close_up import close_up_of, draw
+from hickory_stream.base.atomic_files import write_output
+from hickory_stream.base.html_page import page, picture
 from hickory_stream.evaluation.evaluate import placed_mesh, true_mesh_world
 from hickory_stream.evaluation.explain import figures, verdict, worst_first
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
-from hickory_stream.evaluation.in_the_log import pictures_of
+from hickory_stream.evaluation.log_crops import pictures_of
 from hickory_stream.evaluation.match import meshes_of
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS
-from hickory_stream.evaluation.raycast import Surface
-from hickory_stream.evaluation.render_parts import superquadric_surfaces
 from hickory_stream.evaluation.truth import moved_truth
 from hickory_stream.evaluation.why import NoWhy, Why, reasons_of
 from hickory_stream.evaluation.why_text import false_title, missed_title
-from hickory_stream.html_page import page, picture
+from hickory_stream.map_folder.views import read_crop
+from hickory_stream.pictures.object_thumbnail import close_up_of, draw
+from hickory_stream.pictures.raycast import Surface
+from hickory_stream.pictures.render_parts import superquadric_surfaces
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.saved_map import SavedMap
-    from hickory_stream.evaluation.close_up import CloseUp
     from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
     from hickory_stream.evaluation.false_origins import FalseObject
     from hickory_stream.evaluation.miss_reasons import Missed
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.evaluation.why import ReasonCount
     from hickory_stream.geometry.mesh import Mesh
+    from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.pictures.object_thumbnail import CloseUp
     from hickory_stream.records import TrackedObject
 
 _PICTURE_PX = 400

@@ -18,8 +18,8 @@ from hickory_stream.geometry.rigid import from_rotation_translation, invert, rot
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.saved_map import SavedMap
     from hickory_stream.evaluation.truth import Truth, TruthFrame
+    from hickory_stream.map_folder.saved_map import SavedMap
 
 _SAME_WORLD_M, _SAME_WORLD_RAD = 2.0, np.deg2rad(15.0)
 # A transform is accepted if its residual is at most this share of the difference, and at most this many metres.

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
-from hickory_stream.evaluation.raycast import Scene, Surface
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.mesh import Mesh, sample_surface
+from hickory_stream.pictures.raycast import Scene, Surface
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.confined import OutsideError, path_within, read_within
+from hickory_stream.base.confined import OutsideError, path_within, read_within
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.camera import Camera

@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine.history.recorded import recorded_steps
-from hickory_stream.engine.history.recorded_config import told_config
-from hickory_stream.engine.history.track_histories import TrackHistories
-from hickory_stream.evaluation.raycast import Scene, Surface
-from hickory_stream.evaluation.seen_as import (
+from hickory_stream.evaluation.truth import frame_at, instances_of, mesh_of, moved_mesh
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.inspection.keyframe_labels import (
     LEAST_CODE,
     NO_MASK,
     STRUCTURE,
@@ -22,17 +20,19 @@ from hickory_stream.evaluation.seen_as import (
     rays_of,
     seen_as,
 )
-from hickory_stream.evaluation.truth import frame_at, instances_of, mesh_of, moved_mesh
-from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.map_folder.history.recorded import recorded_steps
+from hickory_stream.map_folder.history.recorded_config import told_config
+from hickory_stream.map_folder.history.track_histories import TrackHistories
+from hickory_stream.pictures.raycast import Scene, Surface
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.history.recorded import RecordedKeyframe
-    from hickory_stream.evaluation.seen_as import SeenAs
     from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.inspection.keyframe_labels import SeenAs
+    from hickory_stream.map_folder.history.recorded import RecordedKeyframe
     from hickory_stream.records import MapSnapshot
 
 # Parts of a true object that are a smaller share of it than this are not reported.

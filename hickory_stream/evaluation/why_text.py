@@ -11,9 +11,9 @@ from hickory_stream.evaluation.miss_reasons import MISS_REASONS
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from hickory_stream.evaluation.place_story import PlaceStory
-    from hickory_stream.evaluation.track_story import Stretch, TrackStory
     from hickory_stream.evaluation.why import ObjectStory, ReasonCount, Why
+    from hickory_stream.inspection.point_history import PlaceStory
+    from hickory_stream.inspection.track_history import Stretch, TrackStory
 
 _WIDTH = 120
 

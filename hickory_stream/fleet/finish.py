@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.engine.merged_map import write_merged_map
-from hickory_stream.engine.saved_map import check_unaltered, open_map
 from hickory_stream.errors import MapFolderError
 from hickory_stream.fleet.joins import Frame
 from hickory_stream.fleet.robots import FLEET
+from hickory_stream.map_folder.saved_map import check_unaltered, open_map
 from hickory_stream.merging.groups import groups_of
 from hickory_stream.merging.joining import aligned_to_join
 from hickory_stream.merging.merge_maps import merge_aligned
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.alignment.answer import NoAlignment
     from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.merging.groups import Group
     from hickory_stream.merging.joining import JoiningConfig
 

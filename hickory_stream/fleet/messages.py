@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
     from hickory_stream.fleet.growth import GrownMap
 
     Message: TypeAlias = "Opened | Moved | GrownMap | Ended"

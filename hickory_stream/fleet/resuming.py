@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.history.replay import replay
-from hickory_stream.engine.history.resume import save_live
-from hickory_stream.engine.manifest import read_manifest
 from hickory_stream.errors import InputError
 from hickory_stream.fleet.growth import GrowthSink
+from hickory_stream.map_folder.history.replay import replay
+from hickory_stream.map_folder.history.resume import save_live
+from hickory_stream.map_folder.manifest import read_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
     from hickory_stream.fleet.messages import Message
     from hickory_stream.fleet.robots import Robot
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink, Source
     from hickory_stream.sinks.disk_sink import DiskSinkConfig
 
@@ -89,13 +89,13 @@ class _Link:
 
 
 def _mapped(task: RobotTask, link: _Link) -> Ended:
-    from hickory_stream.engine.history.replay import show_until_resumed
-    from hickory_stream.engine.manifest import is_map_folder, read_json
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.fleet.resuming import has_ended, send_recorded
+    from hickory_stream.map_folder.history.replay import show_until_resumed
+    from hickory_stream.map_folder.manifest import is_map_folder, read_json
     from hickory_stream.sinks.disk_sink import DiskSink
-    from players.doctor_text import damage_line
+    from players.doctor.report import damage_line
 
     span = _Span()
     resumes = task.resumes and is_map_folder(task.out)

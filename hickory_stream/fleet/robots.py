@@ -7,10 +7,10 @@ import tomllib
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.config_text import from_dict
+from hickory_stream.base.config_text import from_dict
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ConfigError
 from hickory_stream.merging.joining import JoiningConfig
-from hickory_stream.ranges import Ranged, number
 from players import SourceOptions, note_of
 from players.live.routes import is_live
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hickory_stream.engine.manifest import is_map_folder
 from hickory_stream.errors import InputError
 from hickory_stream.fleet.crew import run_crew
 from hickory_stream.fleet.finish import finish, merged_path, why_alone
@@ -21,15 +20,16 @@ from hickory_stream.fleet.result import FleetResult, result_of
 from hickory_stream.fleet.resuming import check_same
 from hickory_stream.fleet.robot_process import RobotTask
 from hickory_stream.fleet.robots import FLEET
-from hickory_stream.sinks.rerun_config import RerunConfig
-from hickory_stream.sinks.rerun_fleet import FleetRecording, ShownRobot
-from hickory_stream.sinks.rerun_viewer import ViewerChoice, ViewerKind, check_viewer
+from hickory_stream.map_folder.manifest import is_map_folder
+from hickory_stream.sinks.rerun.config import RerunConfig
+from hickory_stream.sinks.rerun.fleet import FleetRecording, ShownRobot
+from hickory_stream.sinks.rerun.viewer import ViewerChoice, ViewerKind, check_viewer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
     from hickory_stream.fleet.finish import Finished
     from hickory_stream.fleet.growth import Round
     from hickory_stream.fleet.joins import Frame, JoinEvent, Joint

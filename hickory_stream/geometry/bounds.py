@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,8 +28,8 @@ def extent_of(points: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(high - low)
 
 
-@numba.njit(cache=True, nogil=True)
-def _bounds_of(points):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _bounds_of(points):
     bounds = np.empty((2, 3), dtype=points.dtype)
     bounds[:] = points[0]
     for i in range(1, len(points)):

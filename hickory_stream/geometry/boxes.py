@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.portable_kernels import arctan2, cos, sin
@@ -137,8 +137,8 @@ def _volume_m3(half_extents_m: NDArray[np.float64]) -> float:
     return float(8.0 * (x * y * z))
 
 
-@numba.njit(cache=True, nogil=True)
-def _held(points, world_from_box, limits, is_column):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _held(points, world_from_box, limits, is_column):
     """Return which of (N, 3) points lie within `limits` (3,) of a box's centre along its axes, or in that column."""
     r = world_from_box
     x0, y0, z0 = r[0, 3], r[1, 3], r[2, 3]
@@ -163,8 +163,8 @@ def _held(points, world_from_box, limits, is_column):  # type: ignore[no-untyped
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _smallest_upright(points, min_half_extent):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _smallest_upright(points, min_half_extent):
     """Return pose (4, 4) and half extents (3,) of the upright box of least footprint around points."""
     hull = _hull_2d(points)
     angles = _side_angles(hull)
@@ -178,8 +178,8 @@ def _smallest_upright(points, min_half_extent):  # type: ignore[no-untyped-def] 
     return _upright(points, hull, angles[best], min_half_extent)
 
 
-@numba.njit(cache=True, nogil=True)
-def _upright(points, hull, angle, min_half_extent):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _upright(points, hull, angle, min_half_extent):
     """Return pose (4, 4) and half extents (3,) of the upright box around points, with a side at an angle."""
     sizes, lows = _rectangles(hull, np.full(1, angle))
     z_low, z_high = points[0, 2], points[0, 2]
@@ -196,8 +196,8 @@ def _upright(points, hull, angle, min_half_extent):  # type: ignore[no-untyped-d
     return pose, np.maximum(half, min_half_extent)
 
 
-@numba.njit(cache=True, nogil=True)
-def _side_angles(hull):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _side_angles(hull):
     """Return the directions of a hull's sides, within a quarter of a turn, ascending."""
     angles = np.empty(len(hull))
     for i in range(len(hull)):
@@ -206,8 +206,8 @@ def _side_angles(hull):  # type: ignore[no-untyped-def] # pragma: no cover
     return np.sort(angles)
 
 
-@numba.njit(cache=True, nogil=True)
-def _rectangles(hull, angles):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _rectangles(hull, angles):
     """Return the (2, A) sizes along and across each of A directions, and where they begin."""
     sizes, lows = np.empty((2, len(angles))), np.empty((2, len(angles)))
     for n in range(len(angles)):
@@ -224,8 +224,8 @@ def _rectangles(hull, angles):  # type: ignore[no-untyped-def] # pragma: no cove
     return sizes, lows
 
 
-@numba.njit(cache=True, nogil=True)
-def _are_apart(world_from_a, half_a, world_from_b, half_b):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _are_apart(world_from_a, half_a, world_from_b, half_b):
     """Return whether the balls around two boxes are apart."""
     way, reach_a, reach_b = 0.0, 0.0, 0.0
     for i in range(3):
@@ -235,8 +235,8 @@ def _are_apart(world_from_a, half_a, world_from_b, half_b):  # type: ignore[no-u
     return np.sqrt(way) >= np.sqrt(reach_a) + np.sqrt(reach_b)
 
 
-@numba.njit(cache=True, nogil=True)
-def _hull_2d(points):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _hull_2d(points):
     """Return the hull's corners in order, counter-clockwise; of collinear points the ends, of one the same twice."""
     corners = _monotone_chain(_by_x_then_y(_outer(points)))
     if len(corners) > 1:
@@ -246,8 +246,8 @@ def _hull_2d(points):  # type: ignore[no-untyped-def] # pragma: no cover
     return twice
 
 
-@numba.njit(cache=True, nogil=True)
-def _by_x_then_y(points):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _by_x_then_y(points):
     order = np.argsort(points[:, 0].copy())
     out = points[order]
     for i in range(1, len(out)):
@@ -258,8 +258,8 @@ def _by_x_then_y(points):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _outer(points):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _outer(points):
     """Return (M, 2) the points, seen from above, that are not inside the octagon of extreme ones (Akl, Toussaint)."""
     extreme = _extreme_in_eight(points)
     edges, offsets = np.empty((8, 2)), np.empty(8)
@@ -286,8 +286,8 @@ def _outer(points):  # type: ignore[no-untyped-def] # pragma: no cover
     return out[:kept]
 
 
-@numba.njit(cache=True, nogil=True)
-def _extreme_in_eight(points):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _extreme_in_eight(points):
     """Return the (8,) numbers of the first points that are extreme in eight directions, counter-clockwise."""
     best = np.full(8, -np.inf)
     out = np.zeros(8, dtype=np.int64)
@@ -300,8 +300,8 @@ def _extreme_in_eight(points):  # type: ignore[no-untyped-def] # pragma: no cove
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _monotone_chain(points):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _monotone_chain(points):
     """Return the convex hull of points sorted by x, then y (Andrew's monotone chain)."""
     count = len(points)
     hull = np.empty((2 * count + 1, 2))
@@ -323,8 +323,8 @@ def _monotone_chain(points):  # type: ignore[no-untyped-def] # pragma: no cover
     return hull[: max(size, 1)].copy()
 
 
-@numba.njit(cache=True, nogil=True)
-def _clip(polygon, out, count, n0, n1, n2, height, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _clip(polygon, out, count, n0, n1, n2, height, tolerance):
     """Keep the part of a convex polygon with n . p <= height + tolerance; in place, returns the new count.
 
     `out` is room for as many corners.
@@ -350,8 +350,8 @@ def _clip(polygon, out, count, n0, n1, n2, height, tolerance):  # type: ignore[n
     return kept
 
 
-@numba.njit(cache=True, nogil=True)
-def _cones(rotation, offset, half, other_rotation, other_offset, other_half, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _cones(rotation, offset, half, other_rotation, other_offset, other_half, tolerance):
     """Sum the cones, seen from the origin, of the faces of one box that lie inside the other."""
     total = 0.0
     polygon, room = np.empty((16, 3)), np.empty((16, 3))
@@ -394,13 +394,13 @@ def _cones(rotation, offset, half, other_rotation, other_offset, other_half, tol
     return total
 
 
-@numba.njit(cache=True, nogil=True)
-def _dot(a, b):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@numba.njit(cache=True, nogil=True)
-def _separated(half_a, half_b, rotation, offset, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _separated(half_a, half_b, rotation, offset, tolerance):
     """Return whether a face direction of either box separates them, or leaves them only touching."""
     for i in range(3):
         reach_a = half_a[i] + (np.abs(rotation[i, :]) * half_b).sum()
@@ -411,8 +411,8 @@ def _separated(half_a, half_b, rotation, offset, tolerance):  # type: ignore[no-
     return False
 
 
-@numba.njit(cache=True, nogil=True)
-def _intersection_volume(half_a, half_b, rotation, offset):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _intersection_volume(half_a, half_b, rotation, offset):
     # A face that the boxes share (same plane, same side) must be counted once: the faces of a are clipped by b with a
     # small tolerance outwards, those of b by a with the same tolerance inwards.
     tolerance = 1e-10 * max(half_a.max(), half_b.max())
@@ -424,8 +424,8 @@ def _intersection_volume(half_a, half_b, rotation, offset):  # type: ignore[no-u
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _shared_volume(world_from_a, half_a, world_from_b, half_b):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _shared_volume(world_from_a, half_a, world_from_b, half_b):
     rotation, offset = np.empty((3, 3)), np.empty(3)
     a, b = world_from_a, world_from_b
     x, y, z = b[0, 3] - a[0, 3], b[1, 3] - a[1, 3], b[2, 3] - a[2, 3]

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
-from hickory_stream.ranges import Ranged, check_order, check_ranges, number
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -86,8 +86,8 @@ class DepthSensor(Ranged):
         return np.asarray(depth_m, dtype=np.float32)
 
 
-@numba.njit(cache=True, nogil=True)
-def sigma_at(z, law):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def sigma_at(z, law):
     """Return the standard deviation of a depth by the law of a `DepthSensor`."""
     return max(law[0], law[1] + law[2] * z * z)
 

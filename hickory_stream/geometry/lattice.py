@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
-from hickory_stream.geometry.packing import array_of, signed
-from hickory_stream.ranges import Ranged, number
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.codecs.packing import array_of, signed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -62,8 +62,8 @@ def unpacked_steps(data: bytes, count: int) -> NDArray[np.int32]:
 _MOST_STEPS = 1 << 24
 
 
-@numba.njit(cache=True, nogil=True)
-def _pack_points(points, steps_per_m, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _pack_points(points, steps_per_m, out):
     plane = 3 * len(points)
     for axis in range(3):
         last = 0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable_kernels as kernels
 
 if TYPE_CHECKING:
@@ -202,8 +202,8 @@ def _of_pairs(
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _multiply(a, b, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _multiply(a, b, out):
     """Add the product to `out`, of zeros; for a row the terms come one after the other, whatever is vectorised."""
     for i in range(a.shape[0]):
         if b.shape[1] == 1:
@@ -218,8 +218,8 @@ def _multiply(a, b, out):  # type: ignore[no-untyped-def] # pragma: no cover
                     out[i, j] += share * b[k, j]
 
 
-@numba.njit(cache=True, nogil=True)
-def _multiply_threes(a, b, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _multiply_threes(a, b, out):
     b00, b01, b02 = b[0, 0], b[0, 1], b[0, 2]
     b10, b11, b12 = b[1, 0], b[1, 1], b[1, 2]
     b20, b21, b22 = b[2, 0], b[2, 1], b[2, 2]
@@ -230,8 +230,8 @@ def _multiply_threes(a, b, out):  # type: ignore[no-untyped-def] # pragma: no co
         out[i, 2] = x * b02 + y * b12 + z * b22
 
 
-@numba.njit(cache=True, nogil=True)
-def _multiply_stacks(a, b, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _multiply_stacks(a, b, out):
     for n in range(len(out)):
         m, o = n if len(a) > 1 else 0, n if len(b) > 1 else 0
         for i in range(a.shape[1]):
@@ -240,8 +240,8 @@ def _multiply_stacks(a, b, out):  # type: ignore[no-untyped-def] # pragma: no co
                     out[n, i, j] += a[m, i, k] * b[o, k, j]
 
 
-@numba.njit(cache=True, nogil=True)
-def _move(points, rotation, translation, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _move(points, rotation, translation, out):
     r00, r01, r02, t0 = rotation[0, 0], rotation[0, 1], rotation[0, 2], translation[0]
     r10, r11, r12, t1 = rotation[1, 0], rotation[1, 1], rotation[1, 2], translation[1]
     r20, r21, r22, t2 = rotation[2, 0], rotation[2, 1], rotation[2, 2], translation[2]
@@ -252,23 +252,23 @@ def _move(points, rotation, translation, out):  # type: ignore[no-untyped-def] #
         out[i, 2] = x * r20 + y * r21 + z * r22 + t2
 
 
-@numba.njit(cache=True, nogil=True)
-def _dot(a, b):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _dot(a, b):
     total = 0.0
     for i in range(len(a)):
         total += a[i] * b[i]
     return total
 
 
-@numba.njit(cache=True, nogil=True)
-def _diagonalise_each(matrices):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _diagonalise_each(matrices):
     vectors = np.empty(matrices.shape[1:])
     for i in range(len(matrices)):
         kernels.diagonalise(matrices[i], vectors)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _decompose(own, u, s, v):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _decompose(own, u, s, v):
     """Turn the columns of `own` (3, 3) until they are at right angles (Hestenes), the longest first; u s = own v."""
     for i in range(3):
         for j in range(3):
@@ -299,8 +299,8 @@ def _decompose(own, u, s, v):  # type: ignore[no-untyped-def] # pragma: no cover
             _complete(u, i)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _orthogonalise_each(matrices):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _orthogonalise_each(matrices):
     u, s, v = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for n in range(len(matrices)):
         u[:] = 0.0
@@ -311,8 +311,8 @@ def _orthogonalise_each(matrices):  # type: ignore[no-untyped-def] # pragma: no 
                 matrices[n, i, j] = u[i, 0] * v[j, 0] + u[i, 1] * v[j, 1] + u[i, 2] * v[j, 2]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _turn_columns(own, v, p, q):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _turn_columns(own, v, p, q):
     """Turn two columns so that they are at right angles; return whether they were."""
     a, b, c = 0.0, 0.0, 0.0
     for k in range(3):
@@ -333,8 +333,8 @@ def _turn_columns(own, v, p, q):  # type: ignore[no-untyped-def] # pragma: no co
     return False
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _complete(u, i):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _complete(u, i):
     """Fill column i with a unit vector at right angles to those before it: what is most of an axis beside them."""
     best = -1.0
     trial = np.empty(3)
@@ -352,55 +352,55 @@ def _complete(u, i):  # type: ignore[no-untyped-def] # pragma: no cover
                 u[k, i] = trial[k] / length
 
 
-@numba.njit(cache=True, nogil=True)
-def _exp(values):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _exp(values):
     for i in range(len(values)):
         values[i] = kernels.exp(values[i])
 
 
-@numba.njit(cache=True, nogil=True)
-def _log(values):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _log(values):
     for i in range(len(values)):
         values[i] = kernels.log(values[i])
 
 
-@numba.njit(cache=True, nogil=True)
-def _log1p(values):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _log1p(values):
     for i in range(len(values)):
         values[i] = kernels.log1p(values[i])
 
 
-@numba.njit(cache=True, nogil=True)
-def _sin(values):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _sin(values):
     for i in range(len(values)):
         values[i] = kernels.sin(values[i])
 
 
-@numba.njit(cache=True, nogil=True)
-def _cos(values):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _cos(values):
     for i in range(len(values)):
         values[i] = kernels.cos(values[i])
 
 
-@numba.njit(cache=True, nogil=True)
-def _cbrt(values):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _cbrt(values):
     for i in range(len(values)):
         values[i] = kernels.cbrt(values[i])
 
 
-@numba.njit(cache=True, nogil=True)
-def _arctan2(y, x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _arctan2(y, x):
     for i in range(len(y)):
         y[i] = kernels.arctan2(y[i], x[i])
 
 
-@numba.njit(cache=True, nogil=True)
-def _power(x, y):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _power(x, y):
     for i in range(len(x)):
         x[i] = kernels.power(x[i], y[i])
 
 
-@numba.njit(cache=True, nogil=True)
-def _logaddexp(a, b):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _logaddexp(a, b):
     for i in range(len(a)):
         a[i] = kernels.logaddexp(a[i], b[i])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 _LOG_2 = 0.6931471805599453
 # ln 2 and pi / 2 in parts, of which all but the last have zeros at their end: small multiples of them are exact.
@@ -22,8 +22,8 @@ _LEAST_NORMAL = 2.2250738585072014e-308
 _HALF_PI_HIGH, _HALF_PI_LOW = 1.57079632679489655800e00, 6.12323399573676603587e-17
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def exp(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def exp(x):
     """Return e^x: Taylor's series about the nearest multiple of ln 2."""
     x = np.float64(x)
     if not -745.2 < x < 709.79:
@@ -42,8 +42,8 @@ def exp(x):  # type: ignore[no-untyped-def] # pragma: no cover
     return p * _power_of_two(first) * _power_of_two(np.int64(n) - first)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def log(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def log(x):
     """Return ln x: -inf of 0, NaN of what is less."""
     x = np.float64(x)
     if not 0.0 < x < np.inf:
@@ -63,8 +63,8 @@ def log(x):  # type: ignore[no-untyped-def] # pragma: no cover
     return k * _LOG_2_HIGH - ((half - (s * (half + (even + odd)) + k * _LOG_2_LOW)) - f)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def log1p(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def log1p(x):
     """Return ln(1 + x), accurate near 0: what rounding took off 1 + x is put back to first order (Kahan)."""
     whole = 1.0 + np.float64(x)
     if whole == np.inf or not whole > 0.0:
@@ -72,8 +72,8 @@ def log1p(x):  # type: ignore[no-untyped-def] # pragma: no cover
     return log(whole) + (x - (whole - 1.0)) / whole
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def logaddexp(a, b):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def logaddexp(a, b):
     """Return ln(e^a + e^b)."""
     high = max(a, b)
     if a == b or not high < np.inf:
@@ -81,16 +81,16 @@ def logaddexp(a, b):  # type: ignore[no-untyped-def] # pragma: no cover
     return high + log1p(exp(min(a, b) - high))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def power(x, y):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def power(x, y):
     """Return x^y for x of at least 0, to |y ln x| units in the last place."""
     if y == 0.0 or x == 1.0:
         return 1.0
     return exp(y * log(x))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def cbrt(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def cbrt(x):
     """Return the cube root, of either sign: by logarithms, then one step of Newton's."""
     x = np.float64(x)
     if x == 0.0 or not abs(x) < np.inf:
@@ -100,24 +100,24 @@ def cbrt(x):  # type: ignore[no-untyped-def] # pragma: no cover
     return root if x > 0 else -root
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def sin(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def sin(x):
     """Return the sine of an angle of up to a million radians."""
     turns, r, rest = _quarter_turns(x)
     value = _sin_kernel(r, rest) if turns & 1 == 0 else _cos_kernel(r, rest)
     return value if turns & 2 == 0 else -value
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def cos(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def cos(x):
     """Return the cosine of an angle of up to a million radians."""
     turns, r, rest = _quarter_turns(x)
     value = _cos_kernel(r, rest) if turns & 1 == 0 else _sin_kernel(r, rest)
     return value if (turns + 1) & 2 == 0 else -value
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def arctan2(y, x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def arctan2(y, x):
     """Return the angle of (x, y) in -pi..pi, 0 for (0, 0). Without branches: loops over it are vectorised."""
     y, x = np.float64(y), np.float64(x)
     up, along = abs(y), abs(x)
@@ -132,14 +132,14 @@ def arctan2(y, x):  # type: ignore[no-untyped-def] # pragma: no cover
     return np.copysign(angle, y)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def arccos(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def arccos(x):
     """Return the angle in 0..pi whose cosine is x, NaN beyond -1..1."""
     return arctan2(np.sqrt((1.0 - x) * (1.0 + x)), np.float64(x))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def exp_each(values):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def exp_each(values):
     """Return e^x of each of (N,) values."""
     out = np.empty(len(values))
     for i in range(len(values)):
@@ -147,8 +147,8 @@ def exp_each(values):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def times_3(a, b):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def times_3(a, b):
     """Return the product of two (3, 3) matrices."""
     out = np.empty((3, 3))
     for i in range(3):
@@ -157,8 +157,8 @@ def times_3(a, b):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def solve_in_place(matrix, right):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def solve_in_place(matrix, right):
     """Put the solution of matrix x = right into `right` (n,), by elimination with row exchange; both are used up.
 
     Where the matrix is singular the solution is not finite.
@@ -184,8 +184,8 @@ def solve_in_place(matrix, right):  # type: ignore[no-untyped-def] # pragma: no 
         right[row] /= matrix[row, row]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def diagonalise(matrix, vectors):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def diagonalise(matrix, vectors):
     """Turn a symmetric matrix (n, n) into its eigenvalues, ascending on the diagonal; `vectors` gets the eigenvectors.
 
     Jacobi's method, row by row: each step turns two axes so that their product vanishes.
@@ -216,8 +216,8 @@ def diagonalise(matrix, vectors):  # type: ignore[no-untyped-def] # pragma: no c
                 vectors[k, i], vectors[k, least] = vectors[k, least], vectors[k, i]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _turn_axes(matrix, vectors, p, q):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _turn_axes(matrix, vectors, p, q):
     """Turn axes p and q of a symmetric matrix so that its entry (p, q) vanishes."""
     entry = matrix[p, q]
     if entry == 0.0:
@@ -241,13 +241,13 @@ def _turn_axes(matrix, vectors, p, q):  # type: ignore[no-untyped-def] # pragma:
         vectors[k, p], vectors[k, q] = c * a - s * b, s * a + c * b
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _power_of_two(n):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _power_of_two(n):
     return np.int64((n + np.int64(1023)) << np.int64(52)).view(np.float64)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _quarter_turns(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _quarter_turns(x):
     """Return the nearest number of quarter turns to an angle, what is left, and what rounding took off that."""
     x = np.float64(x)
     if not abs(x) < 1e9:
@@ -261,8 +261,8 @@ def _quarter_turns(x):  # type: ignore[no-untyped-def] # pragma: no cover
     return np.int64(n), r, ((second - r) - low) - n * _QUARTER_4
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _sin_kernel(x, rest):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _sin_kernel(x, rest):
     """Return sin(x + rest) for |x| up to an eighth of a turn."""
     z = x * x
     v = z * x
@@ -271,8 +271,8 @@ def _sin_kernel(x, rest):  # type: ignore[no-untyped-def] # pragma: no cover
     return x - ((z * (0.5 * rest - v * r) - rest) - v * -1.66666666666666324348e-01)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _cos_kernel(x, rest):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _cos_kernel(x, rest):
     """Return cos(x + rest) for |x| up to an eighth of a turn."""
     z = x * x
     r = -2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)
@@ -283,8 +283,8 @@ def _cos_kernel(x, rest):  # type: ignore[no-untyped-def] # pragma: no cover
     return w + (((1.0 - w) - half) + (z * r - x * rest))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _arctan(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _arctan(x):
     """Return arctan x for x in 0..1: as the difference to the arctangent of 0, 1/2 or 1."""
     of_one, of_half = x >= 0.6875, x >= 0.4375
     high = 7.85398163397448278999e-01 if of_one else (4.63647609000806093515e-01 if of_half else 0.0)

@@ -2,6 +2,8 @@
 
 Plain matrices rather than a class: they multiply, stack into `(..., 4, 4)` and need no conversion at any border. On the
 way to a map they compose by `compose`, whose last bit does not depend on the processor, as that of `@` does.
+
+Directions of small motions (K, 6): unit, a turn first, then a shift, along the axes of some frame.
 """
 
 from __future__ import annotations
@@ -158,3 +160,13 @@ def is_rigid(a_from_b: NDArray[Any], tolerance: float = 1e-3) -> bool:
         and abs(c) < tolerance
         and abs(d - 1.0) < tolerance
     )
+
+
+def no_directions() -> NDArray[np.float64]:
+    """Return none, (0, 6)."""
+    return np.empty((0, 6))
+
+
+def turned_directions(a_from_b: NDArray[np.float64], directions_b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the same directions (K, 6) along the axes of another frame, by the rotation of a transform (4, 4)."""
+    return portable.matmul(directions_b.reshape(-1, 2, 3), a_from_b[:3, :3].T).reshape(-1, 6)

@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.canonical import canonical
 from hickory_stream.geometry.portable_kernels import exp, log1p
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.superquadric import Superquadrics, unit_volumes
+from hickory_stream.geometry.superquadric import Superquadrics, canonical, unit_volumes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -93,8 +92,8 @@ def _unit_volumes() -> NDArray[np.float64]:
     return unit_volumes(np.array([(e1, e2) for e2 in _EXPONENTS for e1 in _EXPONENTS]))
 
 
-@numba.njit(cache=True, nogil=True)
-def _distances(logs, lengths, exponents):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _distances(logs, lengths, exponents):
     """Return (T, N) how far each point is from each trial: by the order of the axes, then by e2, then by e1.
 
     `logs` (3, N) are of the points along the axes, in shares of the half extents.
@@ -118,8 +117,8 @@ def _distances(logs, lengths, exponents):  # type: ignore[no-untyped-def] # prag
 # Loops of one function each: they are vectorised.
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _add_logs(power, a, b, root, high, rest, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _add_logs(power, a, b, root, high, rest, out):
     """Put root ln(e^(power a) + e^(power b)) into `out`, as `logaddexp` has it; `high` and `rest` are used up."""
     for i in range(len(out)):
         first, second = power * a[i], power * b[i]
@@ -129,8 +128,8 @@ def _add_logs(power, a, b, root, high, rest, out):  # type: ignore[no-untyped-de
         out[i] = root * (high[i] + log1p(rest[i]))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _measure(lengths, log_gauge, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _measure(lengths, log_gauge, out):
     for i in range(len(out)):
         out[i] = abs(lengths[i] * (1.0 - exp(-log_gauge[i])))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
@@ -159,8 +159,8 @@ def _along_curve(points: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.asarray(_places(points, low, max(float((points.max(axis=0) - low).max()), _TINY)))
 
 
-@numba.njit(cache=True, nogil=True)
-def _places(points, low, extent):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _places(points, low, extent):
     out = np.zeros(len(points), np.int64)
     for n in range(len(points)):
         for axis in range(3):
@@ -174,8 +174,8 @@ def _places(points, low, extent):  # type: ignore[no-untyped-def] # pragma: no c
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _patches_of_octant(x, y, radius, z, axes):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _patches_of_octant(x, y, radius, z, axes):
     """Return (N, 3) the middles and (N,) the areas of the patches between points of both outlines."""
     count = (len(radius) - 1) * (len(x) - 1)
     middles, areas = np.empty((count, 3)), np.empty(count)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -121,8 +121,8 @@ def sorted_unique(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     return ordered[np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1))]
 
 
-@numba.njit(cache=True, nogil=True)
-def key_of_point(x, y, z, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def key_of_point(x, y, z, voxel_m):
     """Return the key of the voxel that holds a finite point."""
     i = np.int64(np.floor(np.float64(x) / voxel_m)) + _OFFSET
     j = np.int64(np.floor(np.float64(y) / voxel_m)) + _OFFSET
@@ -130,16 +130,16 @@ def key_of_point(x, y, z, voxel_m):  # type: ignore[no-untyped-def] # pragma: no
     return (i << (2 * _BITS)) | (j << _BITS) | k
 
 
-@numba.njit(cache=True, nogil=True)
-def _keys_of_points(points, voxel_m):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _keys_of_points(points, voxel_m):
     out = np.empty(len(points), dtype=np.int64)
     for i in range(len(points)):
         out[i] = key_of_point(points[i, 0], points[i, 1], points[i, 2], voxel_m)
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def first_not_below(sorted_keys, key, start):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def first_not_below(sorted_keys, key, start):
     """Return the place of the first of the sorted keys that is not below `key`, sought outwards from `start`."""
     count = len(sorted_keys)
     step = 1
@@ -166,8 +166,8 @@ def first_not_below(sorted_keys, key, start):  # type: ignore[no-untyped-def] # 
     return high
 
 
-@numba.njit(cache=True, nogil=True)
-def _places(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _places(sorted_keys, queries):
     out = np.empty(len(queries), dtype=np.int64)
     at = 0
     for i in range(len(queries)):
@@ -176,8 +176,8 @@ def _places(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: no 
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _contains(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _contains(sorted_keys, queries):
     out = np.empty(len(queries), dtype=np.bool_)
     at = 0
     for i in range(len(queries)):
@@ -186,8 +186,8 @@ def _contains(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: n
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _changes(a, gone, new):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _changes(a, gone, new):
     """Return the places of what is `gone` in `a`, and which of `new` come in, before which places.
 
     What goes and comes stays, as in a difference and a union after it. Both kinds of places ascend, also where the keys
@@ -214,8 +214,8 @@ def _changes(a, gone, new):  # type: ignore[no-untyped-def] # pragma: no cover
     return at_gone[:num_gone], at_new[:num_fresh], fresh[:num_fresh]
 
 
-@numba.njit(cache=True, nogil=True)
-def _are_near(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _are_near(sorted_keys, queries):
     # A step of one cell along an axis adds a constant to the packed key, and along z neighbours are next to each other
     # in the sorted keys: nine searches cover 27 cells. Each search starts where its last one ended.
     found = np.zeros(len(queries), dtype=np.bool_)
@@ -233,8 +233,8 @@ def _are_near(sorted_keys, queries):  # type: ignore[no-untyped-def] # pragma: n
     return found
 
 
-@numba.njit(cache=True, nogil=True)
-def _exchanged(a, gone, at, new):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _exchanged(a, gone, at, new):
     """Leave out what is at the places `gone`, and put each of `new` before the place in `at`; both ascend."""
     out = np.empty(len(a) - len(gone) + len(new), dtype=a.dtype)
     start, n, g, f = 0, 0, 0, 0
@@ -292,8 +292,8 @@ def groups_of(keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.in
     return groups
 
 
-@numba.njit(cache=True, nogil=True)
-def _groups_of(keys):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _groups_of(keys):
     """Number keys by a hash table with open addressing, at most half full."""
     bits = 4
     while (1 << bits) < 2 * len(keys):
@@ -323,8 +323,8 @@ def _groups_of(keys):  # type: ignore[no-untyped-def] # pragma: no cover
     return groups, distinct[:count].copy()
 
 
-@numba.njit(cache=True, nogil=True)
-def _sums(groups, totals, weights):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _sums(groups, totals, weights):
     for i in range(len(groups)):
         totals[groups[i]] += weights[i] if len(weights) else 1
     out = np.empty(len(groups), dtype=np.int64)

@@ -23,7 +23,7 @@ from hickory_stream.graph.chain import Chain
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import adjoint, symmetric
 from hickory_stream.graph.gate import surprise_of
-from hickory_stream.graph.library import Factors, poses_of, settled
+from hickory_stream.graph.gtsam_solver import Factors, poses_of, settled
 from hickory_stream.graph.solution import NoSolution, RejectedLoop, Solution
 
 if TYPE_CHECKING:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.alignment.align_config import AlignConfig
+    from hickory_stream.alignment.config import AlignConfig
     from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.loops.config import LoopConfig
     from hickory_stream.loops.predictions import Predicted

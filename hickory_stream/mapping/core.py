@@ -2,6 +2,12 @@
 
 `MapperCore.handle(event)` is synchronous: no I/O, no clock, no randomness. The same events in the same order give the
 same map, to the byte. What happens in a keyframe is listed in `_keyframe`; each step is a module of its own.
+
+Jumps of the stamps and of the odometry: what they end.
+
+The first and the last step of a keyframe: the state moves on to it, and the map learns what space it saw.
+
+Ends of submaps, and searches for loops: asked for then, answered later; the answers are kept, believed or not.
 """
 
 from __future__ import annotations
@@ -28,30 +34,139 @@ from hickory_stream.events import (
     TimeJumped,
     WayEnded,
 )
-from hickory_stream.mapping.best_views import drop_unused_views, judge_views, propose_views
+from hickory_stream.geometry import portable
+from hickory_stream.mapping.entities.observed_space import floor_change
+from hickory_stream.mapping.entities.submaps import (
+    false_floor,
+    first_submap,
+    interrupted,
+    looking_at,
+    put_far_away,
+    surveyed,
+    torn,
+    with_keyframe,
+    with_registration,
+    with_seen,
+)
 from hickory_stream.mapping.invariants import validate
-from hickory_stream.mapping.jumps import pose_jumped, time_jumped
-from hickory_stream.mapping.keyframe_steps import begin_keyframe, note_registration, see_space
-from hickory_stream.mapping.loop_searches import end_search, end_submap
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
-from hickory_stream.mapping.moved_submaps import end_elsewhere, place_submaps, recognise
-from hickory_stream.mapping.shape_requests import end_shape, request_shapes
+from hickory_stream.mapping.rules.space_agreement import agreed_after
 from hickory_stream.mapping.snapshots import Snapshots
-from hickory_stream.mapping.submaps import first_submap
-from hickory_stream.mapping.track_ageing import age_tracks, end_tracks, keep_room
-from hickory_stream.mapping.track_splitting import moved_out, split_tracks
-from hickory_stream.mapping.tracker import Tracker
+from hickory_stream.mapping.steps.ageing import age_tracks, end_tracks, keep_room, settle
+from hickory_stream.mapping.steps.endings import rest_tracks
+from hickory_stream.mapping.steps.moved_submaps import end_elsewhere, place_submaps, recognise
+from hickory_stream.mapping.steps.shapes import end_shape, request_shapes
+from hickory_stream.mapping.steps.tracker import Tracker, moved_out, split_tracks
+from hickory_stream.mapping.steps.views import drop_unused_views, judge_views, propose_views
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
-    from hickory_stream.geometry.made_arrays import Keep
-    from hickory_stream.mapping.mapping_config import MappingConfig
-    from hickory_stream.mapping.submaps import SubmapState
-    from hickory_stream.mapping.tracker import Associator
+    from hickory_stream.geometry.lazy_arrays import Keep
+    from hickory_stream.mapping.config import MappingConfig
+    from hickory_stream.mapping.entities.submaps import SubmapConfig, SubmapState
+    from hickory_stream.mapping.steps.tracker import Associator
     from hickory_stream.records import Loop, MapPrior, MapSnapshot, PoseGraphRecord
 
+
 logger = logging.getLogger(__name__)
+
+
+def time_jumped(state: MapState, event: TimeJumped) -> None:
+    """Handle a jump of the stamps: the core's own clock does not advance across it."""
+    state.stamp_ns = None
+    state.submaps = interrupted(state.submaps)
+    state.decide("time_jump", None, f"{event.kind}: stamps jumped from {event.from_ns} to {event.to_ns}")
+
+
+def pose_jumped(state: MapState, event: PoseJumped, config: MappingConfig) -> None:
+    """Close the submap. Later poses are in the same world frame, so that its objects can be re-identified.
+
+    The observed space starts empty again, and an object is not checked against it until it has been seen again: an
+    error of a few centimetres in the jump is enough to see through an object, or to place it inside a wall.
+    """
+    distance_m = portable.norm(event.after_from_before[:3, 3])
+    settle(state, config)
+    state.submaps = torn(state.submaps)
+    state.split_candidates = {}
+    text = f"the odometry jumped by {distance_m:.2f} m: submap {state.submaps.open_id} begins"
+    state.decide("pose_jump", None, text)
+
+
+def note_registration(state: MapState, event: KeyframeRegistered) -> None:
+    """Keep how sure the pose of the keyframe to come is, for the pose graph."""
+    state.submaps = with_registration(state.submaps, event)
+
+
+def begin_keyframe(state: MapState, event: FrameObserved, config: MappingConfig) -> None:
+    """Move the clock, the revision and the submaps on to a keyframe.
+
+    Raises:
+        ValueError: features of the last keyframe are still pending.
+    """
+    if state.pending is not None:
+        raise ValueError(f"frame {event.frame_index} came while features of {state.pending.frame_index} are pending")
+    state.revision += 1
+    state.advance_clock(event.stamp_ns)
+    warm = state.derived.warm
+    state.submaps = looking_at(with_keyframe(state.submaps, event, config.submaps), event.space, warm.keep)
+    rest_tracks(state, warm.follow(state.tracks, sight=state.sight, revision=state.revision))
+    for rejected in event.rejected:
+        state.decide("reject", None, f"mask {rejected.box_px}: {rejected.reason}")
+
+
+def see_space(state: MapState, event: FrameObserved) -> None:
+    """Add the keyframe's observations of free space, structure and floor to the map."""
+    seen_m = event.space.floor_z_m
+    changed = floor_change(state.submaps.space, seen_m, false_floor(state.submaps, seen_m))
+    if changed is not None:
+        state.decide("floor", None, changed)
+    state.submaps = with_seen(state.submaps, event.space, state.derived.warm.keep)
+
+
+def end_submap(
+    state: MapState, open_id: int | None, snapshot: Callable[[], MapSnapshot], config: SubmapConfig
+) -> list[SearchLoops]:
+    """Let a submap that has ended count against those before it, and return the search for its loops.
+
+    `open_id` is the one that was open, None: the one that still is. There is no search where it saw no surface, or
+    none is before it.
+    """
+    now_id = state.submaps.open_id
+    if open_id == now_id:
+        return []
+    submap_id = now_id if open_id is None else open_id
+    state.submaps = agreed_after(state.submaps, submap_id)
+    put_far_away(state.submaps, state.derived.warm.keep)
+    submaps = state.submaps.states[: submap_id + 1]
+    if not config.searches_loops or submap_id == 0 or len(submaps[-1].surface) == 0:
+        return []
+    search = SearchLoops(
+        submap_id=submap_id,
+        due_ns=(state.stamp_ns or 0) + int(config.loop_latency_s * 1e9),
+        submaps=tuple(surveyed(submap) for submap in submaps),
+        loops=state.loops,
+        snapshot=snapshot(),
+    )
+    state.searches = (*state.searches, search)
+    return [search]
+
+
+def end_search(state: MapState, event: LoopsSearched) -> None:
+    """Keep what a search found.
+
+    Raises:
+        ValueError: it was not asked for.
+    """
+    if event.submap_id not in {search.submap_id for search in state.searches}:
+        raise ValueError(f"loops of submap {event.submap_id} were not asked for")
+    state.searches = tuple(search for search in state.searches if search.submap_id != event.submap_id)
+    state.loops = (*state.loops, *event.loops)
+    for loop in event.loops:
+        way = "their surfaces" if loop.method == "surface" else "their objects"
+        said = "may be a loop" if loop.reason is None else f"is no loop: {loop.reason}"
+        text = f"submap {loop.later} in {loop.earlier}, by {way}, {loop.score:.0%} of the surface agrees: {said}"
+        state.decide("loop", None, text)
 
 
 class MapperCore:

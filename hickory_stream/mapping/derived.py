@@ -1,13 +1,279 @@
-"""What follows from the tracks of a state: no part of what is saved, and kept up with the tracks that change."""
+"""What follows from the tracks of a state: no part of what is saved, and kept up with the tracks that change.
+
+Which views are in use: counted by name, and followed from the tracks that have changed.
+
+Which tracks were looked at lately: the clouds of all others, and of what belongs to them, are kept compressed.
+
+The voxels of tracks that are part of the room, by track, so that the observed space follows those that change.
+
+Which tracks have an open shape job, and which may want one, followed from the tracks that have changed.
+"""
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
+from collections import Counter
 from dataclasses import dataclass, field
+from itertools import islice
+from typing import TYPE_CHECKING, Any
 
-from hickory_stream.mapping.room_voxels import RoomVoxels
-from hickory_stream.mapping.shape_wishes import ShapeWishes
-from hickory_stream.mapping.view_use import ViewUse
-from hickory_stream.mapping.warm_tracks import WarmTracks
+import numpy as np
+
+from hickory_stream.geometry.lazy_arrays import in_memory
+from hickory_stream.geometry.voxels import difference, keys_of_points, sorted_unique
+from hickory_stream.mapping.entities.submaps import with_room, with_room_changed
+from hickory_stream.mapping.entities.track_table import REACH_M
+from hickory_stream.mapping.rules.merge_history import views_in
+from hickory_stream.mapping.rules.shape_requests import is_wanted, may_be_wanted, rank_of
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.lazy_arrays import Keep
+    from hickory_stream.mapping.entities.cloud import Cloud
+    from hickory_stream.mapping.entities.submaps import Submaps
+    from hickory_stream.mapping.entities.track import Track
+    from hickory_stream.mapping.entities.track_table import Mark, TrackTable
+    from hickory_stream.mapping.rules.merge_history import Absorbed, Join, Joins
+    from hickory_stream.mapping.rules.shape_requests import Rank, RequestConfig
+
+
+class ViewUse:
+    """By how many tracks each view is held: those of the map, and those that a split or a parting could restore."""
+
+    def __init__(self) -> None:
+        self._marks: tuple[Mark, Mark] | None = None
+        self._held: dict[int, tuple[str, ...]] = {}
+        self._absorbed: dict[int, tuple[Track, ...]] = {}
+        self._joins: dict[int, tuple[Join, ...]] = {}
+        self._num_holders: Counter[str] = Counter()
+        self._freed: set[str] = set()
+
+    def ask_for(self, name: str) -> None:
+        """Ask at the next count whether a view is held, though no track that held it is known to have let it go.
+
+        A better view may have taken its place before the views were counted.
+        """
+        self._freed.add(name)
+
+    def unused(
+        self, tracks: TrackTable, elsewhere: TrackTable, absorbed: Absorbed, joins: Joins, kept: Collection[str]
+    ) -> list[str]:
+        """Return the names of the `kept` views that nothing refers to any more, ascending."""
+        tables = (tracks, elsewhere)
+        marks = self._marks
+        if marks is None or any(mark.table is not table for mark, table in zip(marks, tables, strict=True)):
+            marks = None
+            self._held, self._absorbed, self._joins, self._num_holders = {}, {}, {}, Counter()
+            self._freed = set(kept)
+        for table, mark in zip(tables, marks or (None, None), strict=True):
+            for track_id in table.changed_since(mark):
+                # A track that is in neither table is gone; one may have come from the other.
+                track = tracks.get(track_id) or elsewhere.get(track_id)
+                self._hold(track_id, () if track is None else track.names_of_views)
+        self._marks = (tracks.now, elsewhere.now)
+        self._follow(self._absorbed, absorbed, _names)
+        self._follow(self._joins, joins, views_in)
+        self._absorbed, self._joins = dict(absorbed), dict(joins)
+        unused = sorted(name for name in self._freed if not self._num_holders[name] and name in kept)
+        self._freed = set()
+        return unused
+
+    def _hold(self, track_id: int, names: tuple[str, ...]) -> None:
+        before = self._held.pop(track_id, ())
+        if names:
+            self._held[track_id] = names
+        self._count(before, names)
+
+    def _follow(self, known: Mapping[int, Any], now: Mapping[int, Any], names: Callable[[Any], Iterable[str]]) -> None:
+        """Count the views that hosts hold for others, where these have changed."""
+        changed = [host for host, held in now.items() if known.get(host) is not held]
+        changed += [host for host in known if host not in now]
+        for host in changed:
+            self._count(names(known.get(host, ())), names(now.get(host, ())))
+
+    def _count(self, before: Iterable[str], now: Iterable[str]) -> None:
+        self._num_holders.update(now)
+        for name in before:
+            self._num_holders[name] -= 1
+            if not self._num_holders[name]:
+                del self._num_holders[name]
+                self._freed.add(name)
+
+
+def _names(tracks: Iterable[Track]) -> list[str]:
+    return [name for track in tracks for name in track.names_of_views]
+
+
+_KEEP_KEYFRAMES = 24
+"""A robot that looks around sees a thing again within so many keyframes."""
+
+
+class WarmTracks:
+    """The tracks that keyframes were about lately, and those beside them, by the last keyframe.
+
+    `keep` has what is compressed: in memory, or where the engine says.
+    """
+
+    def __init__(self) -> None:
+        self.keep: Keep = in_memory
+        self._mark: Mark | None = None
+        self._last: dict[int, int] = {}
+
+    def follow(self, tracks: TrackTable, *, sight: NDArray[np.float32] | None, revision: int) -> list[int]:
+        """Take up a keyframe that saw what is in the bounds `sight` (2, 3); `revision` is its number.
+
+        Returns the ids of the tracks that no keyframe was about for some time.
+        """
+        mark = self._mark if self._mark is not None and self._mark.table is tracks else None
+        about = set(tracks.changed_since(mark)) & tracks.keys()
+        for track_id in list(about) if mark is not None else ():
+            about |= {other.id for other in tracks.touching(tracks[track_id].bounds, REACH_M)}
+        if sight is not None:
+            about |= {track.id for track in tracks.touching(sight, REACH_M)}
+        self.use(sorted(about), revision)
+        resting = []
+        for track_id, last in self._last.items():
+            if last > revision - _KEEP_KEYFRAMES:
+                break
+            resting.append(track_id)
+        for track_id in resting:
+            del self._last[track_id]
+        self._mark = tracks.now
+        return resting
+
+    def use(self, track_ids: Iterable[int], revision: int) -> None:
+        """Note the tracks that a keyframe is about, be they here or elsewhere."""
+        for track_id in track_ids:
+            # At the end of the order, so that what was left longest ago comes first.
+            self._last.pop(track_id, None)
+            self._last[track_id] = revision
+
+
+_NONE = np.empty(0, dtype=np.int64)
+
+
+class RoomVoxels:
+    """The clouds of the tracks that are part of the room and were seen since the last jump, as the submaps have them.
+
+    `first` is the first submap that is judged; the space of another one has other tracks.
+    """
+
+    def __init__(self, first: int = 0) -> None:
+        self._first = first
+        self._clouds: dict[int, Cloud] = {}
+        self._mark: Mark | None = None
+
+    @classmethod
+    def of_tracks(cls, tracks: TrackTable, first: int) -> RoomVoxels:
+        """Return the voxels of a state whose submaps have them."""
+        room = cls(first)
+        room._clouds = {track.id: track.solid for track in tracks.values() if _is_room(track, first)}
+        room._mark = tracks.now
+        return room
+
+    def kept(self, submaps: Submaps, tracks: TrackTable) -> Submaps:
+        """Return the submaps with the voxels of the tracks as they are now."""
+        mark, self._mark = self._mark, tracks.now
+        if submaps.first != self._first or (mark is not None and mark.table is not tracks):
+            return self._renewed(submaps, tracks)
+        changed: list[tuple[Cloud | None, Cloud | None]] = []
+        for track_id in tracks.changed_since(mark):
+            track = tracks.get(track_id)
+            before = self._clouds.get(track_id)
+            now = track.solid if track is not None and _is_room(track, submaps.first) else None
+            if now is before:
+                continue
+            changed.append((before, now))
+            if now is None:
+                del self._clouds[track_id]
+            else:
+                self._clouds[track_id] = now
+        return self._changed(submaps, tracks, changed) if changed else submaps
+
+    def _renewed(self, submaps: Submaps, tracks: TrackTable) -> Submaps:
+        self._first = submaps.first
+        aside = [track for track in tracks.ordered() if _is_room(track, submaps.first)]
+        self._clouds = {track.id: track.solid for track in aside}
+        return with_room(submaps, _voxels(self._clouds.values(), submaps.space.voxel_m))
+
+    def _changed(
+        self, submaps: Submaps, tracks: TrackTable, changed: list[tuple[Cloud | None, Cloud | None]]
+    ) -> Submaps:
+        voxel_m = submaps.space.voxel_m
+        new = _voxels((now for _, now in changed if now is not None), voxel_m)
+        gone = difference(_voxels((before for before, _ in changed if before is not None), voxel_m), new)
+        if len(gone):
+            points = np.concatenate([before.points for before, _ in changed if before is not None])
+            beside = tracks.touching(np.stack([points.min(axis=0), points.max(axis=0)]), 2 * voxel_m)
+            others = (self._clouds[track.id] for track in beside if track.id in self._clouds)
+            gone = difference(gone, _voxels(others, voxel_m))
+        return with_room_changed(submaps, gone, new)
+
+
+def _is_room(track: Track, first: int) -> bool:
+    return track.phase is Phase.ROOM and track.seen_in >= first
+
+
+def _voxels(clouds: Iterable[Cloud], voxel_m: float) -> NDArray[np.int64]:
+    return sorted_unique(np.concatenate([_NONE, *(keys_of_points(cloud.points, voxel_m) for cloud in clouds)]))
+
+
+class ShapeWishes:
+    """The ids of tracks with an open job, here and elsewhere, and of those here whose shape may be wanted by now."""
+
+    def __init__(self) -> None:
+        self._here = _Followed()
+        self._elsewhere = _Followed()
+
+    def follow(self, tracks: TrackTable, elsewhere: TrackTable, config: RequestConfig) -> None:
+        """Take up what has changed in the tables."""
+        self._here.follow(tracks, config)
+        self._elsewhere.follow(elsewhere, config)
+
+    @property
+    def num_open(self) -> int:
+        """How many jobs are open."""
+        return len(self._here.with_job) + len(self._elsewhere.with_job)
+
+    def with_job(self, tracks: TrackTable) -> dict[int, Track]:
+        """Return the tracks here that have an open job."""
+        return {i: tracks[i] for i in sorted(self._here.with_job)}
+
+    def next_wanted(self, tracks: TrackTable, clock_ns: int, config: RequestConfig) -> list[int]:
+        """Return what `next_requests` does of the tracks here; what waits for a free job is not looked at."""
+        ranked = (rank[-1] for rank in self._here.wanting)
+        wanted = (i for i in ranked if is_wanted(tracks[i], clock_ns, is_final=False, config=config))
+        return list(islice(wanted, max(0, config.max_in_flight - self.num_open)))
+
+
+class _Followed:
+    """The ids of one table; those whose shape may be wanted with their ranks, in the order of these."""
+
+    def __init__(self) -> None:
+        self._mark: Mark | None = None
+        self.with_job: set[int] = set()
+        self.wanting: list[Rank] = []
+        self._ranks: dict[int, Rank] = {}
+
+    def follow(self, table: TrackTable, config: RequestConfig) -> None:
+        if self._mark is not None and self._mark.table is not table:
+            self._mark = None
+        if self._mark is None:
+            self.with_job, self.wanting, self._ranks = set(), [], {}
+        for track_id in table.changed_since(self._mark):
+            track = table.get(track_id)
+            has_job = track is not None and track.shape_state.open_ticket is not None
+            (self.with_job.add if has_job else self.with_job.discard)(track_id)
+            if (rank := self._ranks.pop(track_id, None)) is not None:
+                del self.wanting[bisect_left(self.wanting, rank)]
+            if track is not None and may_be_wanted(track, config):
+                self._ranks[track_id] = rank_of(track, config)
+                insort(self.wanting, self._ranks[track_id])
+        self._mark = table.now
 
 
 @dataclass(kw_only=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.voxels import cells_of_keys
-from hickory_stream.mapping.wall_columns import WALL_M, column_sizes, column_starts, is_wall_column
+from hickory_stream.mapping.entities.observed_space import WALL_M, column_sizes, column_starts, is_wall_column
 from hickory_stream.storeys import floor_height_m, floors_of
 
 if TYPE_CHECKING:

@@ -10,15 +10,19 @@ from copy import copy
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Self
 
-from hickory_stream.mapping.absorbed import Absorbed, views_of, without_lost_views
-from hickory_stream.mapping.derived import Derived
-from hickory_stream.mapping.joins import Joins, views_in
-from hickory_stream.mapping.joins import without_lost_views as joins_without
-from hickory_stream.mapping.room_voxels import RoomVoxels
-from hickory_stream.mapping.support_graph import SupportGraph
-from hickory_stream.mapping.track import Track, without_views
-from hickory_stream.mapping.track_merging import VoteBook
-from hickory_stream.mapping.track_table import TrackTable
+from hickory_stream.mapping.derived import Derived, RoomVoxels
+from hickory_stream.mapping.entities.track import Track, without_views
+from hickory_stream.mapping.entities.track_table import TrackTable
+from hickory_stream.mapping.rules.merge_history import (
+    Absorbed,
+    Joins,
+    joins_without,
+    views_in,
+    views_of,
+    without_lost_views,
+)
+from hickory_stream.mapping.rules.merging import VoteBook
+from hickory_stream.mapping.rules.support_graph import SupportGraph
 from hickory_stream.records import Decision, View
 
 if TYPE_CHECKING:
@@ -28,10 +32,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.events import SearchLoops
-    from hickory_stream.mapping.mapping_config import MappingConfig
-    from hickory_stream.mapping.observed_space import SpaceState
-    from hickory_stream.mapping.split_candidates import SplitCandidates
-    from hickory_stream.mapping.submaps import Submaps
+    from hickory_stream.mapping.config import MappingConfig
+    from hickory_stream.mapping.entities.observed_space import SpaceState
+    from hickory_stream.mapping.entities.submaps import Submaps
+    from hickory_stream.mapping.rules.splitting import SplitCandidates
     from hickory_stream.records import DecisionKind, DropCause, Loop, PoseGraphRecord
 
 

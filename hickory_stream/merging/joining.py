@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from hickory_stream.alignment.align import align
-from hickory_stream.alignment.align_config import AlignConfig
 from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
-from hickory_stream.ranges import Ranged, number
+from hickory_stream.alignment.config import AlignConfig
+from hickory_stream.base.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from hickory_stream.alignment.object_map import ObjectMap

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.merging.clusters import Pairing, Place, clusters_of
 from hickory_stream.merging.joining import JoiningConfig, aligned_to_join
 from hickory_stream.merging.layout import largest_layout
 from hickory_stream.merging.objects import MergedObject, placed, united
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import MapSnapshot, Phase, Submap
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.superquadric import log_implicit_value
-from hickory_stream.mapping.cloud import cloud_of, fuse
-from hickory_stream.mapping.moved import moved_object
+from hickory_stream.mapping.entities.cloud import cloud_of, fuse
+from hickory_stream.mapping.entities.rigid_motion import moved_object
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

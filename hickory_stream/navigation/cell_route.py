@@ -10,13 +10,13 @@ import heapq
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 _STEPS = np.array([[0, 1], [1, 0], [0, -1], [-1, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
 
 
-@numba.njit(cache=True, nogil=True)
-def route_over_cells(costs, row, column, goal_row, goal_column):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def route_over_cells(costs, row, column, goal_row, goal_column):
     """Return (N, 2) the cell centres x, y, in cells, of a cheapest route by A*; empty if there is no route.
 
     `costs` (rows, columns) are at least 1 per cell's length, infinite where blocked.

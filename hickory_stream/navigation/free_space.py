@@ -2,6 +2,8 @@
 
 There is one `Occupancy` per posture and range of headings; a round robot has one heading. Places outside of the grid,
 and unobserved ones, are blocked, unless unknown space is declared free.
+
+Where a robot can stand beside an object: the goal of a way to it.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from hickory_stream.errors import InputError
+from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.superquadric import Superquadrics, world_bounds
 from hickory_stream.geometry.voxels import cells_of_keys
 from hickory_stream.navigation.clearance import ClearanceScene
@@ -30,8 +33,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.boxes import OrientedBox
     from hickory_stream.navigation.stand_ins import SeenSurface
     from hickory_stream.records import MapSnapshot, TrackedObject
+
 
 CELL_M = 0.033
 UnknownSpace = Literal["blocked", "free"]
@@ -353,3 +358,25 @@ def _touching_pairs(first: NDArray[np.int32], second: NDArray[np.int32]) -> NDAr
     # As one number each: pairs take ten times as long to sort.
     pairs = np.unique(first[both].astype(np.int64) * count + second[both])
     return np.stack(np.divmod(pairs, count))
+
+
+# Farther from the object's box than this, beyond its own reach, a robot does not stand beside it.
+_BESIDE_M = 0.6
+
+
+def place_beside(space: FreeSpace, start: NDArray[np.float64], box: OrientedBox) -> NDArray[np.float64] | None:
+    """Return the place (2,) nearest to an object that can be reached from `start` (2,), None if none is beside it.
+
+    Of equally near places, to within a cell, it is the one nearest to the start. Cells that are connected with the
+    start count, so that a path to the place is likely, but not proven: a robot that is no disc has to turn.
+    """
+    frame = space.frame
+    cells, _ = space.reachable_cells((start - frame.origin_m) / frame.cell_m)
+    if not len(cells):
+        return None
+    places = frame.origin_m + (cells[:, ::-1] + 0.5) * frame.cell_m
+    local = apply(invert(box.world_from_box), np.column_stack([places, np.full(len(places), box.center[2])]))
+    away = np.linalg.norm(np.maximum(np.abs(local[:, :2]) - box.half_extents_m[:2], 0.0), axis=1)
+    rounds = np.floor(away / frame.cell_m)
+    best = int(np.lexsort((np.linalg.norm(places - start, axis=1), rounds))[0])
+    return places[best] if away[best] <= space.robot.reach_m + _BESIDE_M else None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel, numba
 
 # A primitive is a row: centre (3), rotation row by row (9; columns are the local axes), semi-axes (3), 2/e1, 2/e2,
 # e2/e1, e1/2, low corner of its bounds (3), high corner (3).
@@ -23,8 +23,8 @@ SHIFT, MASK, CELLS = 3, 7, 8
 FREE, UNKNOWN, HIT_GENERATED, HIT_SEEN = 0, 1, 2, 3
 
 
-@numba.njit(cache=True, nogil=True)
-def _power(x, p):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _power(x, p):
     """Return x ** p for x in 0..2; simple shapes, the most frequent ones, have integer powers and need no logarithm."""
     if p == 2.0:
         return x * x
@@ -42,8 +42,8 @@ def _power(x, p):  # type: ignore[no-untyped-def] # pragma: no cover
     return np.exp(p * np.log(x))
 
 
-@numba.njit(cache=True, nogil=True)
-def is_inside(row, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def is_inside(row, x, y, z):
     """Return whether G <= 1 at a point."""
     dx, dy, dz = x - row[CENTER], y - row[CENTER + 1], z - row[CENTER + 2]
     w = abs(row[ROTATION + 2] * dx + row[ROTATION + 5] * dy + row[ROTATION + 8] * dz) / row[AXES + 2]
@@ -69,8 +69,8 @@ def is_inside(row, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
     return planar + _power(w, row[POWER_1]) <= 1.0
 
 
-@numba.njit(cache=True, nogil=True)
-def log_gauge(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def log_gauge(row, x, y, z, gradient):
     """Return ln h, h = G^(e1/2), at a point; fill its gradient in the world."""
     dx, dy, dz = x - row[CENTER], y - row[CENTER + 1], z - row[CENTER + 2]
     p0 = row[ROTATION] * dx + row[ROTATION + 3] * dy + row[ROTATION + 6] * dz
@@ -98,8 +98,8 @@ def log_gauge(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pragma:
     return top + row[GAUGE] * np.log(whole)
 
 
-@numba.njit(cache=True, nogil=True)
-def bound_outside(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def bound_outside(row, x, y, z, gradient):
     """Return a lower bound of the distance to a primitive, 0 inside.
 
     The larger of two: to its box in its own axes, and to the tangent plane where the ray from the centre leaves it. A
@@ -121,8 +121,8 @@ def bound_outside(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pra
     return max(np.sqrt(squared), plane) * (1.0 - 1e-9)
 
 
-@numba.njit(cache=True, nogil=True)
-def exact_outside(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def exact_outside(row, x, y, z, gradient):
     """Return the distance to a primitive, 0 inside: its dual, the largest distance to a plane that it lies behind.
 
     The distance to a convex body is the maximum over directions n of n . p - support(n). The ascent turns n towards
@@ -190,8 +190,8 @@ def exact_outside(row, x, y, z, gradient):  # type: ignore[no-untyped-def] # pra
 _CIRCLE = np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4])
 
 
-@numba.njit(cache=True, nogil=True)
-def _behind(row, p, n, q):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _behind(row, p, n, q):
     """Return the distance of p from the plane with the normal n (>= 0) that touches the body, at q, which is filled."""
     length = np.sqrt((n * n).sum())
     a, b = touching(row[AXES] * n[0], row[AXES + 1] * n[1], row[POWER_2])
@@ -201,8 +201,8 @@ def _behind(row, p, n, q):  # type: ignore[no-untyped-def] # pragma: no cover
     return (n[0] * (p[0] - q[0]) + n[1] * (p[1] - q[1]) + n[2] * (p[2] - q[2])) / length
 
 
-@numba.njit(cache=True, nogil=True)
-def touching(s, t, p):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def touching(s, t, p):
     """Return the point (a, b) of a^p + b^p = 1, both >= 0, that is farthest along (s, t)."""
     largest, smallest = max(s, t), min(s, t)
     # The farthest point of a diamond (p = 1), the limit of the rest, is a corner.
@@ -217,8 +217,8 @@ def touching(s, t, p):  # type: ignore[no-untyped-def] # pragma: no cover
     return (1.0 / norm, b / norm) if s >= t else (b / norm, 1.0 / norm)
 
 
-@numba.njit(cache=True, nogil=True)
-def inserted(row, index, layout, top, bricks, values, links, free_item):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def inserted(row, index, layout, top, bricks, values, links, free_item):
     """Enter a primitive into the two grids; return the next free item (there must be enough), and the number used.
 
     `layout` is the low corner of the grid (3) and the side of a block. `top` (X, Y, Z, 2) holds the brick of a block,
@@ -249,8 +249,8 @@ def inserted(row, index, layout, top, bricks, values, links, free_item):  # type
     return free_item, used
 
 
-@numba.njit(cache=True, nogil=True)
-def blocks_of(row, layout, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def blocks_of(row, layout, shape):
     """Return (M, 3) the blocks that a primitive may reach into."""
     side = layout[3]
     gradient, low, high = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64)
@@ -269,8 +269,8 @@ def blocks_of(row, layout, shape):  # type: ignore[no-untyped-def] # pragma: no 
     return out[:count]
 
 
-@numba.njit(cache=True, nogil=True)
-def removed(row, index, layout, top, bricks, values, links, free_item):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def removed(row, index, layout, top, bricks, values, links, free_item):
     """Remove a primitive from the lists of its blocks; return the first free item, and the number of items freed."""
     released = 0
     for i, j, k in blocks_of(row, layout, top.shape[:3]):
@@ -283,16 +283,16 @@ def removed(row, index, layout, top, bricks, values, links, free_item):  # type:
     return free_item, released
 
 
-@numba.njit(cache=True, nogil=True)
-def _chained(heads, at, value, values, links, free_item):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _chained(heads, at, value, values, links, free_item):
     after = links[free_item]
     values[free_item], links[free_item] = value, heads[at]
     heads[at] = free_item
     return after
 
 
-@numba.njit(cache=True, nogil=True)
-def _unchained(heads, at, index, values, links, free_item):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _unchained(heads, at, index, values, links, free_item):
     before, item, count = -1, heads[at], 0
     while item >= 0:
         after = links[item]
@@ -310,8 +310,8 @@ def _unchained(heads, at, index, values, links, free_item):  # type: ignore[no-u
     return free_item, count
 
 
-@numba.njit(cache=True, nogil=True)
-def _far_from_box(row, x, y, z, half):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _far_from_box(row, x, y, z, half):
     return (
         x + half < row[LOW]
         or x - half > row[HIGH]
@@ -322,8 +322,8 @@ def _far_from_box(row, x, y, z, half):  # type: ignore[no-untyped-def] # pragma:
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _fills(row, x, y, z, half):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _fills(row, x, y, z, half):
     """Return 1 if a primitive surely contains every point of a cell, despite rounding, else 0."""
     half *= 1.0 + 1e-6
     for corner in range(8):
@@ -335,16 +335,16 @@ def _fills(row, x, y, z, half):  # type: ignore[no-untyped-def] # pragma: no cov
     return 1
 
 
-@numba.njit(cache=True, nogil=True)
-def point_states(points, rows, kinds, layout, top, bricks, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def point_states(points, rows, kinds, layout, top, bricks, values, links):
     """Return (N,) uint8: FREE, or the most severe kind of the primitives that contain each of (N, 3) points."""
     out = np.zeros(len(points), np.uint8)
     _states(points, rows, kinds, layout, top, bricks, values, links, out, 0, len(points))
     return out
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
-def point_states_parallel(points, rows, kinds, layout, top, bricks, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(parallel=True)
+def point_states_parallel(points, rows, kinds, layout, top, bricks, values, links):
     """Return what `point_states` returns, on all cores."""
     out = np.zeros(len(points), np.uint8)
     block = 8192
@@ -354,8 +354,8 @@ def point_states_parallel(points, rows, kinds, layout, top, bricks, values, link
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _states(points, rows, kinds, layout, top, bricks, values, links, out, first, last):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _states(points, rows, kinds, layout, top, bricks, values, links, out, first, last):
     inverse = CELLS / layout[3]
     ox, oy, oz = layout[0], layout[1], layout[2]
     nx, ny, nz = top.shape[0] * CELLS, top.shape[1] * CELLS, top.shape[2] * CELLS
@@ -381,8 +381,8 @@ def _states(points, rows, kinds, layout, top, bricks, values, links, out, first,
         out[n] = gravest
 
 
-@numba.njit(cache=True, nogil=True)
-def clearances(points, rows, is_exact, reach, layout, top, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def clearances(points, rows, is_exact, reach, layout, top, values, links):
     """Return (N,) the distance to the nearest primitive, or a lower bound of it, truncated at `reach`."""
     out = np.empty(len(points))
     gradient = np.empty(3)
@@ -416,8 +416,8 @@ def clearances(points, rows, is_exact, reach, layout, top, values, links):  # ty
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _box_distance(row, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _box_distance(row, x, y, z):
     dx = max(row[LOW] - x, 0.0, x - row[HIGH])
     dy = max(row[LOW + 1] - y, 0.0, y - row[HIGH + 1])
     dz = max(row[LOW + 2] - z, 0.0, z - row[HIGH + 2])

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.navigation.kernels import AXES, CENTER, HIGH, LOW, POWER_1, POWER_2, ROTATION, touching
 
 if TYPE_CHECKING:
@@ -63,8 +63,8 @@ def locked(array: NDArray[np.float64]) -> NDArray[np.float64]:
 NO_ROWS, NO_HULLS = locked(np.empty((0, 25))), locked(np.empty((0, 1, 3)))
 
 
-@numba.njit(cache=True, nogil=True)
-def _outlines(rows, hulls, part, corners, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _outlines(rows, hulls, part, corners, tolerance):
     is_hull = len(hulls) > 0
     count = len(hulls) if is_hull else len(rows)
     out, starts = np.empty((max(16 * count, _MOST), 2)), np.zeros(count + 1, np.int64)
@@ -83,8 +83,8 @@ def _outlines(rows, hulls, part, corners, tolerance):  # type: ignore[no-untyped
     return out[:used].copy(), starts
 
 
-@numba.njit(cache=True, nogil=True)
-def _outline(is_hull, row, hull, part, corners, tolerance, found, after, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _outline(is_hull, row, hull, part, corners, tolerance, found, after, out):
     """Write the corners of one outline; return their number."""
     count = half_planes(is_hull, row, hull, part, corners, tolerance, found, after)
     corner = np.empty(2)
@@ -96,8 +96,8 @@ def _outline(is_hull, row, hull, part, corners, tolerance, found, after, out):  
     return count
 
 
-@numba.njit(cache=True, nogil=True)
-def half_planes(is_hull, row, hull, part, corners, tolerance, found, after):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def half_planes(is_hull, row, hull, part, corners, tolerance, found, after):
     """Fill in the half planes of one outline and the successor of each, counter-clockwise from 0; return their number.
 
     `found` (M, 6) has a direction (2), the support along it, and values for the search. The number is 0 if the obstacle
@@ -144,8 +144,8 @@ def half_planes(is_hull, row, hull, part, corners, tolerance, found, after):  # 
     return count
 
 
-@numba.njit(cache=True, nogil=True)
-def _meeting(first, second, corner):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _meeting(first, second, corner):
     """Fill in the intersection of two border lines; return its distance beyond the chord of their touched points."""
     cross = first[_DX] * second[_DY] - first[_DY] * second[_DX]
     corner[0] = (first[_H] * second[_DY] - second[_H] * first[_DY]) / cross
@@ -158,8 +158,8 @@ def _meeting(first, second, corner):  # type: ignore[no-untyped-def] # pragma: n
     return (gx * ey - gy * ex) / length
 
 
-@numba.njit(cache=True, nogil=True)
-def _between(first, second, new):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _between(first, second, new):
     """Choose a direction between two: the normal of the chord of their touched points, which finds an edge at once."""
     dx, dy = second[_PY] - first[_PY], first[_PX] - second[_PX]
     length = np.sqrt(dx * dx + dy * dy)
@@ -173,8 +173,8 @@ def _between(first, second, new):  # type: ignore[no-untyped-def] # pragma: no c
     return first[_DX] * dy - first[_DY] * dx > 1e-4
 
 
-@numba.njit(cache=True, nogil=True)
-def _touch_slice(is_hull, row, hull, part, corners, found, guess, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _touch_slice(is_hull, row, hull, part, corners, found, guess, tolerance):
     """Fill in the support of the slice in a direction, a point of the slice that it touches, and the multiplier.
 
     The support is at most `tolerance` too large, never too small.
@@ -226,8 +226,8 @@ def _touch_slice(is_hull, row, hull, part, corners, found, guess, tolerance):  #
     found[_PY] = a[1] + share * (b[1] - a[1])
 
 
-@numba.njit(cache=True, nogil=True)
-def _touch(is_hull, row, hull, part, corners, dx, dy, m, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _touch(is_hull, row, hull, part, corners, dx, dy, m, out):
     """Fill in the point (3) where the sum of obstacle and mirrored body is touched along (dx, dy, m); the support.
 
     For m = 0 the height is that of the obstacle alone.
@@ -271,8 +271,8 @@ def _touch(is_hull, row, hull, part, corners, dx, dy, m, out):  # type: ignore[n
     out[3] = x * dx + y * dy + (z * m if m != 0.0 else 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
-def stamp(counts, corners, starts, origin, cell, delta):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def stamp(counts, corners, starts, origin, cell, delta):
     """Add `delta` to every cell that an outline touches, its closed square: whole cells, not their centres.
 
     `counts` (rows along y, columns along x); `origin` (2,) is the low corner of the first cell.

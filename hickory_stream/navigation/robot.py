@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.base.ranges import Range, Ranged, check_order, check_ranges, number, ranges_of, required
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.ranges import Range, Ranged, check_order, check_ranges, number, ranges_of, required
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from hickory_stream.confined import plain_name
+from hickory_stream.base.confined import plain_name
 from hickory_stream.geometry.rigid import invert, quaternion_from_rotation
 from hickory_stream.geometry.superquadric import moved, support
 from hickory_stream.geometry.superquadric_surface import display_mesh

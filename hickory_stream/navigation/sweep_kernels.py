@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.navigation.kernels import (
     AXES,
     CENTER,
@@ -34,8 +34,8 @@ _MOST_PLANES = 100
 _ROUNDING = 1e-10
 
 
-@numba.njit(cache=True, nogil=True)
-def sweep_states(starts, ends, half, radius, rows, kinds, layout, top, values, links):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def sweep_states(starts, ends, half, radius, rows, kinds, layout, top, values, links):
     """Return (N,) uint8: the most severe kind that a body touches between (N, 3) starts and ends, else FREE.
 
     The body is an axis-aligned box of half extents `half` (3), rounded by `radius`; a ball for half extents of 0.
@@ -87,8 +87,8 @@ def sweep_states(starts, ends, half, radius, rows, kinds, layout, top, values, l
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _passes_its_box(row, start, way, half, radius, local, edges):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _passes_its_box(row, start, way, half, radius, local, edges):
     """Return whether a face of the primitive's own box separates it from the whole motion.
 
     Fills `local`, the start and the way along the primitive's axes, and `edges`, the half edges of the swept box.
@@ -108,8 +108,8 @@ def _passes_its_box(row, start, way, half, radius, local, edges):  # type: ignor
     return False
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearest_to_center(row, local):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _nearest_to_center(row, local):
     """Return the parameter 0..1 of the motion nearest to the primitive's centre, in units of its semi-axes."""
     t, length = 0.0, 0.0
     for i in range(3):
@@ -119,8 +119,8 @@ def _nearest_to_center(row, local):  # type: ignore[no-untyped-def] # pragma: no
     return min(max(t / length, 0.0), 1.0) if length > 0.0 else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
-def _touches(row, t, radius, local, edges, simplex, nearest, direction):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _touches(row, t, radius, local, edges, simplex, nearest, direction):
     """Return whether the core comes as near as the radius, or to within `NEAR_M` of that."""
     size = 0.0
     # The first plane is that of an ellipsoid, from the point of the motion nearest to the primitive's centre.
@@ -142,8 +142,8 @@ def _touches(row, t, radius, local, edges, simplex, nearest, direction):  # type
     return True
 
 
-@numba.njit(cache=True, nogil=True)
-def _supported(row, local, edges, direction, point):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _supported(row, local, edges, direction, point):
     """Return the least direction . (x - y) over x of the core and y of the primitive; `point` is filled with x - y."""
     x, y, z = direction[0], direction[1], direction[2]
     end = 1.0 if x * local[1, 0] + y * local[1, 1] + z * local[1, 2] < 0.0 else 0.0
@@ -163,8 +163,8 @@ def _supported(row, local, edges, direction, point):  # type: ignore[no-untyped-
     return x * point[0] + y * point[1] + z * point[2]
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearest_of_simplex(simplex, count, nearest):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _nearest_of_simplex(simplex, count, nearest):
     """Fill the point nearest to the origin in the hull of `count` points; return the number of points that span it.
 
     These points are moved to the front. The number is 0 if the origin is inside a tetrahedron.
@@ -196,8 +196,8 @@ def _nearest_of_simplex(simplex, count, nearest):  # type: ignore[no-untyped-def
     return _kept(simplex, chosen, best_weights, nearest)
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearest_of_edge(simplex, nearest):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _nearest_of_edge(simplex, nearest):
     along, squared = 0.0, 0.0
     for i in range(3):
         edge = simplex[1, i] - simplex[0, i]
@@ -215,8 +215,8 @@ def _nearest_of_edge(simplex, nearest):  # type: ignore[no-untyped-def] # pragma
     return 2
 
 
-@numba.njit(cache=True, nogil=True)
-def _kept(simplex, corners, weights, nearest):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _kept(simplex, corners, weights, nearest):
     """Fill the point with these weights, move the corners of non-zero weight to the front, and return their number."""
     for i in range(3):
         nearest[i] = 0.0
@@ -232,8 +232,8 @@ def _kept(simplex, corners, weights, nearest):  # type: ignore[no-untyped-def] #
     return count
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearest_of_triangle(a, b, c):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _nearest_of_triangle(a, b, c):
     """Return the weights of the corners in the point of a triangle nearest to the origin (Ericson, 2005, 5.1.5)."""
     d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(3):
@@ -267,8 +267,8 @@ def _nearest_of_triangle(a, b, c):  # type: ignore[no-untyped-def] # pragma: no 
     return on_a / total, on_b / total, on_c / total
 
 
-@numba.njit(cache=True, nogil=True)
-def _volume(a, b, c, d):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _volume(a, b, c, d):
     """Return six times the signed volume of a tetrahedron."""
     x0, x1, x2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     y0, y1, y2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -276,8 +276,8 @@ def _volume(a, b, c, d):  # type: ignore[no-untyped-def] # pragma: no cover
     return x0 * (y1 * z2 - y2 * z1) - x1 * (y0 * z2 - y2 * z0) + x2 * (y0 * z1 - y1 * z0)
 
 
-@numba.njit(cache=True, nogil=True)
-def _volume_to_origin(a, b, c):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _volume_to_origin(a, b, c):
     """Return six times the signed volume of a triangle and the origin."""
     x0, x1, x2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     y0, y1, y2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 # Tolerance in cells: a segment along the edge of a cell touches both neighbours.
 _HAIR = 1e-9
@@ -17,8 +17,8 @@ NO_STATE = -1
 _NO_WAY = -2
 
 
-@numba.njit(cache=True, nogil=True)
-def way_is_free(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def way_is_free(blocked, x0, y0, x1, y1):
     """Return whether all cells that a segment touches are free; cells outside the grid are not."""
     rows, columns = blocked.shape
     if y1 < y0:
@@ -39,8 +39,8 @@ def way_is_free(blocked, x0, y0, x1, y1):  # type: ignore[no-untyped-def] # prag
     return True
 
 
-@numba.njit(cache=True, nogil=True)
-def turn_is_free(blocked, x, y, before, after):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def turn_is_free(blocked, x, y, before, after):
     """Return whether the robot can change its state at a position, by a turn in either posture and direction."""
     headings = blocked.shape[1]
     if before < 0 or after < 0 or headings == 1:
@@ -59,8 +59,8 @@ def turn_is_free(blocked, x, y, before, after):  # type: ignore[no-untyped-def] 
     return False
 
 
-@numba.njit(cache=True, nogil=True)
-def state_after(blocked, x0, y0, before, x1, y1, is_backward):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def state_after(blocked, x0, y0, before, x1, y1, is_backward):
     """Return the state in which the robot gets from one position to the next, -2 if there is none.
 
     Postures are tried in their order, forwards before backwards. `is_backward`: the segment is driven from the second
@@ -80,8 +80,8 @@ def state_after(blocked, x0, y0, before, x1, y1, is_backward):  # type: ignore[n
     return _NO_WAY
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearest(points, count, x, y):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _nearest(points, count, x, y):
     best, nearest = 0, np.inf
     for n in range(count):
         dx, dy = points[n, 0] - x, points[n, 1] - y
@@ -91,8 +91,8 @@ def _nearest(points, count, x, y):  # type: ignore[no-untyped-def] # pragma: no 
     return best
 
 
-@numba.njit(cache=True, nogil=True)
-def _branch(points, parents, n):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _branch(points, parents, n):
     """Return the positions from the root to a node."""
     length, at = 0, n
     while at >= 0:
@@ -106,8 +106,8 @@ def _branch(points, parents, n):  # type: ignore[no-untyped-def] # pragma: no co
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def grow_rrt(blocked, start, goal, start_state, goal_state, samples, toss, step, bias):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def grow_rrt(blocked, start, goal, start_state, goal_state, samples, toss, step, bias):
     """Return the path that the RRT of the paper finds (empty if none), and the number of iterations."""
     count = 1
     most = len(samples) + 2
@@ -143,8 +143,8 @@ def grow_rrt(blocked, start, goal, start_state, goal_state, samples, toss, step,
     return np.empty((0, 2)), len(samples)
 
 
-@numba.njit(cache=True, nogil=True)
-def grow_connect(blocked, start, goal, start_state, goal_state, samples, step):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def grow_connect(blocked, start, goal, start_state, goal_state, samples, step):
     """Return the path of RRT-Connect (Kuffner and LaValle, 2000; empty if none), and the number of iterations."""
     most = 4 * len(samples) + 64
     points, parents, states = np.empty((2, most, 2)), np.empty((2, most), np.int64), np.empty((2, most), np.int64)
@@ -207,8 +207,8 @@ def grow_connect(blocked, start, goal, start_state, goal_state, samples, step): 
     return np.empty((0, 2)), len(samples)
 
 
-@numba.njit(cache=True, nogil=True)
-def _link(blocked, points, parents, states, count, near, x, y, is_backward):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _link(blocked, points, parents, states, count, near, x, y, is_backward):
     """Append the path from a node to a position; return the number of nodes added, 0 if there is no path.
 
     The path is straight; or, if the robot's heading then collides at the position, as in a doorway, the robot drives to
@@ -252,8 +252,8 @@ def _link(blocked, points, parents, states, count, near, x, y, is_backward):  # 
     return 0
 
 
-@numba.njit(cache=True, nogil=True)
-def _cost_to(points, parents, states, costs, headings, n):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _cost_to(points, parents, states, costs, headings, n):
     total = 0.0
     while parents[n] >= 0:
         before = parents[n]
@@ -263,8 +263,8 @@ def _cost_to(points, parents, states, costs, headings, n):  # type: ignore[no-un
     return total
 
 
-@numba.njit(cache=True, nogil=True)
-def grow_star(blocked, start, goal, start_state, goal_state, samples, costs, step, first_cost):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def grow_star(blocked, start, goal, start_state, goal_state, samples, costs, step, first_cost):
     """Return the best path of an informed RRT* (Gammell et al., 2014; empty if none), and the number of iterations.
 
     `first_cost` is the cost of a known path, or infinite: only samples that can improve on the best path are used. A
@@ -339,8 +339,8 @@ def grow_star(blocked, start, goal, start_state, goal_state, samples, costs, ste
     return out, len(samples)
 
 
-@numba.njit(cache=True, nogil=True)
-def states_along(blocked, path, start_state, goal_state):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def states_along(blocked, path, start_state, goal_state):
     """Return the state of each segment, and whether the whole path can be driven."""
     states = np.empty(len(path) - 1, np.int64)
     before = start_state
@@ -352,8 +352,8 @@ def states_along(blocked, path, start_state, goal_state):  # type: ignore[no-unt
     return states, turn_is_free(blocked, path[-1, 0], path[-1, 1], before, goal_state)
 
 
-@numba.njit(cache=True, nogil=True)
-def cost_along(path, states, costs, headings):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def cost_along(path, states, costs, headings):
     """Return the cost of a path, in cells."""
     total = 0.0
     for i in range(len(path) - 1):
@@ -362,8 +362,8 @@ def cost_along(path, states, costs, headings):  # type: ignore[no-untyped-def] #
     return total
 
 
-@numba.njit(cache=True, nogil=True)
-def thinned(blocked, path, start_state):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def thinned(blocked, path, start_state):
     """Return the positions of a path that remain if each is followed by the farthest one in a free straight line.
 
     A shortcut may not need a later posture than its first segment, so that the robot does not lower itself to shorten.
@@ -387,8 +387,8 @@ def thinned(blocked, path, start_state):  # type: ignore[no-untyped-def] # pragm
     return out[:count].copy()
 
 
-@numba.njit(cache=True, nogil=True)
-def shortened(blocked, path, start_state, goal_state, costs, spacing, most):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def shortened(blocked, path, start_state, goal_state, costs, spacing, most):
     """Return a path of least cost over at most `most` positions of the given one, which are at most `spacing` apart.
 
     Dynamic programming over the shortcuts between all pairs of positions; optimal among them for a robot that need not
@@ -431,8 +431,8 @@ def shortened(blocked, path, start_state, goal_state, costs, spacing, most):  # 
     return _branch(dense, before, count - 1)
 
 
-@numba.njit(cache=True, nogil=True)
-def cut_corners(blocked, path, start_state, goal_state, costs, rounds, most):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def cut_corners(blocked, path, start_state, goal_state, costs, rounds, most):
     """Return a path with its corners cut as far as cells are free (string pulling)."""
     headings = blocked.shape[1]
     for _ in range(rounds):

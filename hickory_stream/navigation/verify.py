@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.navigation.outline import NO_HULLS, NO_ROWS, TOLERANCE_M, half_planes, locked
 from hickory_stream.navigation.robot import Part, grown
 
@@ -75,8 +75,8 @@ def _turn(space: FreeSpace, place: NDArray[np.float64], before: int, after: int)
     raise AssertionError("a path turns at cells that are not free")
 
 
-@numba.njit(cache=True, nogil=True)
-def _meets(rows, hulls, part, corners, start, end, tolerance):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _meets(rows, hulls, part, corners, start, end, tolerance):
     """Return whether a body on its way from start to end (2,) may meet any of the obstacles."""
     is_hull = len(hulls) > 0
     no_row, no_hull = np.empty(0), np.empty((0, 3))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import implicit_value, world_bounds
 from hickory_stream.geometry.voxels import cells_of_keys
@@ -119,8 +119,8 @@ def _cleaned(mask: NDArray[np.bool_], free: NDArray[np.bool_], is_wall: NDArray[
     return np.asarray(kept | (closed & ~free))
 
 
-@numba.njit(cache=True, nogil=True)
-def _boxes_of(mask, orders):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _boxes_of(mask, orders):
     left = mask.copy()
     found = np.empty((256, 6), np.int64)
     count = 0
@@ -155,8 +155,8 @@ def _boxes_of(mask, orders):  # type: ignore[no-untyped-def] # pragma: no cover
     return found[:count]
 
 
-@numba.njit(cache=True, nogil=True)
-def _grow(mask, low, high, axis):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _grow(mask, low, high, axis):
     """Move both ends of a box along an axis as far as the box stays in the mask."""
     while high[axis] < mask.shape[axis] and _is_full(mask, low, high, axis, high[axis]):
         high[axis] += 1
@@ -164,8 +164,8 @@ def _grow(mask, low, high, axis):  # type: ignore[no-untyped-def] # pragma: no c
         low[axis] -= 1
 
 
-@numba.njit(cache=True, nogil=True)
-def _is_full(mask, low, high, axis, place):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _is_full(mask, low, high, axis, place):
     """Return whether the slice of a box at a position along an axis lies entirely in the mask."""
     first, end = low.copy(), high.copy()
     first[axis], end[axis] = place, place + 1

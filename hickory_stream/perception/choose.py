@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, assert_never
 
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
-from hickory_stream.perception.geometric import GeometricSegmenter
+from hickory_stream.perception.geometric_segmenter import GeometricSegmenter
 from hickory_stream.perception.semantic_filter import FilteredSegmenter
 
 if TYPE_CHECKING:
@@ -67,8 +67,8 @@ def _bare_segmenter(config: PerceptionConfig) -> Segmenter:
         case "geometric":
             return GeometricSegmenter(config.geometric)
         case "network":
+            from hickory_stream.perception.affinity.pixel_network import PixelNetwork
             from hickory_stream.perception.network_segmenter import NetworkSegmenter
-            from hickory_stream.perception.pixel_network import PixelNetwork
 
             return NetworkSegmenter(PixelNetwork(), config.affinities, config.geometric)
         case "fastsam":

@@ -4,6 +4,10 @@ Per patch of 14 pixels, at half resolution: a soft histogram of colour in Lab (o
 histograms of gradient orientation at two scales, minus their mean over many objects. Histograms are non-negative, so
 that without centring all patches would be similar. Its uses (the variance in S, the mean feature of an object) require
 only unit-norm patch features.
+
+Gradients of an image after a Gaussian blur, in single precision and with a fixed order of operations.
+
+OpenCV's floating-point filters use fused multiply-add only on processors that have it: results would differ.
 """
 
 from __future__ import annotations
@@ -13,16 +17,64 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import arctan2
 from hickory_stream.perception.cielab import lab_of
-from hickory_stream.perception.gradients import gradients
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.records import MaskFeature, Observation
+
+
+def gradients(image: NDArray[np.float32], sigma_px: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return (h, w) the differences along x and y of a blurred image (h, w), by Sobel's operator.
+
+    The image is extended beyond its border by reflection at the outermost pixel.
+    """
+    radius = max(1, round(4 * sigma_px))
+    weights = portable.gaussian_weights(sigma_px, radius).astype(np.float32)
+    blurred = _blurred(_mirrored(image, radius), weights)
+    along_x, along_y = _sobel(_mirrored(blurred, 1))
+    return along_x, along_y
+
+
+def _mirrored(image: NDArray[np.float32], radius: int) -> NDArray[np.float32]:
+    return np.asarray(cv2.copyMakeBorder(image, radius, radius, radius, radius, cv2.BORDER_REFLECT_101))
+
+
+@kernel
+def _blurred(padded, weights):
+    """Weight along the rows, then along the columns; the innermost loop runs along a row and is vectorised."""
+    height, width = padded.shape[0] - len(weights) + 1, padded.shape[1] - len(weights) + 1
+    rows = np.zeros((padded.shape[0], width), dtype=np.float32)
+    for y in range(padded.shape[0]):
+        for k in range(len(weights)):
+            for x in range(width):
+                rows[y, x] += weights[k] * padded[y, x + k]
+    out = np.zeros((height, width), dtype=np.float32)
+    for y in range(height):
+        for k in range(len(weights)):
+            for x in range(width):
+                out[y, x] += weights[k] * rows[y + k, x]
+    return out
+
+
+@kernel
+def _sobel(p):
+    height, width = p.shape[0] - 2, p.shape[1] - 2
+    along_x, along_y = np.empty((height, width), dtype=np.float32), np.empty((height, width), dtype=np.float32)
+    two = np.float32(2.0)
+    for y in range(height):
+        for x in range(width):
+            left = p[y, x] + two * p[y + 1, x] + p[y + 2, x]
+            right = p[y, x + 2] + two * p[y + 1, x + 2] + p[y + 2, x + 2]
+            above = p[y, x] + two * p[y, x + 1] + p[y, x + 2]
+            below = p[y + 2, x] + two * p[y + 2, x + 1] + p[y + 2, x + 2]
+            along_x[y, x], along_y[y, x] = right - left, below - above
+    return along_x, along_y
+
 
 _LIGHT_BINS, _HUE_BINS, _ORIENTATIONS = 5, 8, 8
 # The mean over the objects of a synthetic apartment and a table-top, by `tools/descriptor_mean` (seeds 22 and 31).
@@ -118,8 +170,8 @@ def mask_feature(observation: Observation, features: NDArray[np.float32], patch_
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _pixels_of_patches(mask, x0, y0, patch_px, rows, columns):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _pixels_of_patches(mask, x0, y0, patch_px, rows, columns):
     """Return (rows, columns) the number of mask pixels in each patch, for a mask whose box begins at (x0, y0)."""
     out = np.zeros((rows, columns))
     for y in range(mask.shape[0]):
@@ -137,8 +189,8 @@ def _gradient(
     return x, y, _turns(y.ravel(), x.ravel(), np.pi).reshape(light.shape)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _turns(y, x, turn):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _turns(y, x, turn):
     """Return the angle of each (x, y) as a fraction of `turn` radians."""
     out = np.empty(len(y))
     for i in range(len(y)):
@@ -146,8 +198,8 @@ def _turns(y, x, turn):  # type: ignore[no-untyped-def] # pragma: no cover
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _pooled(lab, hue, fine_x, fine_y, fine, coarse_x, coarse_y, coarse, side):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _pooled(lab, hue, fine_x, fine_y, fine, coarse_x, coarse_y, coarse, side):
     """Return (h, w, 30) soft histograms of patches of `side` pixels: every pixel is shared by the two nearest bins.
 
     `hue` is in turns; the gradients at the fine and coarse scales are given by x, y and their direction in half turns.
@@ -178,8 +230,8 @@ def _pooled(lab, hue, fine_x, fine_y, fine, coarse_x, coarse_y, coarse, side):  
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _add(bins, first, count, turns, weight):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _add(bins, first, count, turns, weight):
     """Share a weight between the two of `count` cyclic bins, from index `first`, nearest to an angle in turns."""
     position = (turns - np.floor(turns)) * count
     low = int(position)

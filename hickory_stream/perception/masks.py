@@ -4,6 +4,8 @@ Masks that are too small, structure, duplicates, or parts of another mask are re
 inside a larger one is an object of its own if it protrudes from the surface around it, like a cup on a table, or lies
 flat on a horizontal surface, like a magazine; a label on a box is a part. Masks cut by the image border are used:
 `observe` marks them.
+
+The bounding boxes of the labels of an image.
 """
 
 from __future__ import annotations
@@ -13,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+from scipy.ndimage import find_objects
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.perception.label_boxes import label_boxes
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import RejectedMask
 
 if TYPE_CHECKING:
@@ -27,6 +29,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.perception.surface import Surface
+
+
+def label_boxes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
+    """Return (count, 4) x0, y0, x1, y1 of each label, ends exclusive."""
+    boxes = np.zeros((count, 4), dtype=np.int64)
+    for i, place in enumerate(find_objects(labels, max_label=count - 1)):
+        if place is not None:
+            rows, columns = place
+            boxes[i + 1] = columns.start, rows.start, columns.stop, rows.stop
+    return boxes
+
 
 # Overlaps are counted with this stride in both directions: a mask worth keeping has hundreds of such pixels.
 _STRIDE = 2
@@ -119,8 +132,8 @@ def why_no_object(
     return f"{extent:.1f} m long: structure" if extent > max_extent_m else None
 
 
-@numba.njit(cache=True, nogil=True)
-def _extent_m(points, labels, label):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _extent_m(points, labels, label):
     """Return the longest side of the upright box around the points of a label; 0 where it has none."""
     low, high = np.full(3, np.float32(np.inf)), np.full(3, np.float32(-np.inf))
     for y in range(labels.shape[0]):
@@ -137,8 +150,8 @@ def occluded_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], cou
     return np.asarray(occluded / np.maximum(outline, 1))
 
 
-@numba.njit(cache=True, nogil=True)
-def _outlines(depth, labels, count):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _outlines(depth, labels, count):
     """Return (count,) the number of neighbouring pixels of other labels, and of those among them that are nearer."""
     height, width = labels.shape
     outline, occluded = np.zeros(count), np.zeros(count)
@@ -315,8 +328,8 @@ def _shared_pixels(masks: Sequence[InstanceMask]) -> NDArray[np.int64]:
     return shared
 
 
-@numba.njit(cache=True, nogil=True)
-def _count_shared(boxes, starts, pixels, stride):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _count_shared(boxes, starts, pixels, stride):
     count = len(boxes)
     shared = np.zeros((count, count), dtype=np.int64)
     for i in range(count):

@@ -1,31 +1,47 @@
-"""The segmenter with the packaged affinity network: geometric fragments, joined by trees that use its log-odds."""
+"""The segmenter with the packaged affinity network: geometric fragments, joined by trees that use its log-odds.
+
+Whether a mask is an object or part of the room, by the affinity network's log-odds over its pixels.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from hickory_stream.perception.fragment_odds import fragment_odds
-from hickory_stream.perception.geometric import GeometricSegmenter
-from hickory_stream.perception.join import join_fragments
-from hickory_stream.perception.map_prior import fragment_owners
-from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
+import numpy as np
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.perception.affinity.odds_split import SplitConfig, divided_by_odds
+from hickory_stream.perception.affinity.pixel_network import ODDS_ZERO, THING
+from hickory_stream.perception.geometric_segmenter import GeometricSegmenter
+from hickory_stream.perception.regions.fragment_odds import fragment_odds, mean_log_odds
+from hickory_stream.perception.regions.join import join_fragments
+from hickory_stream.perception.regions.map_prior import fragment_owners
+from hickory_stream.perception.regions.trees import embedded_trees
 from hickory_stream.perception.surface import moved_surface
-from hickory_stream.perception.thing_odds import thing_log_odds
-from hickory_stream.perception.trees import embedded_trees
-from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.geometric import GeometricConfig
-    from hickory_stream.perception.join import Joined
-    from hickory_stream.perception.over_segmentation import Fragments
-    from hickory_stream.perception.pixel_network import PixelNetwork, PixelOdds
+    from hickory_stream.perception.affinity.pixel_network import PixelNetwork, PixelOdds
+    from hickory_stream.perception.fragments.over_segmentation import Fragments
+    from hickory_stream.perception.geometric_segmenter import GeometricConfig
+    from hickory_stream.perception.regions.join import Joined
+    from hickory_stream.perception.regions.trees import Trees
     from hickory_stream.perception.surface import Surface
-    from hickory_stream.perception.trees import Trees
     from hickory_stream.records import Frame, MapPrior, Segmentation
+
+
+def thing_log_odds(labels: NDArray[np.int32], odds: PixelOdds) -> NDArray[np.float64]:
+    """Return (n + 1,) the mean log-odds that each mask 0..n of an image (h, w) is an object.
+
+    NaN for a mask without a pixel in the network's output, which has half the resolution.
+    """
+    few = labels[::2, ::2].ravel()
+    count = int(labels.max(initial=0)) + 1
+    from_even = odds.odds[THING].ravel().astype(np.float64) - ODDS_ZERO
+    sums = np.bincount(few, weights=from_even, minlength=count).astype(np.int64)  # sums of integers: exact
+    return mean_log_odds(sums, np.bincount(few, minlength=count))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

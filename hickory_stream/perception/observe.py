@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 from scipy.ndimage import find_objects
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, in_company, keys_of_points
-from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.records import Observation, RejectedMask, Returns
 
 if TYPE_CHECKING:
@@ -189,8 +189,8 @@ def checksum_of(points: NDArray[np.float32], world_from_camera: NDArray[np.float
     return zlib.crc32(world_from_camera.astype("<f8").tobytes(), zlib.crc32(points.astype("<f4", copy=False).tobytes()))
 
 
-@numba.njit(cache=True, nogil=True)
-def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):
     """Return (N, 3) camera-frame points and colours of reliable depth in `inner`, and the number of those in `mask`.
 
     Between them (h, w) their depth in millimetres, 0 elsewhere, and whether it is in whole ones. `u` (w,) and `v` (h,)
@@ -218,8 +218,8 @@ def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):  # type: ignore[
     return points[:count], colors[:count], depth_mm, is_whole, num_reliable
 
 
-@numba.njit(cache=True, nogil=True)
-def _points_of(depth_mm, u, v):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _points_of(depth_mm, u, v):
     """Return (N, 3) the points of `_returns` of which the depth is given."""
     height, width = depth_mm.shape
     points = np.empty((np.count_nonzero(depth_mm), 3), dtype=np.float32)
@@ -246,8 +246,8 @@ def voxel_means(
     return means
 
 
-@numba.njit(cache=True, nogil=True)
-def _means_of_groups(groups, order, points, colors):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _means_of_groups(groups, order, points, colors):
     """Return the mean point and colour of each group, summed in the order of points; `order` is the order of groups."""
     sums, counts = np.zeros((len(order), 6)), np.zeros(len(order), dtype=np.int64)
     for i in range(len(groups)):
@@ -292,8 +292,8 @@ def _agreeing(
     return inner
 
 
-@numba.njit(cache=True, nogil=True)
-def _with_agreeing(depth, mask, inner, law, sigmas):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _with_agreeing(depth, mask, inner, law, sigmas):
     """Return `inner` grown within the mask by pixels whose depth is within `sigmas` sigmas of a neighbour's."""
     height, width = mask.shape
     out = inner.copy()
@@ -320,8 +320,8 @@ def _supported(
     return supported
 
 
-@numba.njit(cache=True, nogil=True)
-def _with_support(depth, inner, law, sigmas, least):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _with_support(depth, inner, law, sigmas, least):
     height, width = inner.shape
     out = np.zeros((height, width), dtype=np.bool_)
     for y in range(height):
@@ -334,8 +334,8 @@ def _with_support(depth, inner, law, sigmas, least):  # type: ignore[no-untyped-
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _has_company(depth, inner, y, x, gate, least):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _has_company(depth, inner, y, x, gate, least):
     """Return whether at least `least` of the 24 returns around a pixel are within `gate` of its depth."""
     count = -1  # the loop also counts the pixel itself
     for yy in range(max(0, y - 2), min(depth.shape[0], y + 3)):

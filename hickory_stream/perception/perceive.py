@@ -10,7 +10,7 @@ import numpy as np
 from hickory_stream.events import FrameObserved
 from hickory_stream.perception.coarse import coarse_frame
 from hickory_stream.perception.descriptor import mask_feature
-from hickory_stream.perception.geometric import GeometricConfig
+from hickory_stream.perception.geometric_segmenter import GeometricConfig
 from hickory_stream.perception.masks import MaskConfig
 from hickory_stream.perception.models.dinov2 import DinoConfig
 from hickory_stream.perception.models.fastsam import FastSamConfig

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import find_objects
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ConfigError
 from hickory_stream.ports import Moving
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import RejectedMask, Segmentation
 
 if TYPE_CHECKING:

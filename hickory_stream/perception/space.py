@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import difference, keys_of_cells, keys_of_points, sorted_unique
-from hickory_stream.ranges import Ranged, number
 from hickory_stream.records import SpaceObservation
 
 if TYPE_CHECKING:
@@ -95,8 +95,8 @@ def _dense_returns(frame: Frame, config: SpaceConfig) -> NDArray[np.float64]:
     return apply(frame.world_from_camera, points)
 
 
-@numba.njit(cache=True, nogil=True)
-def _returns(depth, step, fx, fy, cx, cy, farthest):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _returns(depth, step, fx, fy, cx, cy, farthest):
     """Return (N, 3) the returns of every `step`-th pixel in the camera's frame."""
     height, width = depth.shape
     out = np.empty((-(-height // step) * -(-width // step), 3))
@@ -135,8 +135,8 @@ def _free_keys(
 _STEP_X, _STEP_Y, _ = (int(step) for step in keys_of_cells(np.eye(3)) - keys_of_cells(np.zeros((3, 3))))
 
 
-@numba.njit(cache=True, nogil=True)
-def _mark_crossed(words, low, sides, origin, ends, voxel):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _mark_crossed(words, low, sides, origin, ends, voxel):
     # Coordinates are in voxels; the step along a ray is 0.7 voxels.
     start_x, start_y, start_z = origin[0] / voxel, origin[1] / voxel, origin[2] / voxel
     longest = 0
@@ -160,8 +160,8 @@ def _mark_crossed(words, low, sides, origin, ends, voxel):  # type: ignore[no-un
             words[places[k] >> 6] |= np.uint64(1) << np.uint64(places[k] & 63)
 
 
-@numba.njit(cache=True, nogil=True)
-def _unmark(words, low, sides, points, voxel):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _unmark(words, low, sides, points, voxel):
     for i in range(len(points)):
         x = np.int64(np.floor(points[i, 0] / voxel)) - low[0]
         y = np.int64(np.floor(points[i, 1] / voxel)) - low[1]
@@ -171,8 +171,8 @@ def _unmark(words, low, sides, points, voxel):  # type: ignore[no-untyped-def] #
             words[place >> 6] &= ~(np.uint64(1) << np.uint64(place & 63))
 
 
-@numba.njit(cache=True, nogil=True)
-def _marked_keys(words, lowest, sides, step_x, step_y):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _marked_keys(words, lowest, sides, step_x, step_y):
     count = 0
     for word in words:
         while word:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.perception.cielab import lab_of
-from hickory_stream.ranges import Ranged, check_order, check_ranges, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -119,8 +119,8 @@ def _reduce_depth(
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _median_of_blocks(depth, factor, height, width, nearest, farthest):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _median_of_blocks(depth, factor, height, width, nearest, farthest):
     out = np.full((height, width), np.nan, dtype=np.float32)
     block = np.empty(factor * factor, dtype=np.float32)
     for y in range(height):
@@ -141,8 +141,8 @@ def _median_of_blocks(depth, factor, height, width, nearest, farthest):  # type:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _median_of_four(depth, height, width, nearest, farthest):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _median_of_four(depth, height, width, nearest, farthest):
     """Return the same as `_median_of_blocks` for blocks of 2 x 2, the usual ones, without branches: vectorised."""
     out = np.empty((height, width), dtype=np.float32)
     none = np.float32(np.inf)
@@ -161,8 +161,8 @@ def _median_of_four(depth, height, width, nearest, farthest):  # type: ignore[no
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _without_flying_pixels(depth):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _without_flying_pixels(depth):
     """Remove flying pixels: those with fewer than three of their eight neighbours within 4 % of their depth.
 
     Flying pixels lie between two surfaces. A pixel without a nearer neighbour may be part of a thin object and needs
@@ -189,8 +189,8 @@ def _without_flying_pixels(depth):  # type: ignore[no-untyped-def] # pragma: no 
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _normals(depth, u, v, radius, noise):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _normals(depth, u, v, radius, noise):
     """Fit 1/z = a du + b dv + c over each window; (a, b, c) gives the plane's normal in the camera frame.
 
     Two fits: to all pixels within 3 % of the depth, then to those within 3 sigma of the first plane. The sums of a
@@ -231,8 +231,8 @@ def _normals(depth, u, v, radius, noise):  # type: ignore[no-untyped-def] # prag
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _sum_windows(inverses, y, own, gates, planes, sums, radius, step_u, step_v):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _sum_windows(inverses, y, own, gates, planes, sums, radius, step_u, step_v):
     """Fill the nine sums of a row's windows: n, u, v, d, uu, uv, vv, ud, vd over the pixels within the gate."""
     width, one, none = len(own), np.float32(1.0), np.float32(0.0)
     sums[:] = np.float32(0.0)
@@ -257,8 +257,8 @@ def _sum_windows(inverses, y, own, gates, planes, sums, radius, step_u, step_v):
                 sums[8, x] += d * dv if is_in else none
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _solve_planes(sums, planes, has_plane, is_first):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _solve_planes(sums, planes, has_plane, is_first):
     """Solve the windows of a row for the first or the second fit, without branches: vectorised.
 
     `has_plane` says whether the first fit has a solution; the plane stays that of the first fit if the second has none.

@@ -18,8 +18,14 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.directions import no_directions, turned_directions
-from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad, rotation_vector
+from hickory_stream.geometry.rigid import (
+    compose,
+    invert,
+    no_directions,
+    rotation_angle_rad,
+    rotation_vector,
+    turned_directions,
+)
 from hickory_stream.poses.degeneracy import Surfels, degenerate_directions
 from hickory_stream.poses.surface_alignment import (
     Aligned,

@@ -12,14 +12,14 @@ import numpy as np
 
 from hickory_stream.errors import ModelError
 from hickory_stream.ports import NotRegistered, Registered
-from hickory_stream.poses.config import OdometryConfig, config_of, typical_range_m
+from hickory_stream.poses.odometry_config import OdometryConfig, config_of, typical_range_m
 
 if TYPE_CHECKING:
     from typing import Any
 
     from numpy.typing import NDArray
 
-    from hickory_stream.poses.config import Sensor
+    from hickory_stream.poses.odometry_config import Sensor
     from hickory_stream.records import Scan
 
 

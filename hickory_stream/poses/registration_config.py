@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hickory_stream.ranges import Ranged, check_order, check_ranges, number
+from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import solve_in_place
 from hickory_stream.geometry.rigid import (
@@ -208,8 +208,8 @@ def _off(pose: NDArray[np.float64], expected: NDArray[np.float64]) -> NDArray[np
     return np.concatenate([rotation_vector(turn), pose[:3, 3] - expected[:3, 3]])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _num_in_view(points, camera_from_patch, lens, width, height):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _num_in_view(points, camera_from_patch, lens, width, height):
     fx, fy, cx, cy = lens
     m = camera_from_patch
     count = 0
@@ -224,8 +224,8 @@ def _num_in_view(points, camera_from_patch, lens, width, height):  # type: ignor
     return count
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _accumulate(points, normals, sigma, m, at, facing, at_sigma, lens, up, limits, hessian, slope, counts):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _accumulate(points, normals, sigma, m, at, facing, at_sigma, lens, up, limits, hessian, slope, counts):
     """Add what one patch says to the upper half of `hessian` (6, 6), to `slope` (6,), and to the four `counts`.
 
     `m` is camera_from_patch, `up` (3,) the map's vertical in the camera; `limits` are the scale of the kernel, the

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import freeze
 
 if TYPE_CHECKING:
@@ -64,8 +64,8 @@ def surface_image(
     return SurfaceImage(camera=camera, points=points, normals=normals, sigma_m=sigma_m)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fit(inverse, lens, spread, max_sigma, points, normals, sigma):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _fit(inverse, lens, spread, max_sigma, points, normals, sigma):
     """Fill in the surface elements, row by row: the sums of a row's windows are added cell by cell, vectorised."""
     height, width = inverse.shape
     fx, fy, cx, cy = lens
@@ -104,8 +104,8 @@ def _fit(inverse, lens, spread, max_sigma, points, normals, sigma):  # type: ign
             sigma[y, x] = spread * z * z * along / np.sqrt(0.5 * count)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _sum_windows(inverse, y, planes, gates, sums):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _sum_windows(inverse, y, planes, gates, sums):
     """Fill the nine sums of a row's windows: n, u, v, d, uu, uv, vv, ud, vd over the cells within the gates."""
     sums[:] = 0.0
     inner = sums.shape[1]
@@ -128,8 +128,8 @@ def _sum_windows(inverse, y, planes, gates, sums):  # type: ignore[no-untyped-de
                 sums[8, i] += dv * d if is_in else 0.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _solve(sums, planes, counts):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _solve(sums, planes, counts):
     """Fit the planes of a row's windows; `counts` becomes 0 where there is none, now or in the fit before."""
     for i in range(sums.shape[1]):
         n, su, sv, sd = sums[0, i], sums[1, i], sums[2, i], sums[3, i]

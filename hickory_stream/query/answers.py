@@ -30,7 +30,6 @@ from hickory_stream.query.question import (
     Use,
     told,
 )
-from hickory_stream.query.ramps import ramp
 from hickory_stream.query.relations import (
     distances_to,
     distances_to_place,
@@ -38,8 +37,7 @@ from hickory_stream.query.relations import (
     related_to_place,
     related_to_room,
 )
-from hickory_stream.query.shape_scores import SHAPE_WORDS
-from hickory_stream.query.top_map import LEVEL_M, NUM_LEVELS
+from hickory_stream.query.shape_scores import LEVEL_M, NUM_LEVELS, SHAPE_WORDS, ramp
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.caches import cache_folder, mark_used
-from hickory_stream.engine.atomic import write_atomically
-from hickory_stream.engine.crops import crop_files, read_crop
+from hickory_stream.base.atomic_files import write_atomically
+from hickory_stream.base.caches import cache_folder, mark_used
+from hickory_stream.map_folder.views import crop_files, read_crop
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.perception.models.image_text import ImageTextNetwork
     from hickory_stream.query.map_index import MapIndex
 

@@ -7,12 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.supports import supports_of
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.mapping.support_graph import Relation
+from hickory_stream.inspection.supports import supports_of
+from hickory_stream.mapping.rules.support_graph import Relation
 from hickory_stream.query.colors import COLOR_NAMES, name_shares
-from hickory_stream.query.shape_scores import SHAPE_WORDS, shape_scores
-from hickory_stream.query.top_map import NUM_LEVELS, hollow_score, level_areas_m2, top_map
+from hickory_stream.query.shape_scores import (
+    NUM_LEVELS,
+    SHAPE_WORDS,
+    hollow_score,
+    level_areas_m2,
+    shape_scores,
+    top_map,
+)
 from hickory_stream.records import Phase
 from hickory_stream.storeys import floor_beneath, floor_of, floors_of
 
@@ -21,8 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.mapping.mapping_config import MappingConfig
-    from hickory_stream.mapping.support_graph import Support
+    from hickory_stream.mapping.config import MappingConfig
+    from hickory_stream.mapping.rules.support_graph import Support
     from hickory_stream.records import MapSnapshot, TrackedObject
 
 # What holds an object that no other object holds.

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.engine.crops import read_crop
-from hickory_stream.evaluation.render import render_map
+from hickory_stream.map_folder.views import read_crop
+from hickory_stream.pictures.render import render_map
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.query.answers import Answer, Answers
     from hickory_stream.records import TrackedObject
 

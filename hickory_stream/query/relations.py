@@ -8,7 +8,7 @@ import numpy as np
 
 from hickory_stream.query.map_index import ON_FLOOR, Pairs
 from hickory_stream.query.question import Relation
-from hickory_stream.query.ramps import ramp
+from hickory_stream.query.shape_scores import ramp
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

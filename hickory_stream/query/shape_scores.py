@@ -1,18 +1,35 @@
-"""Which words for a shape hold of an object, from its superquadrics and its sides."""
+"""Which words for a shape hold of an object, from its superquadrics and its sides.
+
+Degrees of truth in 0..1: a word such as "large" begins to hold at one number and holds fully at another.
+
+The height map of an object from above: where it has level surfaces, and whether it is hollow.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.geometry.superquadric import volumes_m3
-from hickory_stream.query.ramps import ramp, rising
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.boxes import OrientedBox
     from hickory_stream.geometry.superquadric import Superquadrics
+
+
+def ramp(value: NDArray[np.float64], zero_at: float, one_at: float) -> NDArray[np.float64]:
+    """Return 0 up to `zero_at`, 1 from `one_at` on and a straight line between; falling where `one_at` is less."""
+    return np.asarray(np.clip((value - zero_at) / (one_at - zero_at), 0.0, 1.0))
+
+
+def rising(value: float, zero_at: float, one_at: float) -> float:
+    """Return `ramp` of one number."""
+    return float(np.clip((value - zero_at) / (one_at - zero_at), 0.0, 1.0))
+
 
 SHAPE_WORDS = ("box", "cylinder", "ball", "flat", "thin", "hollow")
 
@@ -64,3 +81,72 @@ def _is_round(exponents: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _are_equal(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     return ramp(np.minimum(a, b) / np.maximum(a, b), _EQUAL[1], _EQUAL[0])
+
+
+LEVEL_M = 0.05
+NUM_LEVELS = 44
+_CELL_M = (0.01, 0.04)
+_CELLS_ACROSS = 24
+# The middle and the rim of a footprint, as shares of the way from its centre to its border.
+_MIDDLE, _RIM = 0.45, 0.6
+_SECTORS = 8
+# The rim is at least this high, as a share of the object; how deep the middle lies below the top, likewise.
+_RIM_HEIGHT = 0.7
+_SHALLOW, _DEEP = 0.45, 0.7
+# In how many of the sectors there is a rim: not all around, and all around.
+_BROKEN, _WHOLE = 0.7, 0.95
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TopMap:
+    """The highest points of the columns of an object: `places` (N, 2) along its box's sides in -1..1, `heights_m` (N,).
+
+    Heights are above the bottom of the box; a column covers `cell_m2`.
+    """
+
+    places: NDArray[np.float64]
+    heights_m: NDArray[np.float64]
+    cell_m2: float
+
+
+def top_map(points: NDArray[np.float32], box: OrientedBox) -> TopMap:
+    """Return the height map of (N, 3) points in an upright box; without points it has no columns."""
+    half_m = box.half_extents_m
+    local = (points.astype(np.float64) - box.center) @ box.world_from_box[:3, :3]
+    cell_m = float(np.clip(2 * half_m[:2].max() / _CELLS_ACROSS, *_CELL_M))
+    cells = np.floor(local[:, :2] / cell_m).astype(np.int64)
+    # One number for each column, in the order of x and then y: the rows themselves take far longer to sort.
+    x, y = cells.T
+    lowest, highest = y.min(initial=0), y.max(initial=0)
+    keys = x * (highest - lowest + 1) + y - lowest
+    order = np.argsort(keys)
+    is_first = np.ones(len(keys), bool)
+    is_first[1:] = np.diff(keys[order]) != 0
+    starts = np.flatnonzero(is_first)
+    heights_m = np.maximum.reduceat(local[order, 2], starts) + half_m[2] if len(starts) else np.empty(0)
+    places = np.clip((cells[order[starts]] + 0.5) * cell_m / half_m[:2], -1.0, 1.0)
+    return TopMap(places=places, heights_m=heights_m, cell_m2=cell_m * cell_m)
+
+
+def level_areas_m2(top: TopMap, bottom_m: float) -> NDArray[np.float64]:
+    """Return (`NUM_LEVELS`,) the area that is open above, by its height above the floor in steps of `LEVEL_M`.
+
+    `bottom_m` is the height of the object's box above the floor.
+    """
+    levels = np.floor((top.heights_m + bottom_m) / LEVEL_M).astype(np.int64)
+    inside = levels[(levels >= 0) & (levels < NUM_LEVELS)]
+    return np.asarray(np.bincount(inside, minlength=NUM_LEVELS) * top.cell_m2, dtype=np.float64)
+
+
+def hollow_score(top: TopMap, height_m: float) -> float:
+    """Return how surely an object is hollow, seen from above: a rim all around, and the middle far below it; 0..1."""
+    radius = np.abs(top.places).max(axis=1, initial=0.0)
+    is_middle = radius < _MIDDLE
+    if not is_middle.any():
+        return 0.0
+    angles = np.arctan2(top.places[:, 1], top.places[:, 0])
+    sectors = np.floor((angles / (2 * np.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS
+    is_rim = (radius > _RIM) & (top.heights_m > _RIM_HEIGHT * height_m)
+    around = len(np.unique(sectors[is_rim])) / _SECTORS
+    depth = 1.0 - float(np.median(top.heights_m[is_middle])) / height_m
+    return min(rising(around, _BROKEN, _WHOLE), rising(depth, _SHALLOW, _DEEP))

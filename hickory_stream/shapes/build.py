@@ -15,15 +15,15 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics, moved
 from hickory_stream.geometry.superquadric_surface import surface_points
 from hickory_stream.ports import BuiltShape, NoShape, Reconstruction, Reconstructor, ShapeInputs
-from hickory_stream.shapes.blend import BlendConfig
-from hickory_stream.shapes.fit import FitConfig, fitted_shape
-from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor
-from hickory_stream.shapes.generated import GeneratedReconstructor
-from hickory_stream.shapes.inflate import InflateConfig, inflate
-from hickory_stream.shapes.judgement import JudgementConfig
-from hickory_stream.shapes.placement import EmbeddedPlacement, PlacementConfig
-from hickory_stream.shapes.single_view import SingleViewConfig, SingleViewReconstructor
-from hickory_stream.shapes.usable import usable
+from hickory_stream.shapes.fit.marching_primitives import FitConfig, fitted_shape
+from hickory_stream.shapes.generated.blend import BlendConfig
+from hickory_stream.shapes.generated.judgement import JudgementConfig
+from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
+from hickory_stream.shapes.generated.reconstructor import GeneratedReconstructor
+from hickory_stream.shapes.inflate.inflation import InflateConfig, inflate
+from hickory_stream.shapes.mesh_validation import usable
+from hickory_stream.shapes.reconstruct.fused import FusedConfig, FusedReconstructor
+from hickory_stream.shapes.reconstruct.single_view import SingleViewConfig, SingleViewReconstructor
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

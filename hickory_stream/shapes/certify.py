@@ -4,6 +4,8 @@ The check is independent of how the primitives were grown. Every triangle, bisec
 together with a ball of the margin's radius around each of its points: since a primitive is convex, the balls around the
 three corners suffice. The same holds for every point of layer 1. The interior is divided into cells of a lattice; each,
 split as needed, must lie in one primitive, unless all of it is within the margin of the surface, which is covered.
+
+The certificate of a stored layer 4, checked again from the mesh and the primitives.
 """
 
 from __future__ import annotations
@@ -13,16 +15,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import exp, log
-from hickory_stream.shapes.cover import NET, NET_FACTOR, local_abs, log_gauge, log_gauge_of_ball
-from hickory_stream.shapes.dominance import new_stairs, place_of, put
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.shapes.inflate.cover import (
+    NET,
+    NET_FACTOR,
+    local_abs,
+    log_gauge,
+    log_gauge_of_ball,
+    new_stairs,
+    place_of,
+    put,
+)
+from hickory_stream.shapes.mesh_validation import used_surface
 from hickory_stream.shapes.sdf import distance_grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.records import ObjectShape
+
 
 # By how much ln G must stay below its limit: several orders of magnitude above the rounding error of its evaluation.
 NUMERICAL_MARGIN = 1e-9
@@ -193,8 +208,8 @@ def _parts(cells: NDArray[np.float64], half: float, margin_m: float) -> NDArray[
     return np.column_stack([parts.reshape(-1, 3), farthest])[way - farthest > margin_m]
 
 
-@numba.njit(cache=True, nogil=True)
-def _body(exponents, axes, pose):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _body(exponents, axes, pose):
     """Return a primitive as numbers: an array is counted whenever it is passed on, which takes longer than the rest.
 
     They are its centre, rotation, semi-axes and exponents.
@@ -207,23 +222,23 @@ def _body(exponents, axes, pose):  # type: ignore[no-untyped-def] # pragma: no c
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _local(body, x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _local(body, x, y, z):
     """Return the local coordinates of a point."""
     center, r, _, _ = body
     dx, dy, dz = x - center[0], y - center[1], z - center[2]
     return r[0] * dx + r[3] * dy + r[6] * dz, r[1] * dx + r[4] * dy + r[7] * dz, r[2] * dx + r[5] * dy + r[8] * dz
 
 
-@numba.njit(cache=True, nogil=True)
-def _ball_in(x, y, z, body, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _ball_in(x, y, z, body, radius, log_g, net, factor):
     """Return an upper bound of ln G over a ball in a primitive; infinity if the ball may protrude from it."""
     x, y, z = _local(body, x, y, z)
     return _local_ball_in(abs(x), abs(y), abs(z), body[2], body[3], radius, log_g, net, factor)
 
 
-@numba.njit(cache=True, nogil=True)
-def _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor):
     """Return the same of a ball whose centre has these absolute local coordinates."""
     if x + radius > axes[0] or y + radius > axes[1] or z + radius > axes[2]:
         return np.inf
@@ -233,8 +248,8 @@ def _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor):  # typ
     return 2.0 / e1 * value if value <= limit else np.inf
 
 
-@numba.njit(cache=True, nogil=True)
-def _balls_in(points, exponents, axes, pose, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _balls_in(points, exponents, axes, pose, radius, log_g, net, factor):
     """Return (N,) upper bounds of ln G as `_ball_in` over the balls around (N, 3) points, in one primitive.
 
     A point that another one dominates is in where that is, with its bound.
@@ -255,8 +270,8 @@ def _balls_in(points, exponents, axes, pose, radius, log_g, net, factor):  # typ
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _balls(points, exponents, axes, poses, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _balls(points, exponents, axes, poses, radius, log_g, net, factor):
     out, worst, last = 0, -700.0, 0
     for n in range(len(points)):
         best = np.inf
@@ -274,8 +289,8 @@ def _balls(points, exponents, axes, poses, radius, log_g, net, factor):  # type:
     return out, worst
 
 
-@numba.njit(cache=True, nogil=True)
-def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, factor):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, factor):
     """Return the number of pieces, that of uncovered triangles, and the largest ln G of a covered one."""
     count = len(axes)
     bounds = np.empty((len(vertices), count))
@@ -330,8 +345,8 @@ def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, fact
     return pieces, uncovered, worst
 
 
-@numba.njit(cache=True, nogil=True)
-def _is_lost(values):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _is_lost(values):
     """Return whether a corner lies in no primitive, so that no bisection helps."""
     for c in range(3):
         if values[c].min() == np.inf:
@@ -339,8 +354,8 @@ def _is_lost(values):  # type: ignore[no-untyped-def] # pragma: no cover
     return False
 
 
-@numba.njit(cache=True, nogil=True)
-def _cells(centers, row_ends, half, exponents, axes, poses, log_g):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _cells(centers, row_ends, half, exponents, axes, poses, log_g):
     """Return (N,) which cells lie in no primitive as a whole.
 
     Primitives are convex: one that contains two cells of a row contains those between them.
@@ -376,8 +391,8 @@ def _cells(centers, row_ends, half, exponents, axes, poses, log_g):  # type: ign
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _holds(x, y, z, half, reach, body, log_g):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _holds(x, y, z, half, reach, body, log_g):
     """Return whether a primitive contains the cell around a centre."""
     center = _local(body, x, y, z)
     x, y, z = abs(center[0]), abs(center[1]), abs(center[2])
@@ -391,8 +406,8 @@ def _holds(x, y, z, half, reach, body, log_g):  # type: ignore[no-untyped-def] #
     return around <= limit or _holds_corners(center, half, body, limit)
 
 
-@numba.njit(cache=True, nogil=True)
-def _holds_corners(center, half, body, limit):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _holds_corners(center, half, body, limit):
     """Return whether a primitive contains the eight corners of a cell, and so, being convex, all of the cell."""
     _, r, axes, exponents = body
     for corner in range(8):
@@ -405,3 +420,26 @@ def _holds_corners(center, half, body, limit):  # type: ignore[no-untyped-def] #
         if log_gauge(x, y, z, axes, exponents[0], exponents[1]) > limit:
             return False
     return True
+
+
+# Collision checks treat a primitive as solid up to this value of G.
+_G = 1.0
+
+
+def proven_anew(shape: ObjectShape, mesh: Mesh, points_world: NDArray[np.floating]) -> Certificate:
+    """Return whether the inflated primitives contain mesh, points (N, 3) and interior with the recorded margin.
+
+    Raises:
+        ValueError: the margin is negative or not finite, or the mesh has no surface.
+    """
+    margin_m = shape.containment.margin_m
+    if not 0 <= margin_m < np.inf:
+        raise ValueError(f"a margin of {margin_m} m")
+    vertices = apply(shape.world_from_object, mesh.vertices.astype(np.float64))
+    is_used, faces = used_surface(vertices, mesh.faces)
+    if len(faces) == 0:
+        raise ValueError("a mesh without a surface")
+    vertices = vertices[is_used]
+    inside = inside_of(vertices, faces, r_safe_m=margin_m)
+    points = np.ascontiguousarray(points_world, dtype=np.float64)
+    return certify(shape.inflated, vertices, faces, points, inside, r_safe_m=margin_m, g=_G)

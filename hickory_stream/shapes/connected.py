@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 
-@numba.njit(cache=True, nogil=True)
-def pieces_of(cells):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def pieces_of(cells):
     """Return the pieces of the set ones of (nx, ny, nz) cells, numbered from 1 in the order of their first cells.
 
     They are int32 labels of the cells, 0 for what is not set, (N + 1,) sizes, and (N + 1, 2, 3) first cells and ends of
@@ -37,16 +37,16 @@ def pieces_of(cells):  # type: ignore[no-untyped-def] # pragma: no cover
     return labels, sizes, bounds
 
 
-@numba.njit(cache=True, nogil=True)
-def piece_around(cells, i, j, k):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def piece_around(cells, i, j, k):
     """Return whether each of (nx, ny, nz) cells is in the piece of a set one."""
     labels = np.zeros(cells.shape, np.int32)
     _flood(cells, labels, np.empty(cells.size, np.int64), i, j, k, 1)
     return labels == 1
 
 
-@numba.njit(cache=True, nogil=True)
-def _flood(cells, labels, stack, i, j, k, label):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _flood(cells, labels, stack, i, j, k, label):
     """Label the piece of a set cell; the stack has room for all cells."""
     nx, ny, nz = cells.shape
     labels[i, j, k] = label
@@ -74,8 +74,8 @@ def _flood(cells, labels, stack, i, j, k, label):  # type: ignore[no-untyped-def
                 waiting += 1
 
 
-@numba.njit(cache=True, nogil=True)
-def joined_faces(faces, num_vertices):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def joined_faces(faces, num_vertices):
     """Return the piece of each of (F, 3) faces, and whether one of its edges is passed more often one way.
 
     A piece is called by the least of its vertices. In a closed piece each edge is as often passed one way as the other.
@@ -126,8 +126,8 @@ def joined_faces(faces, num_vertices):  # type: ignore[no-untyped-def] # pragma:
     return pieces, are_open
 
 
-@numba.njit(cache=True, nogil=True)
-def _root(root, vertex):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _root(root, vertex):
     while root[vertex] != vertex:
         root[vertex] = root[root[vertex]]
         vertex = root[vertex]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 _ROOM = 512
 # The columns: cells, their squared distances so far, and whether the triangle may be nearer.
@@ -20,8 +20,8 @@ _SQUARED, _ALONG_AB, _ALONG_AC = 9 * _ROOM, 10 * _ROOM, 11 * _ROOM
 _COLUMNS = 12
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def lower_to_distances(corners, inside, squared, band):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def lower_to_distances(corners, inside, squared, band):
     """Lower `squared` to the squared distance to the nearest triangle, for cells within `band` of one.
 
     Only the surface of the solid counts; surface of one part inside another is skipped. `corners` (F, 3, 3) and `band`
@@ -71,8 +71,8 @@ def lower_to_distances(corners, inside, squared, band):  # type: ignore[no-untyp
         _lower(cells, block, near_where, num_near, a, ab, ac, inside, normal, nearest)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _gather_near(block, where, near_where, count, normal, middle, radius2):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _gather_near(block, where, near_where, count, normal, middle, radius2):
     """Move the cells together that a triangle may be nearer to; return their number.
 
     The distances to the triangle's plane and bounding ball are lower bounds.
@@ -96,8 +96,8 @@ def _gather_near(block, where, near_where, count, normal, middle, radius2):  # t
     return num_near
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_squared(block, count, a, ab, ac):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _fill_squared(block, count, a, ab, ac):
     """Fill in the squared distances to a triangle, and the coordinates v, w of its nearest points a + v ab + w ac.
 
     From Ericson, Real-Time Collision Detection (2005), 5.1.5.
@@ -138,8 +138,8 @@ def _fill_squared(block, count, a, ab, ac):  # type: ignore[no-untyped-def] # pr
         block[_ALONG_AC + n] = w
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _lower(cells, block, where, count, a, ab, ac, inside, normal, nearest):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel(error_model="numpy")
+def _lower(cells, block, where, count, a, ab, ac, inside, normal, nearest):
     for n in range(count):
         if block[_SQUARED + n] >= block[_NEAR_KNOWN + n]:
             continue
@@ -150,8 +150,8 @@ def _lower(cells, block, where, count, a, ab, ac, inside, normal, nearest):  # t
             cells[where[n]] = block[_SQUARED + n]
 
 
-@numba.njit(cache=True, nogil=True)
-def unit_normal(t, normal):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def unit_normal(t, normal):
     """Fill the unit normal of a triangle; return whether it has one."""
     ax, ay, az = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
     bx, by, bz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
@@ -163,8 +163,8 @@ def unit_normal(t, normal):  # type: ignore[no-untyped-def] # pragma: no cover
     return True
 
 
-@numba.njit(cache=True, nogil=True)
-def is_buried(inside, point, normal):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def is_buried(inside, point, normal):
     """Return whether the solid continues on both sides of a point of a triangle, at most of a cell's distance."""
     for side in (-0.75, 0.75):
         i = int(np.floor(point[0] + side * normal[0] + 0.5))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import cbrt
 from hickory_stream.shapes.narrow_band import is_buried, lower_to_distances, unit_normal
 
@@ -99,8 +99,8 @@ def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDA
     return np.asarray(np.sign(_signed_volume(corners)) * _windings(corners, np.array(shape)) / 3)
 
 
-@numba.njit(cache=True, nogil=True)
-def _signed_volume(corners):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _signed_volume(corners):
     """Return six times the signed volume of (F, 3, 3) triangles, positive for outward faces."""
     total = 0.0
     for f in range(len(corners)):
@@ -111,8 +111,8 @@ def _signed_volume(corners):  # type: ignore[no-untyped-def] # pragma: no cover
     return total
 
 
-@numba.njit(cache=True, nogil=True)
-def _windings(corners, shape):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _windings(corners, shape):
     """Return (nx, ny, nz) the sums over three axes of the mean of the oriented crossings ahead and behind a cell.
 
     All are multiples of a half, so that no sum is rounded.
@@ -128,8 +128,8 @@ def _windings(corners, shape):  # type: ignore[no-untyped-def] # pragma: no cove
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _crossings(corners, shape, axis, num_after):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _crossings(corners, shape, axis, num_after):
     """Return the means of the crossings for the first cell of each line along an axis, and the changes at each cell."""
     across, up = (axis + 1) % 3, (axis + 2) % 3
     size = shape[axis]
@@ -168,8 +168,8 @@ def _crossings(corners, shape, axis, num_after):  # type: ignore[no-untyped-def]
     return first, steps
 
 
-@numba.njit(cache=True, nogil=True)
-def _add_running_sums(first, steps, size, num_after, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _add_running_sums(first, steps, size, num_after, out):
     """Add to each cell what its line begins with and the changes up to the cell."""
     for before in range(len(first) // num_after):
         level = first[before * num_after : (before + 1) * num_after]
@@ -180,8 +180,8 @@ def _add_running_sums(first, steps, size, num_after, out):  # type: ignore[no-un
                 out[start + n] += level[n]
 
 
-@numba.njit(cache=True, nogil=True)
-def _inward_reach(corners, inside, samples):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _inward_reach(corners, inside, samples):
     """Return for samples of the surface the depth of the solid inwards, in cells, the sample's area and its patch.
 
     The depth is measured along the grid axis nearest to the normal, since the object is aligned with the grid. A patch

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hickory_stream.ranges import Ranged, number
+from hickory_stream.base.ranges import Ranged, number
 
 if TYPE_CHECKING:
-    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.records import FrameReport, MapSnapshot
 
 

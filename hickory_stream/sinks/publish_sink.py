@@ -3,6 +3,8 @@
 Costmap, objects, markers and `map -> odom` are published as the map grows; a goal (`geometry_msgs/PoseStamped` on
 `/goal_pose`, as RViz sends it) is answered with a `nav_msgs/Path` on `/plan` from where the camera is. Names and QoS
 are those of Nav2 and RViz. Nothing here ever holds the map up: what cannot be sent in time is dropped and counted.
+
+What waits to be sent to a robot: bounded, sent in a thread of its own, and every message is counted by its fate.
 """
 
 from __future__ import annotations
@@ -11,17 +13,16 @@ import logging
 import queue
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from collections import Counter, deque
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from hickory_stream.errors import HickoryError, InputError
-from hickory_stream.navigation.costmap import Costmap
-from hickory_stream.navigation.followed import Followed
+from hickory_stream.navigation.costmap import Costmap, Followed
 from hickory_stream.navigation.free_space import FreeSpace
 from hickory_stream.navigation.search import NoPath, plan
 from hickory_stream.navigation.stand_ins import SeenSurface
-from hickory_stream.sinks.outbox import Outbox
 from hickory_stream.sinks.ros_messages import (
     DETECTIONS,
     FRAME_ID,
@@ -42,16 +43,106 @@ from hickory_stream.sinks.ros_messages import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
     from numpy.typing import NDArray
 
     from hickory_stream.navigation.robot import Robot
     from hickory_stream.navigation.search import Path
     from hickory_stream.records import FrameReport, MapSnapshot
-    from hickory_stream.sinks.outbox import ReturnLink
+
 
 logger = logging.getLogger(__name__)
+
+MOST_BYTES = 16 << 20
+_CLOSE_S = 2.0
+
+
+class ReturnLink(Protocol):
+    """The way back to a robot: a live route that can publish. `send` may take long, and never raises."""
+
+    def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
+        """Announce a topic, now and whenever the link comes back; of a latched one the last message is kept."""
+        ...
+
+    def send(self, name: str, data: bytes) -> bool:
+        """Publish a message of an offered topic; return False where nobody is there to take it."""
+        ...
+
+    def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
+        """Have what is published under a name handed over as it comes, on a thread of the link's."""
+        ...
+
+
+class Outbox:
+    """Sends messages in their order; where they take too much room the oldest go.
+
+    `overtaken` is told the name of a message that was dropped. Fates: `sent`, `unheard` (nobody there), `dropped`.
+    """
+
+    def __init__(
+        self, link: ReturnLink, overtaken: Callable[[str], None] = lambda name: None, *, most_bytes: int = MOST_BYTES
+    ) -> None:
+        self._link = link
+        self._overtaken = overtaken
+        self._most_bytes = most_bytes
+        self._changed = threading.Condition()
+        self._waiting: deque[tuple[str, bytes]] = deque()
+        self._num_bytes = 0
+        self._is_over = False
+        self._fates: Counter[tuple[str, str]] = Counter()
+        self._thread = threading.Thread(target=self._run, name="publish", daemon=True)
+        self._thread.start()
+
+    def put(self, name: str, data: bytes, *, is_urgent: bool = False) -> None:
+        """Have a message sent; an urgent one before all others."""
+        dropped: list[str] = []
+        with self._changed:
+            if is_urgent:
+                self._waiting.appendleft((name, data))
+            else:
+                self._waiting.append((name, data))
+            self._num_bytes += len(data)
+            while self._num_bytes > self._most_bytes and len(self._waiting) > 1:
+                old, content = self._waiting.popleft()
+                self._num_bytes -= len(content)
+                self._fates[old, "dropped"] += 1
+                dropped.append(old)
+            self._changed.notify()
+        for old in dropped:
+            self._overtaken(old)
+
+    def fates(self) -> dict[str, dict[str, int]]:
+        """Return by topic how many messages had which fate so far."""
+        with self._changed:
+            found: dict[str, dict[str, int]] = {}
+            for (name, fate), number in sorted(self._fates.items()):
+                found.setdefault(name, {})[fate] = number
+            return found
+
+    def close(self) -> None:
+        """Send what waits, for a moment, and end; what is left then is counted as dropped."""
+        with self._changed:
+            self._is_over = True
+            self._changed.notify()
+        self._thread.join(_CLOSE_S)
+        with self._changed:
+            for name, _ in self._waiting:
+                self._fates[name, "dropped"] += 1
+            self._waiting.clear()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._is_over)
+                if not self._waiting:
+                    return
+                name, data = self._waiting.popleft()
+                self._num_bytes -= len(data)
+            is_heard = self._link.send(name, data)
+            with self._changed:
+                self._fates[name, "sent" if is_heard else "unheard"] += 1
+
 
 MAP_TOPIC, UPDATES_TOPIC, TF_TOPIC = "/map", "/map_updates", "/tf"
 OBJECTS_TOPIC, MARKERS_TOPIC = "/hickory_stream/objects", "/hickory_stream/markers"

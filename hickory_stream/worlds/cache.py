@@ -6,9 +6,9 @@ import dataclasses
 import hashlib
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream import caches
+from hickory_stream.base import caches
+from hickory_stream.base.json_text import dumps
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
-from hickory_stream.json_text import dumps
 from hickory_stream.worlds.drift import DriftConfig
 from hickory_stream.worlds.layouts import layout_files
 from hickory_stream.worlds.recording import make_recording

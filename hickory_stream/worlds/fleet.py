@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.base.json_text import dumps_exactly, toml_string
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import TRUTH_FILE, truth_record
-from hickory_stream.json_text import dumps_exactly, toml_string
 from hickory_stream.worlds.layouts import layout_files
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.recording_config import MAX_ROBOTS
@@ -27,8 +27,8 @@ from hickory_stream.worlds.walkable import walkable_world
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hickory_stream.evaluation.ray_caster import CasterName
     from hickory_stream.evaluation.truth import Truth
+    from hickory_stream.pictures.ray_caster import CasterName
     from hickory_stream.worlds.recording_config import RecordingConfig
 
 

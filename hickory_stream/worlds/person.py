@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.ray_caster import CasterName, ray_caster
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.pictures.ray_caster import CasterName, ray_caster
 from hickory_stream.worlds.object_models import Model, Part, ellipsoid, model_mesh, rounded_box, tube
 from hickory_stream.worlds.palettes import plain
 from hickory_stream.worlds.rendering import rays_of

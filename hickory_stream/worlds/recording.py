@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import (
     TRUTH_FILE,
@@ -26,7 +27,6 @@ from hickory_stream.evaluation.truth import (
 )
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
-from hickory_stream.json_text import dumps_exactly
 from hickory_stream.worlds.days import placed_otherwise
 from hickory_stream.worlds.drift import drifted
 from hickory_stream.worlds.layouts import drawn_mounting, layout_files, open_layout
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.ray_caster import CasterName
+    from hickory_stream.pictures.ray_caster import CasterName
     from hickory_stream.worlds.recording_config import RecordingConfig
     from hickory_stream.worlds.scene import World, WorldObject
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
-from hickory_stream.evaluation.ray_caster import CasterName, Crossings, ray_caster
+from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.pictures.ray_caster import CasterName, Crossings, ray_caster
 from hickory_stream.worlds.lighting import Lighting, lamp_table, usual_lighting
 from hickory_stream.worlds.object_models import model_triangles
 from hickory_stream.worlds.textures import albedo, texture_table
@@ -215,8 +215,8 @@ def _room_table(world: World) -> NDArray[np.float64]:
     return np.column_stack([np.array(world.rooms_m), floors, ceilings])
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearest_room(points, rooms):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _nearest_room(points, rooms):
     """Return the index of the room that contains each (N, 3) point, or of the nearest one."""
     nearest = np.zeros(len(points), dtype=np.intp)
     for i in range(len(points)):
@@ -231,8 +231,8 @@ def _nearest_room(points, rooms):  # type: ignore[no-untyped-def] # pragma: no c
     return nearest
 
 
-@numba.njit(cache=True, nogil=True)
-def _shade_faces(  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _shade_faces(
     rays,
     t_hit,
     normals,
@@ -305,8 +305,8 @@ def _shade_faces(  # type: ignore[no-untyped-def] # pragma: no cover
     return colors, is_edge, glare
 
 
-@numba.njit(cache=True, nogil=True)
-def _shade(  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _shade(
     rays,
     t_hit,
     normals,
@@ -343,8 +343,8 @@ def _shade(  # type: ignore[no-untyped-def] # pragma: no cover
     return colors
 
 
-@numba.njit(cache=True, nogil=True)
-def _albedo_at(x, y, z, m, texture):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _albedo_at(x, y, z, m, texture):
     """Return the texture's colour at a point of the world; `m` is object_from_world."""
     ox = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
     oy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
@@ -352,8 +352,8 @@ def _albedo_at(x, y, z, m, texture):  # type: ignore[no-untyped-def] # pragma: n
     return albedo(ox, oy, oz, texture)
 
 
-@numba.njit(cache=True, nogil=True)
-def _light_at(x, y, z, nx, ny, nz, cosine, is_lit, lamps, ambient):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _light_at(x, y, z, nx, ny, nz, cosine, is_lit, lamps, ambient):
     """Return ambient light and that of a room's lamps (red, green, blue) on the side of a face that the ray meets."""
     # Faces point outwards, but by rounding a grazing ray may hit one from inside: the visible side is lit.
     side = -1.0 if cosine > 0 else 1.0
@@ -372,14 +372,14 @@ def _light_at(x, y, z, nx, ny, nz, cosine, is_lit, lamps, ambient):  # type: ign
     return _shoulder(red), _shoulder(green), _shoulder(blue)
 
 
-@numba.njit(cache=True, nogil=True)
-def _shoulder(light):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _shoulder(light):
     """Return the light with highlights compressed, so that texture close to a lamp is not clipped."""
     return light if light < 1.0 else 1.0 + 0.35 * (light - 1.0)
 
 
-@numba.njit(cache=True, nogil=True)
-def _shine_at(x, y, z, nx, ny, nz, ray, is_lit, lamps, gloss):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _shine_at(x, y, z, nx, ny, nz, ray, is_lit, lamps, gloss):
     """Return the specular light (red, green, blue) of the lamps that reach a point, along a ray (Blinn-Phong)."""
     red, green, blue = 0.0, 0.0, 0.0
     length = (ray[3] * ray[3] + ray[4] * ray[4] + ray[5] * ray[5]) ** 0.5

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.ray_caster import CasterName
     from hickory_stream.geometry.camera import Camera
+    from hickory_stream.pictures.ray_caster import CasterName
     from hickory_stream.worlds.color_camera import ColorCameraConfig
     from hickory_stream.worlds.depth_camera import DepthCameraConfig
     from hickory_stream.worlds.log_writer import DepthView

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,16 +58,16 @@ def colors_at(texture: Texture, points_object: NDArray[np.float64]) -> NDArray[n
     return (albedo * 255 + 0.5).astype(np.uint8)
 
 
-@numba.njit(cache=True, nogil=True)
-def _colors_at(points, row):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _colors_at(points, row):
     colors = np.empty((len(points), 3))
     for i in range(len(points)):
         colors[i] = albedo(points[i, 0], points[i, 1], points[i, 2], row)
     return colors
 
 
-@numba.njit(cache=True, nogil=True)
-def albedo(x, y, z, row):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def albedo(x, y, z, row):
     """Return the colour (r, g, b) in 0..1 of a table row at a point of the object's frame."""
     pattern, period, axis = int(row[0]), row[7], int(row[8])
     along, a, b = (x, y, z) if axis == 0 else ((y, z, x) if axis == 1 else (z, x, y))
@@ -109,8 +109,8 @@ def albedo(x, y, z, row):  # type: ignore[no-untyped-def] # pragma: no cover
     return min(max(red, 0.0), 1.0), min(max(green, 0.0), 1.0), min(max(blue, 0.0), 1.0)
 
 
-@numba.njit(cache=True, nogil=True)
-def _planks(along, a, b, period):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _planks(along, a, b, period):
     """Return the share of the second colour of boards along an axis: a tone per board, grain, dark joints."""
     board = math.floor(a / period)
     length = 8.0 * period
@@ -122,8 +122,8 @@ def _planks(along, a, b, period):  # type: ignore[no-untyped-def] # pragma: no c
     return 0.15 + 0.35 * tone + 0.2 * value_noise(along * 4.0, a * 60.0, b * 60.0)
 
 
-@numba.njit(cache=True, nogil=True)
-def _print(x, y, z, period):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _print(x, y, z, period):
     """Return the share of ink of a print: fields that are empty, filled, pictures, or lines of text."""
     # Slanted, so that no side of a box is parallel to the cells.
     u, v = 0.86 * x + 1.1 * y + 0.013, z + 0.21 * (x - y) + 0.007
@@ -145,8 +145,8 @@ def _print(x, y, z, period):  # type: ignore[no-untyped-def] # pragma: no cover
     return 1.0 if _lattice(math.floor(u / (0.3 * line)), int(row), 5) < 0.62 else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
-def _tiles(x, y, z, period):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _tiles(x, y, z, period):
     """Return the share of the second colour of tiles: 1 in the joints, a little in each tile."""
     px, py, pz = x / period + 0.113, y / period + 0.117, z / period + 0.119
     cx, cy, cz = math.floor(px), math.floor(py), math.floor(pz)
@@ -156,20 +156,20 @@ def _tiles(x, y, z, period):  # type: ignore[no-untyped-def] # pragma: no cover
     return 0.3 * _lattice(int(cx), int(cy), int(cz))
 
 
-@numba.njit(cache=True, nogil=True)
-def _dots(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _dots(x, y, z):
     dx, dy, dz = x - math.floor(x) - 0.5, y - math.floor(y) - 0.5, z - math.floor(z) - 0.5
     return 1.0 if dx * dx + dy * dy + dz * dz < 0.16 else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
-def _band(x):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _band(x):
     f = x - math.floor(x)
     return 1.0 if f < 0.3 or 0.45 < f < 0.52 else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearest_seed(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _nearest_seed(x, y, z):
     """Return the cell (three integers) whose random point is nearest (Worley noise): fields with straight borders."""
     ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
     best, bx, by, bz = 1e9, ix, iy, iz
@@ -185,8 +185,8 @@ def _nearest_seed(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
     return bx, by, bz
 
 
-@numba.njit(cache=True, nogil=True)
-def value_noise(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def value_noise(x, y, z):
     """Return smooth noise in 0..1 with features of size 1: random values on the integer lattice, blended."""
     fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
     ix, iy, iz = int(fx), int(fy), int(fz)
@@ -201,8 +201,8 @@ def value_noise(x, y, z):  # type: ignore[no-untyped-def] # pragma: no cover
     return total
 
 
-@numba.njit(cache=True, nogil=True)
-def _lattice(ix, iy, iz):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _lattice(ix, iy, iz):
     """Return a pseudo-random value in 0..1 from three integers."""
     h = (ix * 374761393 + iy * 668265263 + iz * 1440662683) & 0xFFFFFFFF
     h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF

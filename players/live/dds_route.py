@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
 
 from hickory_stream.errors import RecordingError
-from players.containers import Topic
 from players.live.dds_domain import (
     check_installed,
     participant,
@@ -23,6 +22,7 @@ from players.live.dds_domain import (
     write,
 )
 from players.live.transport import Health
+from players.logs.containers import Topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.errors import InputError
-from players.doctor import Diagnosis, examine_log
+from players.doctor.diagnosis import Diagnosis, examine_log
 from players.live.inbox import Inbox
 from players.live.live_log import LiveLog
 from players.live.opening import subscribe

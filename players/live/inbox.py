@@ -11,14 +11,14 @@ from collections import Counter, deque
 from threading import Condition
 from typing import TYPE_CHECKING
 
-from players.containers import LogMessage
 from players.live.rates import Arrivals
-from players.messages import COMPRESSED_IMAGE, IMAGE, POINT_CLOUD
+from players.logs.containers import LogMessage
+from players.messages.records import COMPRESSED_IMAGE, IMAGE, POINT_CLOUD
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from players.containers import Topic
+    from players.logs.containers import Topic
 
 MAX_MESSAGE_BYTES = 64 << 20
 """A message that is longer is refused: 4K colour takes 25 MB, raw."""

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 from players.live.inbox import MAX_MESSAGE_BYTES
 from players.live.transport import Health
-from players.mcap_records import (
+from players.logs.decompression import UnpackError
+from players.logs.mcap_records import (
     CHANNEL,
     CHUNK_OP,
     FOOTER,
@@ -30,7 +31,6 @@ from players.mcap_records import (
     topic_of,
     unpacked_chunk,
 )
-from players.unpack import UnpackError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator

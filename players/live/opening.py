@@ -13,26 +13,26 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from hickory_stream.errors import InputError, RecordingError
 from hickory_stream.ports import SourceAround
-from players.account import TopicAccount
-from players.discover import camera_infos, choose_images, pose_topics, tf_topics
 from players.live.inbox import Inbox
 from players.live.live_log import LiveLog
 from players.live.routes import is_recording, route_of
 from players.live.status import ROLES, LiveStatus, status_of
 from players.live.transport import ReturnLink
-from players.log_opening import choose_profile, open_log
-from players.messages import POSE_TYPES, TF
+from players.logs.log_opening import choose_profile, open_log
+from players.logs.message_account import TopicAccount
+from players.logs.topic_discovery import camera_infos, choose_images, pose_topics, tf_topics
+from players.messages.records import POSE_TYPES, TF
 from players.options import SourceOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from hickory_stream.records import RawFrame, SourceInfo
-    from players.account import Account
-    from players.containers import Topic
     from players.live.recorder import Recorder
     from players.live.transport import LiveSource
-    from players.log_source import LogSource
+    from players.logs.containers import Topic
+    from players.logs.log_source import LogSource
+    from players.logs.message_account import Account
     from players.profile import Profile
 
 DEFAULT_PATIENCE_S = 60.0

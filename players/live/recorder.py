@@ -14,12 +14,12 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import OutputError
-from players.mcap_records import schema_of
+from players.logs.mcap_records import schema_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from players.containers import LogMessage, Topic
+    from players.logs.containers import LogMessage, Topic
 
 DEFAULT_LIMIT_BYTES = 50_000_000_000
 _RESERVE_BYTES = 1_000_000_000

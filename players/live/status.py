@@ -6,14 +6,14 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from players.live.rates import Arrivals
-from players.messages import TF
+from players.messages.records import TF
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from players.containers import Topic
     from players.live.live_log import LiveLog
     from players.live.transport import LiveSource
+    from players.logs.containers import Topic
 
 _SILENT_S = 2.0
 ROLES = ("color", "depth", "color_info", "depth_info", "pose")

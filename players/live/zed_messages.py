@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.geometry.rigid import quaternion_from_rotation
-from players.containers import Topic
-from players.messages import CAMERA_INFO, IMAGE, ODOMETRY
+from players.logs.containers import Topic
+from players.messages.records import CAMERA_INFO, IMAGE, ODOMETRY
 from players.profile import OPTICAL_FROM_FLU
 
 if TYPE_CHECKING:

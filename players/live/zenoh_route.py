@@ -12,9 +12,8 @@ import time
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import RecordingError
-from hickory_stream.json_text import dumps
-from players.containers import Topic
 from players.live.transport import Health
 from players.live.zenoh_keys import (
     HASHED_KEYS,
@@ -26,6 +25,7 @@ from players.live.zenoh_keys import (
     within,
 )
 from players.live.zenoh_return import ZenohReturn
+from players.logs.containers import Topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

@@ -14,8 +14,8 @@ from hickory_stream.alignment.affinity import (
     semantic_scores,
     why_no_semantics,
 )
-from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
 from tests.strategies import seeds
+from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
 
 
 def test_a_rank_is_the_share_of_pairs_that_are_at_least_as_good() -> None:

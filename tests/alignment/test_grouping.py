@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from hickory_stream.alignment.align import align
-from hickory_stream.alignment.align_config import AlignConfig
 from hickory_stream.alignment.answer import NoAlignment
+from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.grouping import grouped_probability, log_prices
-from hickory_stream.evaluation.maps.simulate import SimulatedObject, SimulatedWorld, random_pose
+from tools.evaluation.simulated_maps.simulate import SimulatedObject, SimulatedWorld, random_pose
 
 pytestmark = pytest.mark.timeout(150)
 ALIKE, V = np.log(0.005), 110.0

@@ -7,11 +7,11 @@ from hypothesis import given, settings
 
 from hickory_stream.alignment.object_map import ObjectMap, shape_box
 from hickory_stream.alignment.shape_scores import box_scores, literal_scores, point_scores, superquadric_scores
-from hickory_stream.evaluation.maps.simulate import real_fits
-from hickory_stream.evaluation.maps.variants import moved_map
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, taken
 from tests.alignment.map_fixtures import box_at, frame
 from tests.strategies import seeds
+from tools.evaluation.simulated_maps.simulate import real_fits
+from tools.evaluation.simulated_maps.variants import moved_map
 
 
 def map_of(shapes: list[Superquadrics | None]) -> ObjectMap:

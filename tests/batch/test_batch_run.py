@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from hickory_stream.batch import child, cluster, one_log
+from hickory_stream.batch import child, executors, one_log
 from hickory_stream.batch.page import text_of, write_page
 from hickory_stream.batch.run import BatchPlan, run_batch
 from hickory_stream.batch.tasks import LogTask, names_of, software
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.folder_lock import FolderLock
 from hickory_stream.errors import ConfigError, InputError, MapFolderError
+from hickory_stream.map_folder.layout import FolderLock
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from players import SourceOptions
 
@@ -176,8 +176,8 @@ class FakeClient:
 )
 def test_a_cluster_with_other_workers_is_refused(answer: dict[str, str] | Exception, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
-        cluster._check_workers(FakeClient(answer), "tcp://s:1")
-    cluster._check_workers(FakeClient({"tcp://w:2": software()}), "tcp://s:1")
+        executors._check_workers(FakeClient(answer), "tcp://s:1")
+    executors._check_workers(FakeClient({"tcp://w:2": software()}), "tcp://s:1")
 
 
 def task(tmp_path: Path) -> LogTask:

@@ -7,8 +7,8 @@ import pytest
 
 from hickory_stream.alignment.object_map import taken
 from hickory_stream.batch.place_signature import candidate_pairs, place_signatures
-from hickory_stream.evaluation.maps.fleet import FleetMaps, FleetMapsConfig, simulate_fleet
-from hickory_stream.evaluation.maps.variants import moved_map, random_frame
+from tools.evaluation.simulated_maps.fleet import FleetMaps, FleetMapsConfig, simulate_fleet
+from tools.evaluation.simulated_maps.variants import moved_map, random_frame
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from hickory_stream.changes.evidence import evidence_at, seen_places
 from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, Verdict
 from hickory_stream.changes.within_run import changes_within_run
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
-from hickory_stream.mapping.moved import moved_object
+from hickory_stream.mapping.entities.rigid_motion import moved_object
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
 from tests.navigation.rooms import seen_room, snapshot
 

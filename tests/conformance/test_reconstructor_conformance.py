@@ -10,10 +10,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from hickory_stream.box_scene import SCENE_BOXES
-from hickory_stream.engine.crops import read_crop
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import is_closed, read_glb, sha256_of, volume_m3, write_glb
 from hickory_stream.geometry.rigid import apply, is_rigid
+from hickory_stream.map_folder.views import read_crop
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.build import ReconstructorName, ShapeConfig, make_reconstructor
 from hickory_stream.testing import BoxReconstructor

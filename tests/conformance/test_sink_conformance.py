@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from hickory_stream.engine.map_folder import MapFolder
+from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.sinks.costmap_sink import CostmapSink
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
-from hickory_stream.sinks.rerun_config import RerunConfig
-from hickory_stream.sinks.rerun_sink import RerunSink
-from hickory_stream.sinks.rerun_viewer import ViewerChoice, ViewerKind
+from hickory_stream.sinks.rerun.config import RerunConfig
+from hickory_stream.sinks.rerun.sink import RerunSink
+from hickory_stream.sinks.rerun.viewer import ViewerChoice, ViewerKind
 from hickory_stream.testing import RememberingSink, SlowSink
 from tests.engine.run_fixtures import NO_SHAPES, map_scene
 from tests.examples.csv_sink import COLUMNS, CsvSink

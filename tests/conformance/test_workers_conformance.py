@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from hickory_stream.engine.jobs import take_result, write_job
-from hickory_stream.engine.workers import LocalWorkers, WorkerLimits
+from hickory_stream.engine.shape_jobs.job_folder import take_result, write_job
+from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers, WorkerLimits
 from tests.engine.run_fixtures import scene_config, scene_request
 from tests.engine.test_dask_workers import cluster
 from tests.in_process_workers import InProcessWorkers
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator
     from pathlib import Path
 
-    from hickory_stream.engine.workers import ShapeWorkers
+    from hickory_stream.engine.shape_jobs.local_workers import ShapeWorkers
 
 pytestmark = [pytest.mark.timeout(180), pytest.mark.filterwarnings("ignore")]
 
@@ -35,7 +35,7 @@ def use(request: pytest.FixtureRequest) -> Iterator[Callable[[Callable[[ShapeWor
         yield lambda function: asyncio.run(_with(InProcessWorkers(), function))
         return
     pytest.importorskip("distributed")
-    from hickory_stream.engine.dask_workers import DaskWorkers
+    from hickory_stream.engine.shape_jobs.dask_workers import DaskWorkers
 
     with cluster(workers=2) as (address, _):
         yield lambda function: asyncio.run(_with(DaskWorkers(address, LIMITS), function))

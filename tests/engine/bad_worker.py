@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine import shape_worker
+from hickory_stream.engine.shape_jobs import worker
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.testing import BoxReconstructor
 
@@ -68,7 +68,7 @@ def write_interpreter(path: Path, way: str) -> Path:
 
 
 if __name__ == "__main__":
-    shape_worker.reconstructor_of = lambda config: Bad(sys.argv[1])
+    worker.reconstructor_of = lambda config: Bad(sys.argv[1])
     # Many of these are started, and none computes a shape.
-    shape_worker.are_compiled = lambda: True
-    shape_worker.main()
+    worker.are_compiled = lambda: True
+    worker.main()

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import psutil
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.box_scene import SCENE_BOXES, SceneSource
 from hickory_stream.config import MapperConfig, RunConfig
-from hickory_stream.config_text import read_config
-from hickory_stream.engine.crops import write_crop
-from hickory_stream.engine.keyframe_images import crop_of
+from hickory_stream.engine.effects import crop_of
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.events import RequestShape
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lattice import Lattice
+from hickory_stream.map_folder.views import write_crop
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.records import View
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.box_scene import SceneBox
-    from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.modes import Mode
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Mode, Progress
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Segmenter, Sink, Source
     from hickory_stream.records import MapSnapshot
 
@@ -113,7 +112,7 @@ def map_scene(
 def shape_workers() -> list[psutil.Process]:
     """Return the shape workers that are children of this process."""
     children = psutil.Process().children(recursive=True)
-    return [child for child in children if "hickory_stream.engine.shape_worker" in _command(child)]
+    return [child for child in children if "hickory_stream.engine.shape_jobs.worker" in _command(child)]
 
 
 def _command(process: psutil.Process) -> list[str]:

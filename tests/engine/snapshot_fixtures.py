@@ -9,12 +9,12 @@ import numpy as np
 import trimesh
 
 from hickory_stream.config import RunConfig
-from hickory_stream.engine.crops import write_crop
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import Mesh, sha256_of, write_glb
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.map_folder.views import write_crop
 from hickory_stream.ports import Crop
 from hickory_stream.records import (
     Containment,
@@ -28,7 +28,7 @@ from hickory_stream.records import (
 )
 
 if TYPE_CHECKING:
-    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.map_folder.writer import MapFolder
 
 VOXEL_M = 0.02
 DEFAULT_RUN = RunConfig()

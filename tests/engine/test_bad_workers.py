@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from hickory_stream.base.caches import cache_folder
 from hickory_stream.box_scene import SCENE_BOXES
-from hickory_stream.caches import cache_folder
 from hickory_stream.cli import main
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import ConfigError
+from hickory_stream.map_folder.saved_map import open_map
 from tests.engine.bad_worker import write_interpreter
 from tests.engine.run_fixtures import map_scene, shape_workers
 
@@ -60,7 +60,7 @@ def test_a_job_that_goes_wrong_says_why_and_leaves_the_rest_of_the_map(
 
 
 def _reasons(path: Path) -> str:
-    from hickory_stream.engine.journal import Journal
+    from hickory_stream.journal.reader import Journal
 
     with Journal(path) as journal:
         return " ".join(str(event) for i in range(len(journal)) for event in journal.events(i, "ShapeFailed"))

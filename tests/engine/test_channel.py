@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.engine.channel import Channel, ChannelClosed
+from hickory_stream.engine.async_tools import Channel, ChannelClosed
 
 
 async def drain(channel: Channel[int], pauses: list[int]) -> list[int]:

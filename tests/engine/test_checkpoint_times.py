@@ -1,6 +1,6 @@
 """The state of the core is written every so many keyframes, and not while a search is open."""
 
-from hickory_stream.engine.checkpoint_times import CheckpointTimes
+from hickory_stream.engine.step_writer import CheckpointTimes
 
 
 def due(keyframes: int, searching: str) -> str:

@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.engine.checkpoints import PackedTrack, Packer, unpacked
 from hickory_stream.geometry.boxes import OrientedBox
-from hickory_stream.mapping.cloud import Cloud, solid_part, without
-from hickory_stream.mapping.track import Track
-from hickory_stream.mapping.track_merging import VoteBook
+from hickory_stream.journal.checkpoints import PackedTrack, Packer, unpacked
+from hickory_stream.mapping.entities.cloud import Cloud, solid_part, without
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.rules.merging import VoteBook
 from hickory_stream.records import Phase
 
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.replay import replay
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
 from tests.in_process_workers import InProcessWorkers
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.records import MapSnapshot, RawFrame
 

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.config import RunConfig
-from hickory_stream.engine.crops import crop_files, read_crop, read_mask, write_crop
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.json_text import dumps
+from hickory_stream.map_folder.views import crop_files, read_crop, read_mask, write_crop
 from hickory_stream.ports import Crop
 from tests.engine.snapshot_fixtures import make_crop
 

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import psutil
 import pytest
 
-from hickory_stream.engine.dask_workers import DaskWorkers
-from hickory_stream.engine.jobs import take_result, write_job
-from hickory_stream.engine.workers import WorkerLimits
+from hickory_stream.engine.shape_jobs.dask_workers import DaskWorkers
+from hickory_stream.engine.shape_jobs.job_folder import take_result, write_job
+from hickory_stream.engine.shape_jobs.local_workers import WorkerLimits
 from hickory_stream.errors import ConfigError
 from tests.engine.run_fixtures import map_scene, scene_config, scene_request
 
@@ -138,7 +138,7 @@ def test_a_scheduler_that_is_lost_and_regained_loses_no_job(tmp_path: Path) -> N
 
 
 def test_an_address_with_nobody_there_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hickory_stream.engine.dask_workers._CONNECT_S", 1.0)
+    monkeypatch.setattr("hickory_stream.engine.shape_jobs.dask_workers._CONNECT_S", 1.0)
     with pytest.raises(ConfigError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:\d+; start one"):
         map_scene(tmp_path, f"run.cluster=tcp://127.0.0.1:{free_port()}", child_workers=True)
     assert not (tmp_path / "map").exists()

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.map_codec import decode_snapshot, encode_snapshot
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.map_folder.codec import decode_snapshot, encode_snapshot
+from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.records import GraphEdge, MapSnapshot, Phase, TrackedObject
 from tests.engine.snapshot_fixtures import make_snapshot
 from tests.graph.graph_fixtures import solved_graph

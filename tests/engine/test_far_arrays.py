@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.engine import far_arrays
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.far_arrays import FarArrays
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.step import Checkpoint
 from hickory_stream.events import SourceEnded
-from hickory_stream.mapping import warm_tracks
-from hickory_stream.mapping.cold_clouds import is_packed
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.step import Checkpoint
+from hickory_stream.journal.writer import JournalWriter
+from hickory_stream.map_folder import array_spill
+from hickory_stream.map_folder.array_spill import FarArrays
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.mapping import derived
 from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.entities.cloud import is_packed
 from tests.engine.test_journal import entry
 from tests.mapping.mapping_fixtures import SECOND_NS, drive
 from tests.mapping.test_concerned_tracks import CONFIG, keyframes
@@ -64,8 +64,8 @@ def ended(core: MapperCore) -> str:
 def test_journal_and_map_are_the_same_to_the_byte_with_and_without_and_for_a_run_that_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(warm_tracks, "_KEEP_KEYFRAMES", 1)
-    monkeypatch.setattr(far_arrays, "_LEAST_BYTES", 1)
+    monkeypatch.setattr(derived, "_KEEP_KEYFRAMES", 1)
+    monkeypatch.setattr(array_spill, "_LEAST_BYTES", 1)
     far = FarArrays(tmp_path)
     alone, expected = mapped(tmp_path / "memory", None)
     core, journal = mapped(tmp_path / "far", far.keep)
@@ -173,7 +173,8 @@ def test_a_folder_that_takes_no_file_is_told_and_memory_has_it(
 
 def test_a_process_that_is_killed_leaves_nothing(tmp_path: Path) -> None:
     program = (
-        "import os, signal, sys; from pathlib import Path; from hickory_stream.engine.far_arrays import FarArrays; "
+        "import os, signal, sys; from pathlib import Path; "
+        "from hickory_stream.map_folder.array_spill import FarArrays; "
         "far = FarArrays(Path(sys.argv[1])); read = far.keep(bytes(range(256)) * 40); "
         "assert read() == bytes(range(256)) * 40; os.kill(os.getpid(), signal.SIGKILL)"
     )

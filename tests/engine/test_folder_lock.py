@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from hickory_stream.engine.folder_lock import LOCK, FolderLock, check_unlocked
 from hickory_stream.errors import MapFolderError
+from hickory_stream.map_folder.layout import LOCK, FolderLock, check_unlocked
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 HOLD = """
 import sys, pathlib
-from hickory_stream.engine.folder_lock import FolderLock
+from hickory_stream.map_folder.layout import FolderLock
 lock = FolderLock(pathlib.Path(sys.argv[1]))
 print("held", flush=True)
 sys.stdin.readline()

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.jobs import write_job
-from hickory_stream.engine.journal_format import JOURNAL
-from hickory_stream.engine.map_folder import create_map_folder, reopen_map_folder
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.engine.shape_jobs.job_folder import write_job
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import RequestShape
+from hickory_stream.journal.format import JOURNAL
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import create_map_folder, reopen_map_folder
 from hickory_stream.shapes.build import ShapeConfig
 from tests.engine.snapshot_fixtures import make_snapshot
 
@@ -102,7 +102,7 @@ def test_a_map_of_which_a_part_is_a_link_out_of_it_is_refused(path: Path, tmp_pa
 
 
 def test_a_mesh_and_a_view_that_are_links_out_of_the_map_are_not_read(path: Path, tmp_path: Path) -> None:
-    from hickory_stream.engine.crops import read_crop
+    from hickory_stream.map_folder.views import read_crop
 
     saved = open_map(path)
     first = saved.snapshot.objects[0]

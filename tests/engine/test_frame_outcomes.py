@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.engine.frame_outcomes import FrameOutcome, KeyframeChoice
+from hickory_stream.engine.frame_accounting import FrameOutcome, KeyframeChoice
 from hickory_stream.engine.reading import Read
-from hickory_stream.mapping.keyframes import KeyframeConfig
+from hickory_stream.mapping.rules.keyframes import KeyframeConfig
 
 RAW = next(SceneSource(1).frames())
 CONFIG = KeyframeConfig()

@@ -15,15 +15,20 @@ import pytest
 from hickory_stream.box_scene import SCENE_BOXES, SceneSource
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig, RunConfig
-from hickory_stream.engine.crops import read_crop
-from hickory_stream.engine.generators.choose import ExternalGenerator, chosen_generator, generator_key, reconstructor_of
-from hickory_stream.engine.generators.exchange import read_answer, write_question
-from hickory_stream.engine.generators.spec import cluster_resources, fingerprint, read_spec
-from hickory_stream.engine.history.recorded import recorded_steps
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.engine.shape_jobs.generators.choose import (
+    ExternalGenerator,
+    chosen_generator,
+    generator_key,
+    reconstructor_of,
+)
+from hickory_stream.engine.shape_jobs.generators.exchange import read_answer, write_question
+from hickory_stream.engine.shape_jobs.generators.spec import cluster_resources, fingerprint, read_spec
 from hickory_stream.errors import ConfigError, WorkerError
-from hickory_stream.evaluation.inspect import summarize
 from hickory_stream.geometry.camera import backproject
+from hickory_stream.inspection.inspect import summarize
+from hickory_stream.map_folder.history.recorded import recorded_steps
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.views import read_crop
 from hickory_stream.ports import GeneratedMesh, NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, make_reconstructor
 from hickory_stream.testing import InstanceSegmenter

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from bad_worker import write_interpreter
 
+from hickory_stream.base.atomic_files import write_output
 from hickory_stream.cli import main
-from hickory_stream.cli.finish import failures_line
-from hickory_stream.engine.atomic import write_output
-from hickory_stream.engine.failures import FailedShapes, failed_shapes
+from hickory_stream.cli.runs.summary import failures_line
+from hickory_stream.engine.shape_jobs.job_folder import FailedShapes, failed_shapes
 from hickory_stream.errors import OutputError
-from hickory_stream.sinks.piped_file import recorded_to
-from hickory_stream.sinks.rerun_file import RrdFile
-from hickory_stream.sinks.rerun_items import LogItem, Moment, new_stream
+from hickory_stream.sinks.rerun.file import RrdFile
+from hickory_stream.sinks.rerun.items import LogItem, Moment, new_stream
+from hickory_stream.sinks.rerun.piped_file import recorded_to
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

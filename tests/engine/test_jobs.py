@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.engine.crops import crop_files, read_crop
-from hickory_stream.engine.jobs import job_folder, read_job, take_result, write_job, write_result
+from hickory_stream.engine.shape_jobs.job_folder import job_folder, read_job, take_result, write_job, write_result
 from hickory_stream.errors import MapFolderError, WorkerError
+from hickory_stream.geometry.codecs.mesh_file import mesh_of_file
 from hickory_stream.geometry.mesh import sha256_of
-from hickory_stream.geometry.mesh_file import mesh_of_file
+from hickory_stream.map_folder.views import crop_files, read_crop
 from hickory_stream.ports import BuiltShape, NoShape
 from hickory_stream.shapes.build import ShapeConfig, build_shape
 from hickory_stream.testing import BoxReconstructor

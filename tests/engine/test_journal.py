@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from mcap.stream_reader import get_chunk_data_stream
 
 from hickory_stream.box_scene import SCENE_CAMERA
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_format import ARRAYS, CHECKPOINT, JOURNAL, OLD_CHECKPOINT
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import ShapeFailed, SourceEnded, TimeJumped
+from hickory_stream.journal.format import ARRAYS, CHECKPOINT, JOURNAL, OLD_CHECKPOINT
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind
+from hickory_stream.journal.writer import JournalWriter
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -136,7 +136,7 @@ def test_arrays_of_the_same_content_are_stored_once_while_one_of_them_is_in_use(
 def test_the_checkpoints_of_an_older_journal_are_left_out_and_its_steps_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hickory_stream.engine.journal_writer.CHECKPOINT", OLD_CHECKPOINT)
+    monkeypatch.setattr("hickory_stream.journal.writer.CHECKPOINT", OLD_CHECKPOINT)
     write(tmp_path)
     with Journal(tmp_path) as journal:
         assert [journal.checkpoint_before(i) for i in range(NUM_STEPS)] == [None] * NUM_STEPS
@@ -169,7 +169,7 @@ def test_a_checkpoint_whose_parts_lie_in_many_chunks_unpacks_each_of_them_once(
         unpacked.append(chunk)
         return get_chunk_data_stream(chunk, validate_crc)
 
-    monkeypatch.setattr("hickory_stream.engine.journal_chunks.get_chunk_data_stream", unpack)
+    monkeypatch.setattr("hickory_stream.journal.reader.get_chunk_data_stream", unpack)
     with Journal(tmp_path) as journal:
         found = journal.checkpoint_before(0)
     assert found is not None
@@ -179,7 +179,7 @@ def test_a_checkpoint_whose_parts_lie_in_many_chunks_unpacks_each_of_them_once(
 
 
 def test_of_large_chunks_few_are_kept_at_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hickory_stream.engine.journal_chunks._CACHED_BYTES", 3000)
+    monkeypatch.setattr("hickory_stream.journal.reader._CACHED_BYTES", 3000)
     writer = JournalWriter(tmp_path, flush_s=100.0)
     for i in range(6):
         writer.append(entry(i), color=bytes([i]) * 1000)
@@ -190,7 +190,7 @@ def test_of_large_chunks_few_are_kept_at_hand(tmp_path: Path, monkeypatch: pytes
         kept = journal._chunks._messages._chunks
         assert 0 < len(kept) < 3
         # The last one is, however large.
-        monkeypatch.setattr("hickory_stream.engine.journal_chunks._CACHED_BYTES", 1)
+        monkeypatch.setattr("hickory_stream.journal.reader._CACHED_BYTES", 1)
         assert journal.color(0) == bytes(1000)
         assert len(kept) == 1
 

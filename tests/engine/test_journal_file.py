@@ -9,11 +9,11 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_file import index_of
-from hickory_stream.engine.journal_format import JOURNAL, MAGIC
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.step import StepKind
+from hickory_stream.journal.format import JOURNAL, MAGIC
+from hickory_stream.journal.mcap_file import index_of
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.step import StepKind
+from hickory_stream.journal.writer import JournalWriter
 from tests.engine.test_journal import NUM_STEPS, checkpoint, entry, read_numbers, write
 
 if TYPE_CHECKING:

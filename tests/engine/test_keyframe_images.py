@@ -11,7 +11,7 @@ import pytest
 
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import JournalConfig
-from hickory_stream.engine.keyframe_images import color_of, crop_of
+from hickory_stream.engine.effects import color_of, crop_of
 from tests.mapping.mapping_fixtures import box_surface, observation
 
 if TYPE_CHECKING:

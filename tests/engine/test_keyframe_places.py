@@ -10,16 +10,15 @@ import numpy as np
 import pytest
 
 from hickory_stream.box_scene import scene_pose
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history.registration_summary import registration_summary
-from hickory_stream.engine.history.replay import replay
-from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.keyframe_places import KeyframePlaces, PlacedFrame
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.events import FrameObserved, KeyframeKeptOut, KeyframeRegistered, PoseJumped
-from hickory_stream.geometry.directions import no_directions
-from hickory_stream.geometry.rigid import compose, invert
+from hickory_stream.geometry.rigid import compose, invert, no_directions
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.registration_history import registration_summary
+from hickory_stream.map_folder.history.replay import replay
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.registration_sources import NUM_FRAMES, Drifting, Unaware, room
@@ -30,8 +29,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink, Source
     from hickory_stream.records import FrameReport, MapSnapshot
 

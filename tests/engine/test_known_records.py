@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.known_records import object_without_points
-from hickory_stream.engine.record_codec import encode
 from hickory_stream.errors import MapFolderError
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.record_codec import encode
+from hickory_stream.journal.snapshot_records import object_without_points
+from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.records import TrackedObject
 from tests.engine.snapshot_fixtures import make_snapshot
 from tests.engine.test_journal import entry

@@ -14,16 +14,16 @@ import pytest
 from hickory_stream.box_scene import START_NS, SceneSource
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.announcer import Announcer
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history.replay import replay
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_format import JOURNAL
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
-from hickory_stream.engine.shape_queue import ShapeQueue
+from hickory_stream.engine.publisher import Announcer
+from hickory_stream.engine.shape_jobs.queue import ShapeQueue
 from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.errors import OutputError, RecordingError
+from hickory_stream.journal.format import JOURNAL
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.replay import replay
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.perception.choose import make_extractor, make_segmenter
 from hickory_stream.testing import InstanceSegmenter, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, scene_config
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.modes import Mode
     from hickory_stream.events import RequestShape
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.records import Frame, FrameReport, MapPrior, RawFrame, Segmentation
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from hickory_stream.box_scene import SCENE_CAMERA, SceneSource
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, yaw_rotation
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.replay import replay
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
 from tests.in_process_workers import InProcessWorkers

@@ -13,13 +13,13 @@ import pytest
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.cli import main
 from hickory_stream.config import RunConfig
-from hickory_stream.engine.crops import crop_files, read_crop
-from hickory_stream.engine.jobs import read_job, write_job
-from hickory_stream.engine.map_codec import encode_superquadrics
-from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.processor import processor_kind
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.engine.shape_jobs.job_folder import read_job, write_job
+from hickory_stream.engine.shape_jobs.processor import processor_kind
+from hickory_stream.map_folder.codec import encode_superquadrics
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.views import crop_files, read_crop
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.ports import BuiltShape
 from hickory_stream.shapes.build import build_shape, make_reconstructor
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
@@ -30,7 +30,7 @@ from tests.in_process_workers import InProcessWorkers
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
 
 JPEG = "run.view_colors=jpeg"
 

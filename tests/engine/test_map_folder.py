@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.engine.array_files import ply_bytes
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.manifest import FORMAT_VERSION
-from hickory_stream.engine.map_folder import MapFolder, create_map_folder
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import HickoryError, MapFolderError
-from hickory_stream.geometry.made_arrays import has_given_up
+from hickory_stream.geometry.lazy_arrays import has_given_up
 from hickory_stream.geometry.mesh import read_glb
+from hickory_stream.map_folder.array_files import ply_bytes
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.manifest import FORMAT_VERSION
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import MapFolder, create_map_folder
 from tests.engine.snapshot_fixtures import make_snapshot
 
 if TYPE_CHECKING:

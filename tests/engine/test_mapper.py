@@ -9,10 +9,10 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError, RecordingError, ViewerError
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.testing import BreakingSource
 from players.faults import Faults, FaultySource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers
@@ -20,7 +20,7 @@ from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_wo
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.records import MapSnapshot
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import player_scenes as scenes
 
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.engine.message_ledger import message_ledger
+from hickory_stream.engine.accounting import message_ledger
 from players import open_source
 from players.faults import Faults, FaultySource
 from players.first_frames import FirstFrames

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.engine.pacing import Pacer
+from hickory_stream.engine.async_tools import Pacer
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable

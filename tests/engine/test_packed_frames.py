@@ -10,14 +10,14 @@ import pytest
 import zstandard
 
 from hickory_stream.box_scene import SCENE_CAMERA
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.packed_frames import PackedFrame, packed_frame, unpacked_frame
-from hickory_stream.engine.record_codec import decode, encode
-from hickory_stream.engine.step import FramePose, JournalEntry, Step, StepKind
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.lattice import Lattice
+from hickory_stream.journal.packed_frames import PackedFrame, packed_frame, unpacked_frame
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.record_codec import decode, encode
+from hickory_stream.journal.step import FramePose, JournalEntry, Step, StepKind
+from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.perception.coarse import coarse_frame
 from hickory_stream.perception.observe import ObserveConfig, observe
 from hickory_stream.records import Frame, Segmentation, SpaceObservation
@@ -208,7 +208,7 @@ def test_a_journal_gives_the_event_back(tmp_path: Path) -> None:
 def test_an_older_journal_which_has_points_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     event = seen()
     old = replace(event, observations=without_returns(event))
-    monkeypatch.setattr("hickory_stream.engine.journal_writer.packed_frame", lambda one: one)
+    monkeypatch.setattr("hickory_stream.journal.writer.packed_frame", lambda one: one)
     _written(tmp_path, old)
     with Journal(tmp_path) as journal:
         assert encode(journal.entry(0).events) == encode((old,))
@@ -217,7 +217,7 @@ def test_an_older_journal_which_has_points_is_read(tmp_path: Path, monkeypatch: 
 def test_damage_of_returns_is_told_as_damage_of_the_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stored = packed(seen())
     damaged = replace(stored, depths=_with_other_depth(stored.depths))
-    monkeypatch.setattr("hickory_stream.engine.journal_writer.packed_frame", lambda _: damaged)
+    monkeypatch.setattr("hickory_stream.journal.writer.packed_frame", lambda _: damaged)
     _written(tmp_path, stored.event)
     with Journal(tmp_path) as journal, pytest.raises(MapFolderError, match="is damaged or of another version"):
         journal.entry(0)

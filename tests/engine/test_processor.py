@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.manifest import read_manifest
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.processor import processor_kind, processor_of_run, processor_of_shapes
+from hickory_stream.engine.shape_jobs.processor import processor_kind, processor_of_run, processor_of_shapes
+from hickory_stream.map_folder.manifest import read_manifest
+from hickory_stream.map_folder.writer import create_map_folder
 
 if TYPE_CHECKING:
     from pathlib import Path

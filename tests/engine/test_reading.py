@@ -10,12 +10,13 @@ import numpy as np
 
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
+from hickory_stream.engine.async_tools import Stop
 from hickory_stream.engine.keyframe_places import keyframe_surface
-from hickory_stream.engine.reading import Position, Read, Reader, sensed
-from hickory_stream.engine.stopping import Stop
+from hickory_stream.engine.reading import Read, Reader, sensed
 from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig
+from hickory_stream.map_folder.history.resume import Position
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
-from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.perceive import perceive
 from hickory_stream.perception.surface import Surface
 

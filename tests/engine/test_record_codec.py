@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.geometry.lattice import on_steps, points_of
 from hickory_stream.graph.solve import solve
-from hickory_stream.mapping.track_merging import VoteBook
+from hickory_stream.journal.record_codec import decode, encode
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.mapping.rules.merging import VoteBook
 from hickory_stream.records import Phase
 from tests.engine.snapshot_fixtures import make_snapshot
 from tests.graph.graph_fixtures import solved_graph, walk

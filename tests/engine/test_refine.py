@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hickory_stream.box_scene import SCENE_CAMERA, scene_pose
-from hickory_stream.engine.generators.refine import ExternalRefiner
-from hickory_stream.engine.generators.spec import check_licence, fingerprint, read_spec, refiner_of
+from hickory_stream.engine.shape_jobs.generators.refine import ExternalRefiner
+from hickory_stream.engine.shape_jobs.generators.spec import check_licence, fingerprint, read_spec, refiner_of
 from hickory_stream.errors import ConfigError, WorkerError
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.mesh import Mesh

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from hickory_stream.box_scene import SCENE_BOXES, SceneSource
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError, RecordingError
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.testing import BreakingSource, FailingSink, RememberingSink, SlowSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from hickory_stream.engine.map_folder import MapFolder
     from hickory_stream.engine.mapper import Mapper
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
     from tests.engine.run_fixtures import SceneRun
 

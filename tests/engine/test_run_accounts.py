@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.engine.run_accounts import run_ledger, run_timings
+from hickory_stream.engine.accounting import run_ledger, run_timings
 
 
 def test_frames_that_came_late_were_read_and_what_did_not_happen_is_not_told() -> None:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from hickory_stream.box_scene import SceneSource
+from hickory_stream.engine.frame_accounting import RunClock
 from hickory_stream.engine.reading import Read
-from hickory_stream.engine.run_clock import RunClock
 from hickory_stream.events import TimeJumped
 
 RAW = next(SceneSource(1).frames())

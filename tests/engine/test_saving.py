@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hickory_stream.engine.map_codec import encode_snapshot
-from hickory_stream.engine.saving import ReferencedNames, SnapshotEncoder
-from hickory_stream.geometry.made_arrays import give_up
+from hickory_stream.base.json_text import dumps_exactly
+from hickory_stream.geometry.lazy_arrays import give_up
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.json_text import dumps_exactly
+from hickory_stream.map_folder.codec import encode_snapshot
+from hickory_stream.map_folder.writer import ReferencedNames, SnapshotEncoder
 from hickory_stream.records import MapSnapshot
 from tests.engine.snapshot_fixtures import make_snapshot
 

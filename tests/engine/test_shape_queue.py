@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.engine.jobs import read_job, write_result
-from hickory_stream.engine.map_folder import MapFolder, create_map_folder
-from hickory_stream.engine.shape_queue import ShapeQueue
+from hickory_stream.engine.shape_jobs.job_folder import read_job, write_result
+from hickory_stream.engine.shape_jobs.queue import ShapeQueue
 from hickory_stream.events import ShapeFailed, ShapeReady
+from hickory_stream.map_folder.writer import MapFolder, create_map_folder
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import build_shape
 from hickory_stream.testing import BoxReconstructor
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
     from pathlib import Path
 
-    from hickory_stream.engine.workers import LocalWorkers
+    from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers
     from hickory_stream.events import RequestShape
     from hickory_stream.shapes.build import ShapeConfig
 

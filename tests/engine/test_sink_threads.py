@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.box_scene import SCENE_CAMERA
-from hickory_stream.engine.sink_threads import SinkThread
+from hickory_stream.engine.publisher import SinkThread
 from hickory_stream.errors import MapFolderError
 from hickory_stream.records import FrameReport
 from hickory_stream.testing import FailingSink, RememberingSink, SlowSink
@@ -98,7 +98,7 @@ def test_a_sink_for_looking_that_hangs_does_not_keep_the_run_from_ending(
                 await asyncio.sleep(0)
         await thread.close()
 
-    monkeypatch.setattr("hickory_stream.engine.sink_threads._CLOSE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("hickory_stream.engine.publisher._CLOSE_TIMEOUT_S", 0.05)
     asyncio.run(show_some())
     released.set()
 

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from hickory_stream.engine.stopping import Stop
+from hickory_stream.engine.async_tools import Stop
 
 
 async def answered() -> str:

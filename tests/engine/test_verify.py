@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.journal_format import JOURNAL
-from hickory_stream.engine.saved_map import open_map
-from hickory_stream.engine.verify import State, Verdict, verify
 from hickory_stream.errors import MapFolderError
+from hickory_stream.journal.format import JOURNAL
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.verify import State, Verdict, verify
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -246,6 +246,6 @@ def test_what_the_journal_does_not_bear_out_is_not_mended(path: Path, capsys: py
     assert (path / "objects.json").read_bytes() == before
     with pytest.raises(MapFolderError):
         (path / JOURNAL).unlink()
-        from hickory_stream.engine.verify import mend
+        from hickory_stream.map_folder.verify import mend
 
         mend(path)

@@ -10,7 +10,7 @@ sys.path.insert(0, {tests!r})
 from numba.core.dispatcher import Dispatcher
 from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
 from hickory_stream.engine.warm_up import warm_up
-from hickory_stream.shapes.fit import fitted_shape
+from hickory_stream.shapes.fit.marching_primitives import fitted_shape
 from shape_fixtures import as_mesh, shape_inputs, test_mesh
 from tools.benchmarks.shapes.meshes import hollow_mesh
 
@@ -58,5 +58,5 @@ print(sorted({
 def test_it_writes_and_reads_what_a_journal_has_of_a_keyframe() -> None:
     made = subprocess.run([sys.executable, "-c", WRITING], capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr
-    for name in ("depth_code", "surface_colors", "mean_colors", "lattice", "voxel_blocks"):
+    for name in ("depth_code", "color_code", "lattice", "voxel_blocks"):
         assert f"'{name}'" in made.stdout

@@ -13,11 +13,11 @@ import pytest
 
 from hickory_stream.box_scene import SCENE_CAMERA, SceneBox, SceneSource
 from hickory_stream.engine import loop_closing
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history.replay import replay
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.replay import replay
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.records import Loop
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene

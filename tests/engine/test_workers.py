@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import psutil
 import pytest
 
-from hickory_stream.engine.workers import LocalWorkers, WorkerLimits
+from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers, WorkerLimits
 from tests.engine.run_fixtures import shape_workers
 
 if TYPE_CHECKING:

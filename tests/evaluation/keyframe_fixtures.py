@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from hickory_stream.engine.history.recorded import RecordedKeyframe
-from hickory_stream.evaluation.seen_as import rays_of
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.inspection.keyframe_labels import rays_of
+from hickory_stream.map_folder.history.recorded import RecordedKeyframe
 from hickory_stream.perception.coarse import coarse_frame
 from hickory_stream.records import RejectedMask
 from tests.mapping.mapping_fixtures import keyframe, observation, space

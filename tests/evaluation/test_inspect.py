@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.saved_map import open_map
-from hickory_stream.evaluation.inspect import MapSummary, as_json, chosen, format_table, summarize
-from hickory_stream.evaluation.place import place_of
+from hickory_stream.inspection.inspect import MapSummary, as_json, chosen, format_table, summarize
+from hickory_stream.inspection.object_geometry import place_of
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import create_map_folder
 from tests.engine.snapshot_fixtures import box_mesh, make_snapshot
 
 if TYPE_CHECKING:

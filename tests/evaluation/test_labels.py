@@ -8,11 +8,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.evaluation.labels import Label, draw_labels, most_visible, place_labels
-from hickory_stream.evaluation.render import labels_of
-from hickory_stream.evaluation.render_parts import dots_of
-from hickory_stream.evaluation.viewpoint import from_above, from_corner
-from hickory_stream.geometry.palette import color_of_id
+from hickory_stream.geometry.display import color_of_id
+from hickory_stream.pictures.labels import Label, draw_labels, most_visible, place_labels
+from hickory_stream.pictures.render import labels_of
+from hickory_stream.pictures.render_parts import dots_of
+from hickory_stream.pictures.viewpoint import from_above, from_corner
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
 
 STEP_PX = 4

@@ -12,18 +12,18 @@ import pytest
 from hickory_stream.box_scene import PERIOD_NS, SCENE_CAMERA, START_NS, SceneBox, SceneSource, scene_pose
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.ladder import RUNGS, TrueImages, TrueSegmenter, core_of, mapping_of, segmenter_of
 from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject
 from hickory_stream.events import Event, SourceEnded
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
 from hickory_stream.records import Phase, TrackedObject
 from tests.mapping.mapping_fixtures import drive
+from tools.evaluation.oracle_ablation import RUNGS, TrueImages, TrueSegmenter, core_of, mapping_of, segmenter_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.evaluation.ladder import Rung
     from hickory_stream.records import Frame, Segmentation
+    from tools.evaluation.oracle_ablation import Rung
 
 # Two boxes of one colour that touch, and a third one apart; ids in the truth are not those of the images of the twin.
 BOXES = (

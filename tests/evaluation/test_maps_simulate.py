@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from hickory_stream.evaluation.maps.simulate import SimulationConfig, real_fits, simulate_pair, simulate_unrelated
-from hickory_stream.evaluation.maps.trial import noise_floor, run_trial
-from hickory_stream.evaluation.maps.variants import with_points
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.superquadric import centroid_world, radial_distance_m
 from tests.strategies import seeds
+from tools.evaluation.simulated_maps.simulate import SimulationConfig, real_fits, simulate_pair, simulate_unrelated
+from tools.evaluation.simulated_maps.trial import noise_floor, run_trial
+from tools.evaluation.simulated_maps.variants import with_points
 
 
 @settings(max_examples=10)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import InputError
-from hickory_stream.evaluation.pixel_place import check_pixel, place_by_depth, place_in_keyframe
-from hickory_stream.evaluation.seen_as import NO_DEPTH, STRUCTURE
+from hickory_stream.inspection.keyframe_labels import NO_DEPTH, STRUCTURE
+from hickory_stream.inspection.pixel_history import check_pixel, place_by_depth, place_in_keyframe
 from tests.engine.snapshot_fixtures import placed
 from tests.evaluation.keyframe_fixtures import (
     CAMERA,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.history.track_histories import TrackHistories
-from hickory_stream.evaluation.place_sighting import PlaceSighting, sighting_of
+from hickory_stream.inspection.point_sighting import PlaceSighting, sighting_of
+from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.records import Decision
 from tests.engine.snapshot_fixtures import placed
 from tests.evaluation.keyframe_fixtures import (

@@ -11,9 +11,6 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.crops import write_crop
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.explain import format_evaluation
@@ -23,6 +20,9 @@ from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject, load
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.views import write_crop
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.ports import Crop
 from hickory_stream.records import MapSnapshot, View
 from tests.engine.snapshot_fixtures import box_mesh, make_object, make_shape, placed
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5)
 SIDES = (0.4, 0.3, 0.5)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from hickory_stream.evaluation.rasterize import Dots, first_hits
-from hickory_stream.evaluation.raycast import Scene, Surface
-from hickory_stream.evaluation.viewpoint import Viewpoint, from_above, from_corner
+from hickory_stream.pictures.rasterize import Dots, first_hits
+from hickory_stream.pictures.raycast import Scene, Surface
+from hickory_stream.pictures.viewpoint import Viewpoint, from_above, from_corner
 
 CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (0.0, 1.0)])
 WITHIN = np.array([[0, 0], [0.375, -0.125]], dtype=np.float32)

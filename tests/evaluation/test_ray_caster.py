@@ -8,9 +8,9 @@ import pytest
 import trimesh
 
 from hickory_stream.errors import InputError
-from hickory_stream.evaluation.open3d_import import import_open3d
-from hickory_stream.evaluation.ray_caster import CasterName, ray_caster
-from hickory_stream.evaluation.raycast import Scene, Surface
+from hickory_stream.pictures.open3d_import import import_open3d
+from hickory_stream.pictures.ray_caster import CasterName, ray_caster
+from hickory_stream.pictures.raycast import Scene, Surface
 
 
 def rays_at(center: np.ndarray, count: int) -> np.ndarray:

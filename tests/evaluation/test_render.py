@@ -9,13 +9,13 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.saved_map import SavedMap, open_map
-from hickory_stream.evaluation.raycast import Scene, Surface
-from hickory_stream.evaluation.render import render_map
-from hickory_stream.evaluation.render_parts import coarse, dots_of
-from hickory_stream.evaluation.viewpoint import Viewpoint, from_above, from_corner
 from hickory_stream.geometry.voxels import keys_of_cells
+from hickory_stream.map_folder.saved_map import SavedMap, open_map
+from hickory_stream.map_folder.writer import create_map_folder
+from hickory_stream.pictures.raycast import Scene, Surface
+from hickory_stream.pictures.render import render_map
+from hickory_stream.pictures.render_parts import coarse, dots_of
+from hickory_stream.pictures.viewpoint import Viewpoint, from_above, from_corner
 from tests.engine.snapshot_fixtures import make_snapshot
 
 if TYPE_CHECKING:

@@ -14,14 +14,13 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.map_folder import create_map_folder, reopen_map_folder
-from hickory_stream.engine.saved_map import open_map
-from hickory_stream.evaluation.drawing import Drawing, Ellipse, Line, Text
-from hickory_stream.evaluation.graph_paths import recorded_ways
-from hickory_stream.evaluation.graph_summary import summary_of, told
-from hickory_stream.evaluation.render_graph import AFTER, BEFORE, LOOP, REFUSED, render_graph
-from hickory_stream.graph.ways import ways_of
+from hickory_stream.graph.trajectories import ways_of
+from hickory_stream.inspection.graph_summary import summary_of, told
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import create_map_folder, reopen_map_folder
+from hickory_stream.pictures.drawing import Drawing, Ellipse, Line, Text
+from hickory_stream.pictures.render_graph import AFTER, BEFORE, LOOP, REFUSED, recorded_ways, render_graph
 from hickory_stream.records import MapSnapshot, PoseGraphRecord
 from tests.graph.graph_fixtures import solved_graph, walk
 

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.saved_map import SavedMap, open_map
-from hickory_stream.evaluation.render import render_map
-from hickory_stream.evaluation.render_storeys import MARGIN_PX, MOST_STOREYS, Place, places_of, storeys_to_draw
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.map_folder.saved_map import SavedMap, open_map
+from hickory_stream.map_folder.writer import create_map_folder
+from hickory_stream.pictures.render import render_map
+from hickory_stream.pictures.render_storeys import MARGIN_PX, MOST_STOREYS, Place, places_of, storeys_to_draw
 from tests.engine.snapshot_fixtures import make_snapshot
 
 if TYPE_CHECKING:

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.evaluation import supports
-from hickory_stream.evaluation.supports import ObjectBody, _body, supports_of, told
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
+from hickory_stream.inspection import supports
+from hickory_stream.inspection.supports import ObjectBody, _body, supports_of, told
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.mapping_config import MappingConfig
-from hickory_stream.mapping.moved import moved_object
-from hickory_stream.mapping.support_graph import Relation, Support
+from hickory_stream.mapping.entities.rigid_motion import moved_object
+from hickory_stream.mapping.rules.support_graph import Relation, Support
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hickory_stream.evaluation.evaluate import purity
 from hickory_stream.evaluation.exposed import exposed_samples
-from hickory_stream.evaluation.pose_error import pose_error
-from hickory_stream.evaluation.purity import purity
 from hickory_stream.evaluation.surface_score import TrueSurface, diameter_m, surface_score
+from hickory_stream.evaluation.trajectory_error import pose_error
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import yaw_rotation
 from tests.engine.snapshot_fixtures import box_mesh

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from hickory_stream.engine.history.track_histories import TrackHistories
-from hickory_stream.evaluation.place_story import PlaceStory
-from hickory_stream.evaluation.track_story import track_story
 from hickory_stream.evaluation.why_text import place_text
+from hickory_stream.inspection.point_history import PlaceStory
+from hickory_stream.inspection.track_history import track_story
+from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.records import Decision
 
 

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.engine.history.track_histories import TrackHistories
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS, origin_of
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS, Evidence, extents_text, state_of, why_missed
 from hickory_stream.evaluation.overlap import Overlap
-from hickory_stream.evaluation.track_story import stretches_of
 from hickory_stream.evaluation.truth import Truth, TruthObject
 from hickory_stream.evaluation.truth_sightings import Other, Part, Sighting, TruthSightings
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
-from hickory_stream.mapping.existence import ExistenceConfig
+from hickory_stream.inspection.track_history import stretches_of
+from hickory_stream.map_folder.history.track_histories import TrackHistories
+from hickory_stream.mapping.entities.existence import ExistenceConfig
 from hickory_stream.records import Decision, MapSnapshot
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
 

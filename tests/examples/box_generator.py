@@ -1,6 +1,7 @@
 """Example of a generator: a program of its own that answers each job with the box around what the best view shows.
 
-It imports nothing of ours and speaks lines of JSON: `hickory_stream/engine/generators/exchange.py` says what lies in
+It imports nothing of ours and speaks lines of JSON.
+`hickory_stream/engine/shape_jobs/generators/exchange.py` says what lies in
 the folder of a job. What comes after its name makes it misbehave, for the tests.
 """
 

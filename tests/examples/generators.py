@@ -6,8 +6,8 @@ import sys
 from functools import cache
 from pathlib import Path
 
-from hickory_stream.engine.generators.choose import ExternalGenerator
-from hickory_stream.engine.generators.spec import GeneratorSpec
+from hickory_stream.engine.shape_jobs.generators.choose import ExternalGenerator
+from hickory_stream.engine.shape_jobs.generators.spec import GeneratorSpec
 
 HERE = Path(__file__).parent
 

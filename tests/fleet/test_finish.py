@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.cli.fleet import result_text
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.cli.runs.fleet import result_text
 from hickory_stream.fleet.finish import Finished, finish
 from hickory_stream.fleet.messages import Ended
 from hickory_stream.fleet.result import result_of
 from hickory_stream.fleet.run import end_texts
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.map_folder.saved_map import open_map
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.merging.test_merge_maps import save
 

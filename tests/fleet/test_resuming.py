@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history.replay import show_until_resumed
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.fleet.growth import GrowthSink
 from hickory_stream.fleet.resuming import has_ended, send_recorded
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.replay import show_until_resumed
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene
@@ -22,9 +22,9 @@ from tests.in_process_workers import InProcessWorkers
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
     from hickory_stream.fleet.growth import GrownMap
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
 
 pytestmark = pytest.mark.timeout(120)

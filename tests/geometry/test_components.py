@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.geometry.components import main_components
+from hickory_stream.geometry.display import main_components
 
 
 def test_the_main_component_is_the_direction_that_features_vary_most_in():

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hickory_stream.geometry.depth_code import packed_depths, unpacked_depths
+from hickory_stream.geometry.codecs.depth_code import packed_depths, unpacked_depths
 
 IMAGES = hnp.arrays(
     np.uint16,

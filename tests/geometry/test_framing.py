@@ -2,8 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.geometry.framing import looking, nearest_eye
-from hickory_stream.geometry.label_layout import rises
+from hickory_stream.geometry.display import looking, nearest_eye, rises
 
 coordinate = st.floats(-5, 5)
 

@@ -12,8 +12,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.geometry.glb import glb_arrays
-from hickory_stream.geometry.mesh import Mesh, glb_bytes, mesh_of_glb, sha256_of
+from hickory_stream.geometry.mesh import Mesh, glb_arrays, glb_bytes, mesh_of_glb, sha256_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable

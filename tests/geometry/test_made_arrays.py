@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hickory_stream.geometry.made_arrays import (
+from hickory_stream.geometry.lazy_arrays import (
     compress,
     compressed,
     give_up,

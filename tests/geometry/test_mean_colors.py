@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hickory_stream.geometry.mean_colors import packed_means, unpacked_means
-from hickory_stream.geometry.packing import planes_of
+from hickory_stream.geometry.codecs.color_code import packed_means, unpacked_means
+from hickory_stream.geometry.codecs.packing import planes_of
 from tests.strategies import seeds
 
 

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skimage.measure import marching_cubes
 
+from hickory_stream.geometry.codecs.mesh_file import mesh_file_bytes, mesh_of_file
 from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, on_steps
 from hickory_stream.geometry.mesh import Mesh, glb_bytes, sha256_of
-from hickory_stream.geometry.mesh_file import mesh_file_bytes, mesh_of_file
 
 
 def ball(num_colors: int = 7, *, is_at_steps: bool = False) -> Mesh:

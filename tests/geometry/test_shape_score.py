@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.geometry.canonical import canonical
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.geometry.shape_score import literal_shape_score, shape_score, shape_scores
-from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, moved, taken, volumes_m3
+from hickory_stream.geometry.superquadric import Superquadrics, canonical, implicit_value, moved, taken, volumes_m3
+from tools.evaluation.shape_score import literal_shape_score, shape_score, shape_scores
 
 
 def random_rotation(rng: np.random.Generator) -> np.ndarray:

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from hickory_stream.evaluation.open3d_import import import_open3d
 from hickory_stream.geometry.superquadric import (
     Superquadrics,
     outward_normals,
@@ -15,6 +14,7 @@ from hickory_stream.geometry.superquadric import (
     volumes_m3,
 )
 from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
+from hickory_stream.pictures.open3d_import import import_open3d
 
 axis = st.floats(0.005, 1.0)
 exponent = st.floats(0.1, 2.0)

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.geometry.packing import color_planes
-from hickory_stream.geometry.surface_colors import packed_colors, unpacked_colors
+from hickory_stream.geometry.codecs.color_code import packed_colors, unpacked_colors
+from hickory_stream.geometry.codecs.packing import color_planes
 from hickory_stream.geometry.voxels import keys_of_cells, sorted_unique
 from tests.strategies import integer_cells, seeds
 

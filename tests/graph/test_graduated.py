@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hickory_stream.graph.graduated import sharper, smoothest, weights_of
+from hickory_stream.graph.gtsam_solver import sharper, smoothest, weights_of
 
 LIMIT = 16.0
 CHI2 = np.array([0.0, 1.0, 15.0, 17.0, 400.0, 1e5])

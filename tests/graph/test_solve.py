@@ -16,7 +16,7 @@ from hickory_stream.graph.chain import Chain
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance
 from hickory_stream.graph.gate import difference
-from hickory_stream.graph.library import Factors
+from hickory_stream.graph.gtsam_solver import Factors
 from hickory_stream.graph.solution import NoSolution, Solution
 from hickory_stream.graph.solve import node_covariances, relative_covariances, solve
 from tools.benchmarks.poses.pose_graphs import SimulatedGraph, simulated_graph

@@ -19,9 +19,9 @@ import psutil
 import pytest
 from websockets.sync.client import connect
 
-from hickory_stream.sinks.rerun_config import RerunConfig
-from hickory_stream.sinks.rerun_sink import RerunSink
-from hickory_stream.sinks.rerun_viewer import parse_viewer
+from hickory_stream.sinks.rerun.config import RerunConfig
+from hickory_stream.sinks.rerun.sink import RerunSink
+from hickory_stream.sinks.rerun.viewer import parse_viewer
 from tests.players.live.robot_fixtures import eventually
 from tests.sinks.report_fixtures import boxes, reports
 

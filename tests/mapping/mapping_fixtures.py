@@ -24,14 +24,13 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lattice import STEPS_PER_M
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
-from hickory_stream.mapping.cloud import cloud_of
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.existence import Existence
-from hickory_stream.mapping.observed_space import SpaceState, empty_space
-from hickory_stream.mapping.support_graph import SupportGraph
-from hickory_stream.mapping.support_relations import SupportConfig
-from hickory_stream.mapping.track import Track
-from hickory_stream.mapping.unsupported import UnsupportedConfig
+from hickory_stream.mapping.entities.cloud import cloud_of
+from hickory_stream.mapping.entities.existence import Existence
+from hickory_stream.mapping.entities.observed_space import SpaceState, empty_space
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.rules.support_graph import SupportGraph, UnsupportedConfig
+from hickory_stream.mapping.rules.support_relations import SupportConfig
 from hickory_stream.records import Containment, MaskFeature, ObjectShape, Observation, Phase, SpaceObservation, View
 
 VOXEL_M = 0.02

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.boxes import box_iou
-from hickory_stream.mapping.associate import AssociateConfig, Match, associate
-from hickory_stream.mapping.track import Track
-from hickory_stream.mapping.track_table import TrackTable
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.entities.track_table import TrackTable
+from hickory_stream.mapping.rules.association import AssociateConfig, Match, associate
 from hickory_stream.records import Observation
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, observation, track
 

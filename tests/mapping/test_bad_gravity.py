@@ -14,9 +14,9 @@ import pytest
 from hickory_stream.box_scene import PERIOD_NS, SCENE_BOXES, SCENE_CAMERA, START_NS, SceneBox, cast_scene, scene_pose
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.voxels import centers_of_keys
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.floor_notes import floor_notes
-from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive

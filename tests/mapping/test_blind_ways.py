@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, yaw_rotation
-from hickory_stream.mapping.blind_ways import longer
+from hickory_stream.mapping.entities.submaps import longer
 
 EAST, TURNS = np.eye(6)[[3]], np.eye(6)[[2]]
 STEP = from_rotation_translation(yaw_rotation(0.1), np.array([0.3, 0.4, 0.0]))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps, points_of, steps_of
 from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells, keys_of_points
-from hickory_stream.mapping.cloud import Cloud, cloud_of, fuse, is_near, share_near, solid_part, without
+from hickory_stream.mapping.entities.cloud import Cloud, cloud_of, fuse, is_near, share_near, solid_part, without
 from tests.strategies import frame_clouds, integer_cells, seeds
 
 VOXEL_M = 0.01

@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hickory_stream.mapping.cloud import Cloud, without
-from hickory_stream.mapping.cold_clouds import NAMES, is_packed, pack, pack_part
+from hickory_stream.mapping.entities.cloud import NAMES, Cloud, is_packed, pack, pack_part, without
 
 
 def cloud_of(steps: list[int], seed: int) -> Cloud:

@@ -5,16 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hickory_stream.engine.digest import map_digest
 from hickory_stream.events import FrameObserved, SourceEnded
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
-from hickory_stream.mapping import concerned_tracks, submaps
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.lifecycle import LifecycleConfig
-from hickory_stream.mapping.mapping_config import MappingConfig
-from hickory_stream.mapping.submaps import SubmapConfig
+from hickory_stream.mapping.entities import submaps
+from hickory_stream.mapping.entities.submaps import SubmapConfig
+from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
+from hickory_stream.mapping.steps import ageing
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, drive, observation, space
 
 CONFIG = MappingConfig(
@@ -71,7 +72,7 @@ def mapped(looks: list[tuple[int, int, str, int]]) -> tuple[str, MapperCore]:
     return before_end + map_digest(core.snapshot()), core
 
 
-class Everything(concerned_tracks.Concerned):
+class Everything(ageing.Concerned):
     """All tracks, as if every keyframe concerned them."""
 
     def __init__(self, state, event, config):  # type: ignore[no-untyped-def]
@@ -84,10 +85,10 @@ class Everything(concerned_tracks.Concerned):
 def test_what_a_keyframe_does_not_concern_would_not_have_changed(looks: list[tuple[int, int, str, int]]) -> None:
     found, core = mapped(looks)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hickory_stream.mapping.track_ageing.Concerned", Everything)
+        patch.setattr("hickory_stream.mapping.steps.ageing.Concerned", Everything)
         # As if all space were always at hand.
         patch.setattr(submaps, "looking_at", lambda known, *_: known)
-        patch.setattr("hickory_stream.mapping.keyframe_steps.looking_at", lambda known, *_: known)
+        patch.setattr("hickory_stream.mapping.core.looking_at", lambda known, *_: known)
         everything, whole = mapped(looks)
     assert found == everything
     for a, b in zip(core.submaps, whole.submaps, strict=True):

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hickory_stream.engine.digest import map_digest
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
@@ -28,13 +27,14 @@ from hickory_stream.events import (
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.superquadric import radial_distance_m, volumes_m3
 from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.existence import ExistenceConfig
-from hickory_stream.mapping.lifecycle import LifecycleConfig
-from hickory_stream.mapping.mapping_config import MappingConfig
-from hickory_stream.mapping.requests import RequestConfig
-from hickory_stream.mapping.track_merging import MergeConfig
-from hickory_stream.mapping.views import Strategy, ViewConfig
+from hickory_stream.mapping.entities.existence import ExistenceConfig
+from hickory_stream.mapping.entities.views import Strategy, ViewConfig
+from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
+from hickory_stream.mapping.rules.merging import MergeConfig
+from hickory_stream.mapping.rules.shape_requests import RequestConfig
 from hickory_stream.records import MapSnapshot, Observation, Phase, RejectedMask, TrackedObject
 from tests.mapping.mapping_fixtures import (
     SECOND_NS,

@@ -10,8 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.mapping.existence import Existence, ExistenceConfig, doubted, no_evidence, sighted, united
-from hickory_stream.mapping.lifecycle import LifecycleConfig
+from hickory_stream.mapping.entities.existence import (
+    Existence,
+    ExistenceConfig,
+    doubted,
+    no_evidence,
+    sighted,
+    united,
+)
+from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from tests.mapping.mapping_fixtures import box_surface, observation
 
 if TYPE_CHECKING:

@@ -16,17 +16,17 @@ import pytest
 from hickory_stream.errors import InvariantError
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.existence import ExistenceConfig
+from hickory_stream.mapping.entities.existence import ExistenceConfig
+from hickory_stream.mapping.entities.submaps import SubmapConfig
 from hickory_stream.mapping.invariants import INVARIANTS, validate
-from hickory_stream.mapping.joins import Join, Past
-from hickory_stream.mapping.lifecycle import LifecycleConfig
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
-from hickory_stream.mapping.mapping_config import MappingConfig
-from hickory_stream.mapping.requests import RequestConfig
-from hickory_stream.mapping.split_candidates import SplitCandidate
-from hickory_stream.mapping.submaps import SubmapConfig
-from hickory_stream.mapping.track_merging import MergeConfig, VoteBook, VoteRow, Votes
+from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
+from hickory_stream.mapping.rules.merge_history import Join, Past
+from hickory_stream.mapping.rules.merging import MergeConfig, VoteBook, VoteRow, Votes
+from hickory_stream.mapping.rules.shape_requests import RequestConfig
+from hickory_stream.mapping.rules.splitting import SplitCandidate
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space
 

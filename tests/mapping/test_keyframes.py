@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.mapping.keyframes import Keyframe, KeyframeConfig, is_keyframe
+from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe
 from tests.strategies import rigid_transforms
 
 CONFIG = KeyframeConfig(min_interval_s=0.25, min_distance_m=0.15, min_angle_deg=5.0, max_interval_s=2.0)

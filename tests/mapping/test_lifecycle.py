@@ -14,8 +14,14 @@ from hypothesis import strategies as st
 from hickory_stream.events import CancelShape
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.existence import Existence
-from hickory_stream.mapping.lifecycle import (
+from hickory_stream.mapping.config import MappingConfig
+from hickory_stream.mapping.entities.existence import Existence
+from hickory_stream.mapping.entities.submaps import first_submap, with_room, with_seen
+from hickory_stream.mapping.entities.track import ShapeState
+from hickory_stream.mapping.entities.track_table import TrackTable
+from hickory_stream.mapping.entities.views import ViewConfig
+from hickory_stream.mapping.map_state import MapState
+from hickory_stream.mapping.rules.lifecycle import (
     LIFE_CYCLE,
     End,
     Guard,
@@ -27,23 +33,17 @@ from hickory_stream.mapping.lifecycle import (
     life_cycle_table,
     transition,
 )
-from hickory_stream.mapping.map_state import MapState
-from hickory_stream.mapping.mapping_config import MappingConfig
-from hickory_stream.mapping.structure_checks import is_structure
-from hickory_stream.mapping.submaps import first_submap, with_room, with_seen
-from hickory_stream.mapping.track import ShapeState
-from hickory_stream.mapping.track_ageing import EFFECTS, GUARDS, Case, end_tracks
-from hickory_stream.mapping.track_merging import merge
-from hickory_stream.mapping.track_table import TrackTable
-from hickory_stream.mapping.views import ViewConfig
+from hickory_stream.mapping.rules.merging import merge
+from hickory_stream.mapping.rules.structure_checks import is_structure
+from hickory_stream.mapping.steps.ageing import EFFECTS, GUARDS, Case, end_tracks
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, space, track
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hickory_stream.mapping.lifecycle import Transition
-    from hickory_stream.mapping.track import Track
+    from hickory_stream.mapping.entities.track import Track
+    from hickory_stream.mapping.rules.lifecycle import Transition
 
 CONFIG = MappingConfig(
     lattice=Lattice(points_m=VOXEL_M),

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.engine.map_codec import encode_snapshot
-from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.events import PosesCorrected, Publish, SourceEnded
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
-from hickory_stream.mapping.cold_clouds import is_packed
+from hickory_stream.journal.record_codec import decode, encode
+from hickory_stream.map_folder.codec import encode_snapshot
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.joins import tracks_in
-from hickory_stream.mapping.moved_tracks import moved_track
-from hickory_stream.mapping.submaps import SubmapConfig
+from hickory_stream.mapping.entities.cloud import is_packed
+from hickory_stream.mapping.entities.submaps import SubmapConfig
+from hickory_stream.mapping.rules.merge_history import tracks_in
+from hickory_stream.mapping.steps.moved_submaps import moved_track
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, drive
 from tests.mapping.test_submaps import CONFIG, at
 

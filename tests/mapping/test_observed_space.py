@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.observed_space import (
+from hickory_stream.mapping.entities.observed_space import (
     SpaceState,
     add,
     as_record,

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from hickory_stream.mapping.one_to_one import one_to_one
+from hickory_stream.mapping.rules.association import one_to_one
 
 
 def test_the_best_pairs_come_first_and_what_they_took_is_gone() -> None:

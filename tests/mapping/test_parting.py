@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hickory_stream.engine.history.track_histories import TrackHistories
-from hickory_stream.engine.map_codec import encode_snapshot
-from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.events import PosesCorrected, Publish
 from hickory_stream.geometry.lattice import STEPS_PER_M
 from hickory_stream.geometry.rigid import from_rotation_translation, invert
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
-from hickory_stream.mapping.cloud import Cloud, fuse, grown_since
+from hickory_stream.journal.record_codec import decode, encode
+from hickory_stream.map_folder.codec import encode_snapshot
+from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.entities.cloud import Cloud, fuse, grown_since
 from hickory_stream.records import TrackedObject
 from tests.mapping.mapping_fixtures import VOXEL_M, drive, shape_ready
 from tests.mapping.test_moved_submaps import DRIFT, HOME, at, drifted, out_and_back, placed

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from hickory_stream.mapping.requests import (
+from hickory_stream.mapping.entities.track import ShapeState, Track
+from hickory_stream.mapping.rules.shape_requests import (
     RequestConfig,
     gain_of,
     next_replacements,
@@ -14,7 +15,6 @@ from hickory_stream.mapping.requests import (
     shape_request,
     state_of_request,
 )
-from hickory_stream.mapping.track import ShapeState, Track
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, box_surface, shape, track, view
 

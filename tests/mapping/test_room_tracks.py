@@ -11,9 +11,9 @@ import numpy as np
 from hickory_stream.events import Publish, SourceEnded
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.lifecycle import LifecycleConfig
-from hickory_stream.mapping.mapping_config import MappingConfig
+from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space
 
 if TYPE_CHECKING:

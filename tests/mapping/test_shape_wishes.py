@@ -5,10 +5,10 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hickory_stream.mapping.requests import next_requests
-from hickory_stream.mapping.shape_wishes import ShapeWishes
-from hickory_stream.mapping.track import Track
-from hickory_stream.mapping.track_table import TrackTable
+from hickory_stream.mapping.derived import ShapeWishes
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.entities.track_table import TrackTable
+from hickory_stream.mapping.rules.shape_requests import next_requests
 from tests.mapping.mapping_fixtures import SECOND_NS
 from tests.mapping.test_requests import CONFIG, built, failed, scored, seen
 

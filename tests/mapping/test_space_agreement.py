@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hickory_stream.events import PosesCorrected
-from hickory_stream.geometry.made_arrays import has_given_up
+from hickory_stream.geometry.lazy_arrays import has_given_up
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.geometry.voxels import cells_of_keys, centers_of_keys, contains, keys_of_points, sorted_unique
-from hickory_stream.mapping import space_agreement
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.observed_space import SpaceState, added, empty_space, structure_of
-from hickory_stream.mapping.space_agreement import contradicted
+from hickory_stream.mapping.entities.observed_space import SpaceState, added, empty_space, structure_of
+from hickory_stream.mapping.rules import space_agreement
+from hickory_stream.mapping.rules.space_agreement import contradicted
 from hickory_stream.records import MapSnapshot, SpaceObservation
 from tests.mapping.mapping_fixtures import SECOND_NS, drive
 from tests.mapping.test_submaps import CONFIG, at

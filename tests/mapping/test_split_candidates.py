@@ -10,20 +10,20 @@ import pytest
 
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.associate import AssociateConfig, is_swollen
-from hickory_stream.mapping.cloud import cloud_of
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.lifecycle import LifecycleConfig
-from hickory_stream.mapping.mapping_config import MappingConfig
-from hickory_stream.mapping.observed_space import FlushConfig, add, empty_space, is_edge, is_flush, with_room
-from hickory_stream.mapping.split_candidates import TrackSplitConfig, reassigned, with_keyframe
-from hickory_stream.mapping.structure_checks import is_structure
+from hickory_stream.mapping.entities.cloud import cloud_of
+from hickory_stream.mapping.entities.observed_space import FlushConfig, add, empty_space, is_edge, is_flush, with_room
+from hickory_stream.mapping.rules.association import AssociateConfig, is_swollen
+from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
+from hickory_stream.mapping.rules.splitting import TrackSplitConfig, reassigned, with_keyframe
+from hickory_stream.mapping.rules.structure_checks import is_structure
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.mapping.cloud import Cloud
+    from hickory_stream.mapping.entities.cloud import Cloud
 
 CONFIG = TrackSplitConfig()
 DRESSER = box_surface((0.0, 0.0, 0.4), (0.8, 0.4, 0.8))

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.mapping_config import MappingConfig
-from hickory_stream.mapping.observed_space import SpaceState, add, empty_space
-from hickory_stream.mapping.structure_checks import is_seen_through, points_in_wall, why_structure
+from hickory_stream.mapping.config import MappingConfig
+from hickory_stream.mapping.entities.observed_space import SpaceState, add, empty_space
+from hickory_stream.mapping.rules.structure_checks import is_seen_through, points_in_wall, why_structure
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, box_surface, space, track
 
 if TYPE_CHECKING:
-    from hickory_stream.mapping.track import Track
+    from hickory_stream.mapping.entities.track import Track
 
 CONFIG = MappingConfig()
 SPACE_M = CONFIG.lattice.space_m

@@ -4,7 +4,7 @@ import numpy as np
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
-from hickory_stream.mapping.submap_surface import SurfacePoints, no_surface, surface_points, with_points
+from hickory_stream.mapping.entities.submap_surface import SurfacePoints, no_surface, surface_points, with_points
 from hickory_stream.records import CoarseFrame
 
 CAMERA = Camera(width=320, height=240, fx=250.0, fy=250.0, cx=159.5, cy=119.5)

@@ -10,9 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.map_codec import encode_snapshot
-from hickory_stream.engine.record_codec import decode, encode
 from hickory_stream.events import (
     FrameObserved,
     KeyframeRegistered,
@@ -25,13 +22,14 @@ from hickory_stream.events import (
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.journal.record_codec import decode, encode
+from hickory_stream.map_folder.codec import encode_snapshot
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.existence import ExistenceConfig
-from hickory_stream.mapping.lifecycle import LifecycleConfig
-from hickory_stream.mapping.mapping_config import MappingConfig
-from hickory_stream.mapping.observed_space import add, as_record
-from hickory_stream.mapping.requests import RequestConfig
-from hickory_stream.mapping.submaps import (
+from hickory_stream.mapping.entities.existence import ExistenceConfig
+from hickory_stream.mapping.entities.observed_space import add, as_record
+from hickory_stream.mapping.entities.submaps import (
     SubmapConfig,
     Submaps,
     first_submap,
@@ -44,6 +42,8 @@ from hickory_stream.mapping.submaps import (
     with_room,
     with_seen,
 )
+from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
+from hickory_stream.mapping.rules.shape_requests import RequestConfig
 from hickory_stream.records import MapSnapshot, SpaceObservation
 from tests.mapping.mapping_fixtures import (
     SECOND_NS,

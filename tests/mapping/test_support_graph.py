@@ -9,12 +9,12 @@ import pytest
 
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.observed_space import SpaceState, add, as_record, empty_space, known_space
-from hickory_stream.mapping.support_graph import Relation, Support, SupportGraph
+from hickory_stream.mapping.entities.observed_space import SpaceState, add, as_record, empty_space, known_space
+from hickory_stream.mapping.rules.support_graph import Relation, Support, SupportGraph
 from tests.mapping.mapping_fixtures import box_surface, graph_of, space, track
 
 if TYPE_CHECKING:
-    from hickory_stream.mapping.track import Track
+    from hickory_stream.mapping.entities.track import Track
 
 SPACE_M = 0.05
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hickory_stream.geometry.boxes import intersection_volume_m3
-from hickory_stream.mapping.support_relations import SupportConfig, is_inner_part, is_leg, is_on_foot
+from hickory_stream.mapping.rules.support_relations import SupportConfig, is_inner_part, is_leg, is_on_foot
 from tests.mapping.mapping_fixtures import box_surface, track
 
 CONFIG = SupportConfig()

@@ -8,9 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.bounds import bounds_of
-from hickory_stream.mapping.cloud import Cloud, cloud_of
-from hickory_stream.mapping.track import Track
-from hickory_stream.mapping.track_merging import (
+from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.entities.track_table import TrackTable
+from hickory_stream.mapping.entities.views import ViewConfig
+from hickory_stream.mapping.rules.merging import (
     MergeConfig,
     VoteBook,
     Votes,
@@ -19,8 +21,6 @@ from hickory_stream.mapping.track_merging import (
     merge,
     pairs_that_meet,
 )
-from hickory_stream.mapping.track_table import TrackTable
-from hickory_stream.mapping.views import ViewConfig
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, graph_of, shape, track, view
 

@@ -7,8 +7,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hickory_stream.mapping.track import Track, touching
-from hickory_stream.mapping.track_table import TrackTable
+from hickory_stream.mapping.entities.track import Track, touching
+from hickory_stream.mapping.entities.track_table import TrackTable
 from tests.mapping.mapping_fixtures import box_surface, track
 
 CHANGES = st.lists(

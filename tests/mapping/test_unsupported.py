@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.observed_space import add, empty_space
-from hickory_stream.mapping.unsupported import UnsupportedConfig, attachment_of
+from hickory_stream.mapping.entities.observed_space import add, empty_space
+from hickory_stream.mapping.rules.support_graph import UnsupportedConfig, attachment_of
 from tests.mapping.mapping_fixtures import box_surface, space, track
 
 if TYPE_CHECKING:
-    from hickory_stream.mapping.observed_space import SpaceState
+    from hickory_stream.mapping.entities.observed_space import SpaceState
 
 CONFIG = UnsupportedConfig()
 POT = track(1, box_surface((0.0, 0.0, 0.3), (0.3, 0.3, 0.6)))

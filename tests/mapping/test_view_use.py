@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from hickory_stream.mapping.track_table import TrackTable
-from hickory_stream.mapping.view_use import ViewUse
+from hickory_stream.mapping.derived import ViewUse
+from hickory_stream.mapping.entities.track_table import TrackTable
 from tests.mapping.mapping_fixtures import box_surface, track, view
 
 

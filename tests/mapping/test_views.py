@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.mapping.views import (
+from hickory_stream.mapping.entities.views import (
     Strategy,
     ViewConfig,
     better,

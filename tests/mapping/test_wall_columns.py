@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 
 from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells
+from hickory_stream.mapping.entities.observed_space import (
+    WALL_M,
+    add,
+    as_record,
+    column_sizes,
+    column_starts,
+    empty_space,
+    false_floor,
+    is_wall_column,
+)
 from hickory_stream.mapping.floor_notes import tilt_note
-from hickory_stream.mapping.observed_space import add, as_record, empty_space, false_floor
-from hickory_stream.mapping.wall_columns import WALL_M, column_sizes, column_starts, is_wall_column
 from tests.mapping.mapping_fixtures import space
 
 VOXEL_M = 0.05

@@ -6,8 +6,8 @@ import pytest
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
 from hickory_stream.alignment.object_map import taken
-from hickory_stream.evaluation.maps.simulate import SimulationConfig, simulate_pair
 from hickory_stream.merging.joining import JoiningConfig, aligned_to_join
+from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
 
 pytestmark = pytest.mark.timeout(150)
 

@@ -9,11 +9,11 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.config import RunConfig
-from hickory_stream.engine.crops import crop_files, read_crop
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.views import crop_files, read_crop
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.merging.clusters import Pairing, Place, clusters_of
 from hickory_stream.merging.merge_maps import merge_maps
 from tests.alignment.map_fixtures import cloud, frame, furniture, snapshot_of

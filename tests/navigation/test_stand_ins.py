@@ -10,17 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.made_arrays import give_up
+from hickory_stream.geometry.lazy_arrays import give_up
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, volumes_m3
 from hickory_stream.geometry.voxels import keys_of_cells, sorted_unique
-from hickory_stream.navigation.blockers import blockers_at
-from hickory_stream.navigation.costmap import Costmap
-from hickory_stream.navigation.followed import Followed
+from hickory_stream.navigation.costmap import Costmap, Followed
 from hickory_stream.navigation.free_space import free_space_of
 from hickory_stream.navigation.occupancy import Cell, GridFrame
 from hickory_stream.navigation.robot import load_robot
-from hickory_stream.navigation.search import NoPath, Path, SearchConfig, plan
+from hickory_stream.navigation.search import NoPath, Path, SearchConfig, blockers_at, plan
 from hickory_stream.navigation.stand_ins import MARGIN_M, SEEN_SURFACE, SeenSurface, early_obstacles, stand_in_of
 from hickory_stream.navigation.verify import is_verified
 from hickory_stream.records import MapSnapshot, Phase, SpaceObservation, TrackedObject

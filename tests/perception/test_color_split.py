@@ -7,8 +7,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hickory_stream.perception.cielab import lab_of
-from hickory_stream.perception.color_split import ColorSplitConfig, _histogram, split_by_color
-from hickory_stream.perception.label_boxes import label_boxes
+from hickory_stream.perception.fragments.color_split import (
+    ColorSplitConfig,
+    _histogram,
+    split_by_color,
+)
+from hickory_stream.perception.masks import label_boxes
 from tests.strategies import seeds
 
 CONFIG = ColorSplitConfig()

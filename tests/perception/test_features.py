@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hickory_stream.perception.features import Features, joined, of_both
+from hickory_stream.perception.regions.features import Features, joined, of_both
 
 
 def test_a_column_has_a_name_and_some_of_them_are_taken_in_any_order() -> None:

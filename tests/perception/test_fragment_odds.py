@@ -2,8 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.perception.fragment_odds import fragment_odds
-from hickory_stream.perception.pixel_network import (
+from hickory_stream.perception.affinity.pixel_network import (
     DISTANCES_PX,
     NUM_OUTPUTS,
     ODDS_UNIT,
@@ -12,6 +11,7 @@ from hickory_stream.perception.pixel_network import (
     THING,
     PixelOdds,
 )
+from hickory_stream.perception.regions.fragment_odds import fragment_odds
 
 
 def constant_odds(height, width, value):

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from scipy.ndimage import label
 
-from hickory_stream.perception.fragments import _label_level
+from hickory_stream.perception.fragments.over_segmentation import _label_level
 from tests.strategies import seeds
 
 

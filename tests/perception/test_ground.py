@@ -5,9 +5,9 @@ import pytest
 from perception_scenes import CAMERA, Block, floor, looking, render
 
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.perception.ground import GroundConfig, uneven_ground
-from hickory_stream.perception.room_structure import room_structure_of
-from hickory_stream.perception.structure import StructureConfig
+from hickory_stream.perception.structure.detection import StructureConfig
+from hickory_stream.perception.structure.ground import GroundConfig, uneven_ground
+from hickory_stream.perception.structure.room_structure import room_structure_of
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 
 GREY = (130, 125, 120)

@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from perception_scenes import Block, Cylinder, floor, looking, render
 
-from hickory_stream.perception.absolute_features import is_size
-from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
-from hickory_stream.perception.join import Groups, JoinConfig, region_graph_of, rounds
-from hickory_stream.perception.odds_features import ODDS_FEATURES
-from hickory_stream.perception.pair_features import pair_features
-from hickory_stream.perception.region_graph import merged_pairs, merged_regions
-from hickory_stream.perception.trees import EMBEDDED, embedded_trees
+from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.regions.absolute_features import is_size
+from hickory_stream.perception.regions.join import Groups, JoinConfig, region_graph_of, rounds
+from hickory_stream.perception.regions.odds_features import ODDS_FEATURES
+from hickory_stream.perception.regions.pair_features import pair_features
+from hickory_stream.perception.regions.region_graph import merged_pairs, merged_regions
+from hickory_stream.perception.regions.trees import EMBEDDED, embedded_trees
 
 VIEW = looking((0.0, 0.0, 0.4), start=(-1.6, -0.3, 1.4))
 RED, BLUE, WOOD = (190, 40, 40), (40, 60, 190), (170, 130, 80)

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from perception_scenes import Block, floor, looking, render
 
-from hickory_stream.config_text import read_config
+from hickory_stream.base.config_text import read_config
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.perception.choose import make_segmenter
-from hickory_stream.perception.geometric import GeometricConfig
-from hickory_stream.perception.map_prior import MapPriorConfig, fragment_owners
+from hickory_stream.perception.geometric_segmenter import GeometricConfig
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
+from hickory_stream.perception.regions.map_prior import MapPriorConfig, fragment_owners
 from hickory_stream.perception.surface import surface_of
 from hickory_stream.records import MapPrior, ObservedSpace, Phase, TrackedObject
 

@@ -9,10 +9,10 @@ from perception_scenes import CAMERA, Block, best_iou, floor, looking, render
 from hickory_stream.errors import ModelError
 from hickory_stream.perception.masks import MaskConfig
 from hickory_stream.perception.models.fastsam import FastSam, FastSamConfig, FastSamSegmenter
-from hickory_stream.perception.models.letterbox import letterbox_of, letterboxed
 from hickory_stream.perception.models.network import Network, NetworkConfig
+from hickory_stream.perception.models.preprocessing import letterbox_of, letterboxed
 from hickory_stream.perception.models.yolo_masks import detections_of, suppressed
-from hickory_stream.perception.structure import StructureConfig
+from hickory_stream.perception.structure.detection import StructureConfig
 from hickory_stream.perception.surface import SurfaceConfig
 from hickory_stream.records import Frame
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from perception_scenes import Block, best_iou, floor, looking, render
 
-from hickory_stream.engine.processor import processor_of_run
+from hickory_stream.engine.shape_jobs.processor import processor_of_run
+from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, THING, PixelOdds
 from hickory_stream.perception.choose import make_segmenter
-from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
-from hickory_stream.perception.join import JoinConfig
+from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig, NetworkSegmenter
-from hickory_stream.perception.odds_features import ODDS_FEATURES
 from hickory_stream.perception.perceive import PerceptionConfig
-from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, THING, PixelOdds
+from hickory_stream.perception.regions.join import JoinConfig
+from hickory_stream.perception.regions.odds_features import ODDS_FEATURES
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 LEFT = Block(low=(-0.15, 0.15, 0.0), high=(0.15, 0.45, 0.35), color=(190, 40, 40))

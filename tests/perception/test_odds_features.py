@@ -2,9 +2,16 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.perception.fragment_odds import fragment_odds
-from hickory_stream.perception.odds_features import ODDS_FEATURES, odds_features
-from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, OFFSETS, THING, PixelOdds
+from hickory_stream.perception.affinity.pixel_network import (
+    NUM_OUTPUTS,
+    ODDS_UNIT,
+    ODDS_ZERO,
+    OFFSETS,
+    THING,
+    PixelOdds,
+)
+from hickory_stream.perception.regions.fragment_odds import fragment_odds
+from hickory_stream.perception.regions.odds_features import ODDS_FEATURES, odds_features
 
 
 def columns():

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from hickory_stream.perception.odds_split import SplitConfig, divided_by_odds
-from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, OFFSETS, PixelOdds
+from hickory_stream.perception.affinity.odds_split import SplitConfig, divided_by_odds
+from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, OFFSETS, PixelOdds
 
 HEIGHT, WIDTH = 24, 32
 """Of the network's output; the surface has twice as many pixels."""

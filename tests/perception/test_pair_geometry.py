@@ -6,8 +6,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from hickory_stream.perception.pair_geometry import pair_geometry
-from hickory_stream.perception.region_graph import RegionPairs, Regions
+from hickory_stream.perception.regions.ordered_pairs import pair_geometry
+from hickory_stream.perception.regions.region_graph import RegionPairs, Regions
 
 LARGE, SMALL = np.array([0]), np.array([1])
 # A table 1.2 m wide of four pixels and a box 0.2 m wide of two on its right end, which it touches with two pixels.

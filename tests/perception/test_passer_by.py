@@ -7,10 +7,10 @@ from hickory_stream.events import ComputeFeatures, FeaturesReady, FrameObserved,
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import centers_of_keys
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.mapping_config import MappingConfig
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
-from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive
 from hickory_stream.perception.space import SpaceConfig
 from hickory_stream.records import Frame, Phase

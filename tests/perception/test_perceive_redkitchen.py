@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
-from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from players import open_source
 
 

@@ -5,7 +5,7 @@ import pytest
 from perception_scenes import Block, floor, looking, render
 
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
-from hickory_stream.perception.pixel_inputs import CHANNELS, NUM_INPUTS, UNIT, ZERO, pixel_inputs
+from hickory_stream.perception.affinity.pixel_inputs import CHANNELS, NUM_INPUTS, UNIT, ZERO, pixel_inputs
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 
 VIEW = looking((0.0, 0.0, 0.2), start=(-2.0, -0.2, 1.4))

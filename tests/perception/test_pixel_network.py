@@ -7,10 +7,10 @@ from integer_graph import run_in_integers
 from perception_scenes import Block, floor, looking, render
 
 from hickory_stream.errors import ModelError
-from hickory_stream.perception import pixel_network
+from hickory_stream.perception.affinity import pixel_network
+from hickory_stream.perception.affinity.pixel_inputs import NUM_INPUTS, pixel_inputs
+from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, ODDS_ZERO, THING, PixelNetwork
 from hickory_stream.perception.models.network import Network, NetworkConfig
-from hickory_stream.perception.pixel_inputs import NUM_INPUTS, pixel_inputs
-from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_ZERO, THING, PixelNetwork
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 
 VIEW = looking((0.0, 0.0, 0.2), start=(-1.6, -0.2, 1.2))

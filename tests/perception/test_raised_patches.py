@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.cielab import lab_of
-from hickory_stream.perception.raised_patches import NearPlane, RaisedPatchConfig, raised_patches
+from hickory_stream.perception.structure.raised_patches import NearPlane, RaisedPatchConfig, raised_patches
 from hickory_stream.perception.surface import Surface
 
 SHAPE = (60, 80)

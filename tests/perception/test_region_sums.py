@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.perception.region_sums import region_sums
+from hickory_stream.perception.regions.region_sums import region_sums
 from hickory_stream.perception.surface import Surface
 from tests.strategies import seeds
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 
 from hickory_stream.geometry.voxels import contains, keys_of_points
-from hickory_stream.perception.room_structure import _in_voxels
+from hickory_stream.perception.structure.room_structure import _in_voxels
 from tests.strategies import seeds
 
 

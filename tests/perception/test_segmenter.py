@@ -6,7 +6,7 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import contains, keys_of_points
-from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.space import SpaceConfig, observe_space
 from hickory_stream.records import Frame, MapPrior, ObservedSpace
 

@@ -4,8 +4,7 @@ import small_graphs
 
 from hickory_stream.errors import ConfigError, ModelError
 from hickory_stream.perception.models.network import Network, NetworkConfig
-from hickory_stream.perception.models.oneformer import PanopticConfig
-from hickory_stream.perception.models.semantic_graph import GraphSemantics
+from hickory_stream.perception.models.semantic_graph import GraphSemantics, PanopticConfig
 from hickory_stream.perception.semantic_filter import FilterConfig, excluded_classes, without_classes
 from hickory_stream.records import Segmentation, SemanticImage
 

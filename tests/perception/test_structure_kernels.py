@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from perception_scenes import CAMERA, Block, floor, looking, render
 
-from hickory_stream.perception import structure_kernels as kernels
-from hickory_stream.perception.structure import pixel_areas_m2
+from hickory_stream.perception.structure import detection_kernels as kernels
+from hickory_stream.perception.structure.detection import pixel_areas_m2
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 from tests.strategies import seeds
 

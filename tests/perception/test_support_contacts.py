@@ -4,8 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.perception.contacts import Contacts
-from hickory_stream.perception.support_contacts import support_contacts_of
+from hickory_stream.perception.regions.contacts import Contacts, support_contacts_of
 from tests.strategies import seeds
 
 FOOT = 0.35

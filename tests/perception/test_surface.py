@@ -3,7 +3,12 @@ import pytest
 from hypothesis import given
 from perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
 
-from hickory_stream.perception.structure import StructureConfig, floor_height_m, horizontal_planes, pixel_areas_m2
+from hickory_stream.perception.structure.detection import (
+    StructureConfig,
+    floor_height_m,
+    horizontal_planes,
+    pixel_areas_m2,
+)
 from hickory_stream.perception.surface import SurfaceConfig, _reduce_depth, _without_flying_pixels, surface_of
 from tests.strategies import seeds
 

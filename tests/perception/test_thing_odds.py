@@ -1,7 +1,7 @@
 import numpy as np
 
-from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, THING, PixelOdds
-from hickory_stream.perception.thing_odds import thing_log_odds
+from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, THING, PixelOdds
+from hickory_stream.perception.network_segmenter import thing_log_odds
 
 
 def test_a_mask_has_the_mean_of_the_odds_of_its_pixels_and_none_where_no_output_falls():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import ModelError
-from hickory_stream.perception.trees import EMBEDDED, Trees, averaged, embedded_trees, load_trees
+from hickory_stream.perception.regions.trees import EMBEDDED, Trees, averaged, embedded_trees, load_trees
 
 # One tree: width <= 2 (or unknown) gives -1; else gap <= 0.1 gives 2, else 0.5. Another is a single leaf of 0.25.
 TREES = Trees(

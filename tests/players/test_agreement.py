@@ -11,8 +11,8 @@ import pytest
 from hickory_stream.box_scene import SCENE_BOXES, cast_scene, scene_pose
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import Frame
-from players.agreement import ColorAgreement, border_scores, color_agreement
-from players.register import Registration, register_depth
+from players.doctor.depth_color_alignment import ColorAgreement, border_scores, color_agreement
+from players.messages.depth_registration import Registration, register_depth
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import CalibrationError
-from players.calibration import lens_of
-from players.messages import CameraInfo
+from players.messages.calibration import lens_of
+from players.messages.records import CameraInfo
 
 K = np.array([[100.0, 0.0, 80.0], [0.0, 100.0, 60.0], [0.0, 0.0, 1.0]])
 P = np.array([[90.0, 0.0, 81.0, 0.0], [0.0, 91.0, 61.0, 0.0], [0.0, 0.0, 1.0, 0.0]])

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.errors import RecordingError
-from players.decode import (
+from players.messages.image_decoding import (
     color_of_pixels,
     compressed_size,
     decode_color,

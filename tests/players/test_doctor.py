@@ -16,9 +16,18 @@ from hickory_stream.cli import main
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.records import RawFrame, SourceInfo
 from players import SourceOptions
-from players.agreement import ColorAgreement
-from players.doctor import SOUND, UNUSABLE, WITH_LOSSES, Diagnosis, examine, examine_frames, judge_color, judge_ends
-from players.doctor_text import diagnosis_page, diagnosis_text
+from players.doctor.depth_color_alignment import ColorAgreement
+from players.doctor.diagnosis import (
+    SOUND,
+    UNUSABLE,
+    WITH_LOSSES,
+    Diagnosis,
+    examine,
+    examine_frames,
+    judge_color,
+    judge_ends,
+)
+from players.doctor.report import diagnosis_page, diagnosis_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

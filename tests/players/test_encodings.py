@@ -18,8 +18,14 @@ from hypothesis.extra.numpy import arrays
 
 from hickory_stream.errors import RecordingError
 from players import SourceOptions, open_source
-from players.decode import COLOR_ENCODINGS, color_of_pixels, decode_color, decode_compressed_depth, raw_pixels
-from players.rvl import decode_rvl, encode_rvl
+from players.messages.image_decoding import (
+    COLOR_ENCODINGS,
+    color_of_pixels,
+    decode_color,
+    decode_compressed_depth,
+    raw_pixels,
+)
+from players.messages.rvl import decode_rvl, encode_rvl
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from players.light import light_of, light_of_all
+from players.doctor.image_brightness import light_of, light_of_all
 
 
 def image(*rgb: int) -> np.ndarray:

@@ -8,7 +8,7 @@ import player_scenes as scenes
 import pytest
 from mcap.writer import CompressionType, IndexType
 
-from players.mcap_log import McapLog
+from players.logs.mcap_log import McapLog
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,7 +12,7 @@ import pytest
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import invert
 from players import open_source
-from players.pose_file import read_pose_file
+from players.poses.pose_file import read_pose_file
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,9 +14,9 @@ from hickory_stream.worlds.layouts import drawn_mounting
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.recording_config import RecordingConfig
 from players import SourceOptions, open_source
-from players.doctor import examine
-from players.log_source import LogSource
-from players.mounting import estimated_mounting
+from players.doctor.diagnosis import examine
+from players.logs.log_source import LogSource
+from players.poses.extrinsics import estimated_mounting
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from players.log_source import LogSource
+    from players.logs.log_source import LogSource
 
 MS = 1_000_000
 S = 1_000 * MS

@@ -25,7 +25,7 @@ from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from hickory_stream.worlds.corridor import CorridorConfig, scan_from
 from players import SourceOptions, open_source
 from players.first_frames import FirstFrames
-from players.odometry_source import OdometrySource
+from players.poses.odometry_source import OdometrySource
 from tests.engine.run_fixtures import NO_SHAPES, scene_config
 
 if TYPE_CHECKING:

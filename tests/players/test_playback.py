@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
-from hickory_stream.cli.keys import press
+from hickory_stream.cli.runs.play import press
 from hickory_stream.errors import InputError
 from players.playback import PlaybackClock, PlayedSource
 

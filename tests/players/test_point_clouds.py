@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from hickory_stream.errors import RecordingError
 from players import open_source
-from players.log_source import LogSource
-from players.point_clouds import scan_of
+from players.logs.log_source import LogSource
+from players.messages.point_clouds import scan_of
 
 if TYPE_CHECKING:
     from pathlib import Path

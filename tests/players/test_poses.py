@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.rigid import is_rigid, quaternion_from_rotation, rotation_angle_rad, yaw_rotation
-from players.poses import HOLD_NS, nearest_rigid, track_of, world_from_down
+from players.poses.interpolation import HOLD_NS, nearest_rigid, track_of, world_from_down
 
 MS = 1_000_000
 numbers = st.floats(-5, 5, allow_nan=False, width=32)

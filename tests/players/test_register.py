@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_from_quaternion
-from players.register import Registration, register_depth
+from players.messages.depth_registration import Registration, register_depth
 
 DEPTH = Camera(width=320, height=240, fx=300.0, fy=300.0, cx=160.0, cy=120.0)
 COLOR = Camera(width=320, height=240, fx=270.0, fy=272.0, cx=163.0, cy=116.0)

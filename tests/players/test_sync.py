@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from players.sync import (
+from players.logs.synchronizer import (
     DISORDER_NS,
     HORIZON_NS,
     Leftover,

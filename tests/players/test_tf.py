@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
-from players.poses import track_of
-from players.tf import Edge, FrameTree
+from players.poses.interpolation import track_of
+from players.poses.tf import Edge, FrameTree
 
 angles = st.floats(-3, 3)
 offsets = st.tuples(*[st.floats(-2, 2)] * 3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from players.timeline import BACKWARDS_NS, FORWARD_NS, Order, Placed, Timeline
+from players.logs.timeline import BACKWARDS_NS, FORWARD_NS, Order, Placed, Timeline
 
 S = 1_000_000_000
 

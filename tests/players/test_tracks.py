@@ -14,7 +14,7 @@ from hickory_stream.geometry.rigid import (
     rotation_vector,
     yaw_rotation,
 )
-from players.tracks import GrowingTrack, JumpLimits
+from players.poses.tracks import GrowingTrack, JumpLimits
 
 MS = 1_000_000
 GAP_NS = 500 * MS

@@ -11,12 +11,12 @@ import pytest
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.superquadric import Superquadrics
-from hickory_stream.mapping.mapping_config import MappingConfig
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.query.answers import Answers, ask
 from hickory_stream.query.colors import COLOR_NAMES, name_shares
 from hickory_stream.query.grammar import UnknownWord
 from hickory_stream.query.map_index import MapIndex, index_of
-from hickory_stream.query.top_map import hollow_score, top_map
+from hickory_stream.query.shape_scores import hollow_score, top_map
 from tests.engine.snapshot_fixtures import box_mesh, make_object, make_view, placed
 from tests.navigation.rooms import snapshot
 

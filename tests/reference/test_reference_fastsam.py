@@ -17,8 +17,11 @@ torch = pytest.importorskip("torch", reason="needs the extra `export`: pip insta
 
 import tools.export_models as export  # noqa: E402 -- needs torch only where it is there
 from hickory_stream.perception.models.fastsam import FastSamConfig  # noqa: E402
-from hickory_stream.perception.models.letterbox import letterbox_of, letterboxed  # noqa: E402
-from hickory_stream.perception.models.picture import built_in_picture  # noqa: E402
+from hickory_stream.perception.models.preprocessing import (  # noqa: E402
+    built_in_picture,
+    letterbox_of,
+    letterboxed,
+)
 
 pytestmark = [pytest.mark.reference, pytest.mark.timeout(600), pytest.mark.filterwarnings("default")]
 

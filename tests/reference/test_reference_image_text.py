@@ -13,7 +13,7 @@ transformers = pytest.importorskip("transformers", reason="needs the extra `expo
 from hickory_stream.perception.models.image_text import ImageTextNetwork  # noqa: E402
 from hickory_stream.perception.models.image_text_pixels import pixels_of, read_preprocessing  # noqa: E402
 from hickory_stream.perception.models.network import Network, NetworkConfig  # noqa: E402
-from hickory_stream.perception.models.picture import built_in_picture  # noqa: E402
+from hickory_stream.perception.models.preprocessing import built_in_picture  # noqa: E402
 from tests.perception.small_pairs import write_pair  # noqa: E402
 
 pytestmark = [pytest.mark.reference, pytest.mark.timeout(600), pytest.mark.filterwarnings("default")]

@@ -14,11 +14,17 @@ torch = pytest.importorskip("torch", reason="needs the extra `export`: pip insta
 
 import tools.export_models as export  # noqa: E402 -- needs torch only where it is there
 from hickory_stream.perception.models.dinov2 import DinoConfig, DinoExtractor  # noqa: E402
-from hickory_stream.perception.models.imagenet import normalised  # noqa: E402
 from hickory_stream.perception.models.network import Network, NetworkConfig  # noqa: E402
-from hickory_stream.perception.models.oneformer import PanopticConfig, panoptic_classes, query_scores  # noqa: E402
-from hickory_stream.perception.models.picture import built_in_picture  # noqa: E402
-from hickory_stream.perception.models.semantic_graph import best_classes  # noqa: E402
+from hickory_stream.perception.models.preprocessing import (  # noqa: E402
+    built_in_picture,
+    normalised,
+)
+from hickory_stream.perception.models.semantic_graph import (  # noqa: E402
+    PanopticConfig,
+    best_classes,
+    panoptic_classes,
+    query_scores,
+)
 
 pytestmark = [pytest.mark.reference, pytest.mark.timeout(600), pytest.mark.filterwarnings("default")]
 

@@ -14,8 +14,8 @@ from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value
 from hickory_stream.ports import BuiltShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape
-from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
-from hickory_stream.shapes.inflate import InflateConfig, inflated
+from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics
+from hickory_stream.shapes.inflate.inflation import InflateConfig, inflated
 
 COARSE = FitConfig(cells=24, joint_samples=800, num_rounds=1)
 

@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 from hickory_stream.geometry.mesh import is_closed
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import Reconstruction, ShapeInputs
-from hickory_stream.shapes.blend import BlendConfig, blended
-from hickory_stream.shapes.distance_field import even_samples
-from hickory_stream.shapes.fused import VolumeConfig
+from hickory_stream.shapes.generated.blend import BlendConfig, blended
+from hickory_stream.shapes.generated.distance_field import even_samples
+from hickory_stream.shapes.reconstruct.fused import VolumeConfig
 from tests.shapes.shape_fixtures import shape_inputs
 from tools.benchmarks.shapes.spoiled_generator import plain_mesh
 

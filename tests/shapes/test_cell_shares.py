@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.shapes.cell_shares import body_of, distance_bound, occupancies, occupancy
-from hickory_stream.shapes.quadric_lm import row_of, tangent_distance
+from hickory_stream.shapes.fit.cell_shares import body_of, distance_bound, occupancies, occupancy
+from hickory_stream.shapes.fit.quadric_lm import row_of, tangent_distance
 from tests.strategies import rotations
 
 _LOW, _HIGH = np.array([-9, -9, -9]), np.array([10, 10, 10])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hickory_stream.shapes.complete import FREE, SOLID, CompletionConfig, solid_of
+from hickory_stream.shapes.reconstruct.completion import FREE, SOLID, CompletionConfig, solid_of
 
 CONFIG = CompletionConfig()
 INNER = (slice(3, 17), slice(3, 17), slice(3, 17))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hickory_stream.shapes.dominance import undominated
+from hickory_stream.shapes.inflate.cover import undominated
 
 
 def by_definition(points: np.ndarray) -> np.ndarray:

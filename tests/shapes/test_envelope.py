@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from hickory_stream.shapes.envelope import filled
+from hickory_stream.shapes.fit.envelope import filled
 from hickory_stream.shapes.sdf import DistanceGrid, distance_grid
 from tools.benchmarks.shapes.meshes import hollow_mesh, test_mesh
 

@@ -7,8 +7,8 @@ from shape_fixtures import as_mesh, test_mesh
 
 from hickory_stream.geometry.rigid import apply, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, volumes_m3, world_bounds
-from hickory_stream.shapes.fit import FitConfig, fit_superquadrics, fitted_shape
-from hickory_stream.shapes.quadric_lm import distances_to, refined, row_of
+from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics, fitted_shape
+from hickory_stream.shapes.fit.quadric_lm import distances_to, refined, row_of
 from hickory_stream.shapes.sdf import distance_grid
 from tools.benchmarks.shapes.meshes import hollow_mesh
 

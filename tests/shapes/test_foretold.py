@@ -9,8 +9,7 @@ import pytest
 import trimesh
 
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
-from hickory_stream.shapes.foretold import by_other_views, newly_seen
-from hickory_stream.shapes.judgement import JudgementConfig
+from hickory_stream.shapes.generated.judgement import JudgementConfig, by_other_views, newly_seen
 from tools.benchmarks.shapes.spoiled_generator import Sighted, plain_mesh, sighted
 
 CONFIG = JudgementConfig()

@@ -10,9 +10,9 @@ from shape_fixtures import as_mesh, test_mesh
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, taken, volumes_m3
 from hickory_stream.ports import Reconstruction
 from hickory_stream.shapes.certify import Inside, certify, inside_of, uncovered_cells
-from hickory_stream.shapes.cover import NET, NET_FACTOR
-from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
-from hickory_stream.shapes.inflate import InflateConfig, inflate, inflate_to_cover, inflated
+from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics
+from hickory_stream.shapes.inflate.cover import NET, NET_FACTOR
+from hickory_stream.shapes.inflate.inflation import InflateConfig, inflate, inflate_to_cover, inflated
 
 PLATE = Superquadrics(
     exponents=np.full((1, 2), 0.1), semi_axes_m=np.array([[0.6, 0.4, 0.02]]), world_from_local=np.eye(4)[None]

@@ -12,15 +12,15 @@ from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import MeshPlacement, NotPlaced, Reconstruction, ShapeInputs
-from hickory_stream.shapes.distance_field import distance_field, even_samples, field_at
-from hickory_stream.shapes.judgement import (
+from hickory_stream.shapes.generated.distance_field import distance_field, even_samples, field_at
+from hickory_stream.shapes.generated.judgement import (
     JudgementConfig,
     ShapeEvidence,
     judged,
     replaces,
     shape_evidence,
 )
-from hickory_stream.shapes.placement import EmbeddedPlacement, PlacementConfig
+from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
 from tools.benchmarks.shapes.spoiled_generator import Generated, Sighted, generated, plain_mesh, sighted
 
 if TYPE_CHECKING:

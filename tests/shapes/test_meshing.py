@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from hickory_stream.shapes.blur import gaussian_blurred
-from hickory_stream.shapes.meshing import extract, surface_field
-from hickory_stream.shapes.tsdf import Evidence, VoxelGrid
+from hickory_stream.shapes.reconstruct.meshing import extract, surface_field
+from hickory_stream.shapes.reconstruct.tsdf import Evidence, VoxelGrid, gaussian_blurred
 
 
 @pytest.mark.parametrize("at_side", [False, True])

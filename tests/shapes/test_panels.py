@@ -8,9 +8,9 @@ import trimesh
 from shape_fixtures import as_mesh
 
 from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
-from hickory_stream.shapes.fit import FitConfig, fitted_shape
-from hickory_stream.shapes.inflate import InflateConfig, inflated
-from hickory_stream.shapes.panels import panels
+from hickory_stream.shapes.fit.marching_primitives import FitConfig, fitted_shape
+from hickory_stream.shapes.fit.panels import panels
+from hickory_stream.shapes.inflate.inflation import InflateConfig, inflated
 
 CONFIG = FitConfig()
 TURN = trimesh.transformations.rotation_matrix(0.7, [1.0, 2.0, 3.0])

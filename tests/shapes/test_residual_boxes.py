@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hickory_stream.geometry.rigid import yaw_rotation
-from hickory_stream.shapes.residual_boxes import Box, boxes_around
+from hickory_stream.shapes.inflate.residual_boxes import Box, boxes_around
 
 
 def volume(boxes: list[Box], margin: float = 0.0) -> float:

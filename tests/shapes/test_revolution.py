@@ -6,8 +6,8 @@ import pytest
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.shapes.revolution import RevolutionConfig, half_turn_of
-from hickory_stream.shapes.tsdf import DepthView
+from hickory_stream.shapes.reconstruct.symmetry import RevolutionConfig, half_turn_of
+from hickory_stream.shapes.reconstruct.tsdf import DepthView
 
 CONFIG = RevolutionConfig()
 CAMERA_WORLD = np.array([0.0, 0.0, 0.3])

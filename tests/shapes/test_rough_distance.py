@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from hickory_stream.shapes.rough_distance import rough_distance
+from hickory_stream.shapes.reconstruct.meshing import rough_distance
 
 
 @given(st.integers(0, 1000), st.integers(1, 12), st.tuples(*[st.integers(1, 14)] * 3))

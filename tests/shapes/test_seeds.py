@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
-from hickory_stream.shapes.seeds import chessboard_depth
+from hickory_stream.shapes.fit.seeds import chessboard_depth
 
 
 @given(arrays.arrays(bool, arrays.array_shapes(min_dims=3, max_dims=3, max_side=8), elements=st.booleans()))

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.shapes.quadric_lm import row_of, tangent_distance
-from hickory_stream.shapes.quick_math import quick_exp, quick_log
-from hickory_stream.shapes.tangent_planes import (
+from hickory_stream.shapes.fit.quadric_lm import row_of, tangent_distance
+from hickory_stream.shapes.fit.tangent_planes import (
     BLOCK,
     DISTANCE,
     JACOBIAN,
@@ -18,6 +17,8 @@ from hickory_stream.shapes.tangent_planes import (
     fill_distances,
     fill_jacobian,
     new_block,
+    quick_exp,
+    quick_log,
 )
 from tests.strategies import rotations
 

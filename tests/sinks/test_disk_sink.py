@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.map_folder import MapFolder, create_map_folder
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import Camera
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import MapFolder, create_map_folder
 from hickory_stream.records import FrameReport, MapSnapshot
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from tests.engine.snapshot_fixtures import make_snapshot

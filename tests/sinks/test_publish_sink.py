@@ -14,7 +14,6 @@ from hickory_stream.errors import InputError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.records import FrameReport, MapSnapshot, Phase, SpaceObservation
-from hickory_stream.sinks.outbox import Outbox
 from hickory_stream.sinks.publish_sink import (
     GOAL_TOPIC,
     MAP_TOPIC,
@@ -23,6 +22,7 @@ from hickory_stream.sinks.publish_sink import (
     PLAN_TOPIC,
     TF_TOPIC,
     UPDATES_TOPIC,
+    Outbox,
     PublishSink,
 )
 from hickory_stream.sinks.ros_messages import goal_message, store

@@ -14,8 +14,8 @@ from hickory_stream.navigation.free_space import free_space_of
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.navigation.search import NoPath, NoPathReason, SearchConfig, plan
 from hickory_stream.navigation.stand_ins import box_as_superquadric
-from hickory_stream.sinks.rerun_alignment import write_alignment
-from hickory_stream.sinks.rerun_path import write_plan
+from hickory_stream.sinks.rerun.alignment import write_alignment
+from hickory_stream.sinks.rerun.path import write_plan
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.navigation.rooms import snapshot, table, tracked
 

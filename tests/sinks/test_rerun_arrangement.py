@@ -11,10 +11,10 @@ from report_fixtures import reports
 from rerun.chunk import RrdReader
 
 from hickory_stream.records import Phase
-from hickory_stream.sinks.rerun_config import RerunConfig
-from hickory_stream.sinks.rerun_eye import MAIN_ASPECT, SIDE_ASPECT, eye_on
-from hickory_stream.sinks.rerun_labels import label_size, label_threads
-from hickory_stream.sinks.rerun_sink import RerunSink, parse_viewer
+from hickory_stream.sinks.rerun.config import RerunConfig
+from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, SIDE_ASPECT, eye_on
+from hickory_stream.sinks.rerun.labels import label_size, label_threads
+from hickory_stream.sinks.rerun.sink import RerunSink, parse_viewer
 
 
 def arrangement_of(path: Path) -> dict[str, dict[str, dict[str, list]]]:

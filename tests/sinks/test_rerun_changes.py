@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.geometry.made_arrays import give_up
-from hickory_stream.sinks.rerun_objects import ObjectLayers
-from hickory_stream.sinks.rerun_space import Structure
+from hickory_stream.geometry.lazy_arrays import give_up
+from hickory_stream.sinks.rerun.objects import ObjectLayers
+from hickory_stream.sinks.rerun.structure import Structure
 from tests.engine.snapshot_fixtures import make_snapshot
 
 if TYPE_CHECKING:

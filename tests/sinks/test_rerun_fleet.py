@@ -10,9 +10,9 @@ from rerun.chunk import RrdReader
 from test_rerun_arrangement import arrangement_of
 
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.sinks.rerun_config import RerunConfig
-from hickory_stream.sinks.rerun_fleet import FleetRecording, ShownRobot, color_of_robot
-from hickory_stream.sinks.rerun_viewer import ViewerChoice, ViewerKind
+from hickory_stream.sinks.rerun.config import RerunConfig
+from hickory_stream.sinks.rerun.fleet import FleetRecording, ShownRobot, color_of_robot
+from hickory_stream.sinks.rerun.viewer import ViewerChoice, ViewerKind
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 
 if TYPE_CHECKING:

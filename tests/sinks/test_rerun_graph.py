@@ -9,7 +9,7 @@ from report_fixtures import KEYFRAME_EVERY, reports
 from test_rerun_sink import play
 
 from hickory_stream.records import FrameReport, Submap
-from hickory_stream.sinks.rerun_graph import GRAPH, GraphLines
+from hickory_stream.sinks.rerun.graph import GRAPH, GraphLines
 from tests.graph.graph_fixtures import solved_graph
 
 RECORD = solved_graph()

@@ -15,11 +15,17 @@ import rerun as rr
 from report_fixtures import reports
 from rerun.chunk import RrdReader
 
-from hickory_stream.sinks.rerun_config import RerunConfig
-from hickory_stream.sinks.rerun_items import LogItem, Moment, Span, Weight
-from hickory_stream.sinks.rerun_live import LiveQueue
-from hickory_stream.sinks.rerun_sink import RerunSink, parse_viewer
-from hickory_stream.sinks.rerun_viewer import free_port, host_and_port, start_viewer, viewer_binary, viewer_environment
+from hickory_stream.sinks.rerun.config import RerunConfig
+from hickory_stream.sinks.rerun.items import LogItem, Moment, Span, Weight
+from hickory_stream.sinks.rerun.live import LiveQueue
+from hickory_stream.sinks.rerun.sink import RerunSink, parse_viewer
+from hickory_stream.sinks.rerun.viewer import (
+    free_port,
+    host_and_port,
+    start_viewer,
+    viewer_binary,
+    viewer_environment,
+)
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
@@ -70,8 +76,8 @@ RUN = textwrap.dedent(
     from pathlib import Path
     sys.path.insert(0, sys.argv[1])
     from report_fixtures import reports
-    from hickory_stream.sinks.rerun_config import RerunConfig
-    from hickory_stream.sinks.rerun_sink import RerunSink, parse_viewer
+    from hickory_stream.sinks.rerun.config import RerunConfig
+    from hickory_stream.sinks.rerun.sink import RerunSink, parse_viewer
     folder = Path(sys.argv[2])
     config = RerunConfig(live_queue_length=16)
     sink = RerunSink(config, folder, folder / "run.rrd", parse_viewer(f"connect={sys.argv[3]}"))

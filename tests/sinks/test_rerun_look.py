@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from report_fixtures import reports
 
-from hickory_stream.sinks.rerun_config import RerunConfig
-from hickory_stream.sinks.rerun_sink import RerunSink, parse_viewer
+from hickory_stream.sinks.rerun.config import RerunConfig
+from hickory_stream.sinks.rerun.sink import RerunSink, parse_viewer
 
 LOOK = Path(__file__).resolve().parents[2] / "tools" / "look"
 

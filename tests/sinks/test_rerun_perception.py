@@ -4,7 +4,7 @@ import numpy as np
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import FrameReport, RejectedMask
-from hickory_stream.sinks.rerun_frame import FeatureColors, rejected_items
+from hickory_stream.sinks.rerun.frame import FeatureColors, rejected_items
 
 REPORT = FrameReport(
     index=0,

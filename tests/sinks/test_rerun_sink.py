@@ -16,10 +16,10 @@ from rerun.chunk import RrdReader
 from hickory_stream.errors import ConfigError, ViewerError
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
-from hickory_stream.mapping.moved import moved_object
+from hickory_stream.mapping.entities.rigid_motion import moved_object
 from hickory_stream.records import Decision
-from hickory_stream.sinks.rerun_config import RerunConfig
-from hickory_stream.sinks.rerun_sink import RerunSink, ViewerChoice, ViewerKind
+from hickory_stream.sinks.rerun.config import RerunConfig
+from hickory_stream.sinks.rerun.sink import RerunSink, ViewerChoice, ViewerKind
 
 NO_VIEWER = ViewerChoice(kind=ViewerKind.NONE)
 NUM_FRAMES, MERGE_AT = 24, 16
@@ -316,7 +316,7 @@ def test_a_configuration_out_of_range_is_refused(field):
 
 
 def test_importing_the_sink_does_not_import_rerun():
-    code = "import sys, hickory_stream.sinks.rerun_sink; print('rerun' in sys.modules, 'cv2' in sys.modules)"
+    code = "import sys, hickory_stream.sinks.rerun.sink; print('rerun' in sys.modules, 'cv2' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
 

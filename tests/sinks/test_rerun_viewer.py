@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hickory_stream.errors import ViewerError
-from hickory_stream.geometry.palette import color_of_id
-from hickory_stream.sinks.rerun_viewer import (
+from hickory_stream.geometry.display import color_of_id
+from hickory_stream.sinks.rerun.viewer import (
     ViewerChoice,
     ViewerKind,
     free_port,

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from hickory_stream.evaluation.raycast import image_colors
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.pictures.raycast import image_colors
 from hickory_stream.textures.bake import TextureConfig, textured
 from hickory_stream.textures.textured_mesh import jpeg_bytes
 from tests.shapes.shape_fixtures import shape_inputs

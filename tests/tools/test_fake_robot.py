@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from players.messages.header_stamp import peek_stamp_ns
 from players.opening import open_container, open_source
-from players.peek import peek_stamp_ns
 from tests.player_scenes import (
     NUM_FRAMES,
     START_NS,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.engine.generators.exchange import read_answer, write_question
-from hickory_stream.engine.generators.spec import missing_of, read_spec
+from hickory_stream.engine.shape_jobs.generators.exchange import read_answer, write_question
+from hickory_stream.engine.shape_jobs.generators.spec import missing_of, read_spec
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.ports import Crop, GeneratedMesh, NoShape, ShapeInputs

@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hickory_stream.evaluation.maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from tools.benchmarks.alignment.covariance import WalkMap, squares_of
+from tools.evaluation.simulated_maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
 
 
 @cache

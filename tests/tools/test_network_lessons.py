@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.perception.pixel_inputs import CHANNELS, NUM_INPUTS, ZERO
+from hickory_stream.perception.affinity.pixel_inputs import CHANNELS, NUM_INPUTS, ZERO
 from tools.network_training.compare import Shown, painted, picture, scored
 from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, Scene, TrueFrame, frames_of_scene
 from tools.network_training.lessons import UNKNOWN, lesson_of

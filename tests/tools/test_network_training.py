@@ -13,8 +13,8 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`: pip instal
 
 from test_network_lessons import true_frame  # noqa: E402 -- after what is skipped without torch
 
+from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, OFFSETS, THING, PixelNetwork  # noqa: E402
 from hickory_stream.perception.models.network import Network, NetworkConfig  # noqa: E402
-from hickory_stream.perception.pixel_network import NUM_OUTPUTS, OFFSETS, THING, PixelNetwork  # noqa: E402
 from tools.network_training.batches import batches  # noqa: E402
 from tools.network_training.export import export  # noqa: E402
 from tools.network_training.lessons import UNKNOWN, lesson_of  # noqa: E402

@@ -6,10 +6,10 @@ import pytest
 pytest.importorskip("sklearn")
 
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.perception.absolute_features import is_size
-from hickory_stream.perception.join import JoinConfig, rounds
-from hickory_stream.perception.odds_features import ODDS_FEATURES
-from hickory_stream.perception.pixel_network import PixelNetwork
+from hickory_stream.perception.affinity.pixel_network import PixelNetwork
+from hickory_stream.perception.regions.absolute_features import is_size
+from hickory_stream.perception.regions.join import JoinConfig, rounds
+from hickory_stream.perception.regions.odds_features import ODDS_FEATURES
 from tools.segmenter_growth import Growth, train
 from tools.segmenter_lessons import lessons_of
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import ConfigError
-from hickory_stream.evaluation.ray_caster import ray_caster
 from hickory_stream.evaluation.truth import instances_of
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh, is_closed, volume_m3
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.pictures.ray_caster import ray_caster
 from hickory_stream.worlds.cache import cached_recording, recording_name
 from hickory_stream.worlds.clearance import clearance_among
 from hickory_stream.worlds.clutter.cloths import curtain, hung_cloth, tablecloth

@@ -1,4 +1,4 @@
-"""The benchmarks: name on the command line, module and function, description, and the code that their figures measure."""
+"""The benchmarks by name: module and function, description, and the code that their figures depend on."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ class Benchmark:
 
 
 _SHAPES = ("hickory_stream/geometry", "hickory_stream/shapes")
-_ALIGNMENT = ("hickory_stream/geometry", "hickory_stream/alignment", "hickory_stream/evaluation/maps")
+_ALIGNMENT = ("hickory_stream/geometry", "hickory_stream/alignment", "tools/evaluation/simulated_maps")
+_MAP_FILES = ("hickory_stream/journal", "hickory_stream/map_folder")
 _FLEETS = ("hickory_stream/alignment", "hickory_stream/fleet", "hickory_stream/merging")
 
 BENCHMARKS = {
@@ -69,9 +70,7 @@ BENCHMARKS = {
         "poses.odometry", "odometry, drift, corridors, extrinsics, loops, pose graphs, fleets", (*MAPS, *_FLEETS)
     ),
     "players": Benchmark("logs.readers", "reading logs: speed, memory, layouts, damage", PLAYERS),
-    "damage": Benchmark(
-        "logs.damaged_logs", "damaged logs; altered maps with --maps", (*PLAYERS, "hickory_stream/engine")
-    ),
+    "damage": Benchmark("logs.damaged_logs", "damaged logs; altered maps with --maps", (*PLAYERS, *_MAP_FILES)),
     "live": Benchmark("live.robots", "robots over every live route: losses, latency, safety", MAPS),
     "engine": Benchmark("scale.engine", "determinism, kills, stops, live overload, hours of playback"),
     "scale": Benchmark("scale.scale", "large maps and alignments, real time by stage, a batch, a building"),

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.caches import cache_root
-from hickory_stream.json_text import dumps_exactly
-from hickory_stream.perception import pixel_network
-from hickory_stream.perception.pixel_inputs import CHANNELS
+from hickory_stream.base.caches import cache_root
+from hickory_stream.base.json_text import dumps_exactly
+from hickory_stream.perception.affinity import pixel_network
+from hickory_stream.perception.affinity.pixel_inputs import CHANNELS
 from tools.network_training.frames import frames_of_scene, rendered
 from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, RENDERED_AT, STAGES, drawn_frames, told
 from tools.network_training.stages import Schedule
@@ -25,7 +25,7 @@ from tools.network_training.stages import Schedule
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_PACKAGE = Path(pixel_network.__file__).parent
+_PACKAGE = Path(pixel_network.__file__).parents[1]
 _CALIBRATED_ON = 64
 LICENCE = "Apache-2.0, as the project: trained on scenes of its own generators alone, no data of others"
 

@@ -17,19 +17,19 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.caches import cache_root
-from hickory_stream.evaluation.ladder import TrueImages, truly_joined
+from hickory_stream.base.caches import cache_root
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.perception.geometric import GeometricConfig, GeometricSegmenter
+from hickory_stream.perception.affinity.odds_split import SplitConfig
+from hickory_stream.perception.affinity.pixel_network import PixelNetwork
+from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig, NetworkSegmenter
-from hickory_stream.perception.odds_split import SplitConfig
-from hickory_stream.perception.pixel_network import PixelNetwork
 from hickory_stream.records import Frame
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
-from tools.benchmarks.perception.first_layer import play_first_layer
 from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
+from tools.benchmarks.perception.first_layer import play_first_layer
 from tools.benchmarks.perception.labelled_clouds import clouds_in, load_cloud
 from tools.benchmarks.perception.mask_scores import UNKNOWN, MaskScore, score_masks, total
+from tools.evaluation.oracle_ablation import TrueImages, truly_joined
 from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, frames_of_scene
 from tools.network_training.scenes import HELD_OUT
 

@@ -16,8 +16,8 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from hickory_stream.perception.pixel_inputs import NUM_INPUTS, UNIT, ZERO
-from hickory_stream.perception.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO
+from hickory_stream.perception.affinity.pixel_inputs import NUM_INPUTS, UNIT, ZERO
+from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO
 from tools.network_training.model import inputs_of
 
 if TYPE_CHECKING:

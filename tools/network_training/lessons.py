@@ -15,7 +15,7 @@ import numpy as np
 
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.perception.pixel_inputs import CHANNELS, ZERO, pixel_inputs
+from hickory_stream.perception.affinity.pixel_inputs import CHANNELS, ZERO, pixel_inputs
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 from hickory_stream.records import Frame
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth

@@ -12,8 +12,8 @@ from itertools import pairwise
 import torch
 from torch import nn
 
-from hickory_stream.perception.pixel_inputs import NUM_INPUTS, UNIT, ZERO
-from hickory_stream.perception.pixel_network import NUM_OUTPUTS
+from hickory_stream.perception.affinity.pixel_inputs import NUM_INPUTS, UNIT, ZERO
+from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS
 
 WIDTHS = (24, 48, 64, 96, 128)
 DECODED = (32, 32, 64, 96)

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from hickory_stream.perception.pixel_network import DISTANCES_PX, OFFSETS, THING
+from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, OFFSETS, THING
 from tools.network_training.batches import batches
 from tools.network_training.lessons import UNKNOWN
 from tools.network_training.model import AffinityNet, inputs_of

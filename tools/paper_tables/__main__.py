@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from hickory_stream.engine.atomic import write_output
+from hickory_stream.base.atomic_files import write_output
+from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import HickoryError
-from hickory_stream.json_text import dumps
 from tools.paper_tables.alignment import alignment_table
 from tools.paper_tables.chart import chart
 from tools.paper_tables.counterparts import write_counterparts

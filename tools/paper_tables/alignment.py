@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.alignment.methods import align_by
 from hickory_stream.alignment.object_map import object_map
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import HickoryError
 from hickory_stream.evaluation.alignment_table import row_of, table_json
 from hickory_stream.evaluation.alignment_truth import read_true_trajectory, world_from_map
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.map_folder.saved_map import open_map
 from tools.paper_tables.logs import apartment_pairs, kimera_pairs, nus_pairs
 from tools.paper_tables.published import ALIGNMENT, Aligned
 from tools.paper_tables.tables import Cell, Column, Table
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.alignment.methods import Method
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
     from tools.paper_tables.logs import Pair
     from tools.paper_tables.plan import Plan
     from tools.paper_tables.workshop import Workshop

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.drawing import Drawing, Line, Text
+from hickory_stream.pictures.drawing import Drawing, Line, Text
 
 if TYPE_CHECKING:
     from tools.paper_tables.tables import Cell, Column, Table

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, TruthFrame, TruthObject, truth_record
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.json_text import dumps_exactly
 from hickory_stream.worlds.object_models import model_mesh
 from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.scene import World, WorldObject

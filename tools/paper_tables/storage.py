@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import HickoryError
+from hickory_stream.map_folder.saved_map import open_map
 from tools.paper_tables.data_sets import DATA_SETS
 from tools.paper_tables.logs import apartment_pairs, hope_logs, kimera_pairs, nus_pairs
 from tools.paper_tables.published import NUM_OBJECTS, STORAGE

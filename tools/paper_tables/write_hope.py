@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.evaluation.truth import mesh_of
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.json_text import dumps
 from players import open_source
 from tools.paper_tables.hope import CM_PER_M
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.evaluation.truth import moved_mesh
 from hickory_stream.geometry.mesh import Mesh, write_glb
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.json_text import dumps
 from hickory_stream.worlds.object_models import model_mesh
 from tools.paper_tables.replica_cad import Z_UP_FROM_Y_UP
 

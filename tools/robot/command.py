@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import HickoryError, InputError
-from hickory_stream.json_text import dumps
 from hickory_stream.sinks.ros_messages import goal_message
 from tools.robot.drive import drive
 from tools.robot.link import Faults, plan

@@ -14,7 +14,7 @@ from tools.robot.heard import TOPICS, Heard
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from players.containers import Topic
+    from players.logs.containers import Topic
     from tools.robot.link import Sending
 
 _TYPES = dict(zip(TOPICS, (GRID, UPDATE, DETECTIONS, MARKERS, TRANSFORMS, PATH), strict=True))

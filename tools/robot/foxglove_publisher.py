@@ -10,11 +10,11 @@ from collections import defaultdict
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
 from hickory_stream.sinks.publish_sink import GOAL_TOPIC
 from hickory_stream.sinks.ros_messages import GOAL, definition_of
-from players.containers import Topic
-from players.mcap_records import schema_of
+from players.logs.containers import Topic
+from players.logs.mcap_records import schema_of
 from tools.robot.heard import Heard
 
 if TYPE_CHECKING:

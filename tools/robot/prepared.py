@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.errors import RecordingError
-from players.messages import TF
+from players.messages.records import TF
 from players.opening import open_container
 from tools.robot.stamps import humble
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from players.containers import Topic
+    from players.logs.containers import Topic
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

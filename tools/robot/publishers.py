@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Protocol
 
-from players.mcap_records import schema_of
+from players.logs.mcap_records import schema_of
 from tools.robot.heard import Heard
 
 if TYPE_CHECKING:
     from collections.abc import Collection
     from pathlib import Path
 
-    from players.containers import Topic
+    from players.logs.containers import Topic
     from tools.robot.link import Sending
 
 

@@ -6,10 +6,10 @@ import struct
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from players.messages import HEADER_FIRST, TF
+from players.messages.records import HEADER_FIRST, TF
 
 if TYPE_CHECKING:
-    from players.containers import Topic
+    from players.logs.containers import Topic
 
 _STAMP = struct.Struct("<iI")
 _SECOND_NS = 1_000_000_000

@@ -5,10 +5,10 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
 from hickory_stream.sinks.publish_sink import GOAL_TOPIC
 from hickory_stream.sinks.ros_messages import GOAL
-from players.containers import Topic
+from players.logs.containers import Topic
 from tools.robot.heard import TOPICS, Heard
 from tools.robot.stamps import humble
 

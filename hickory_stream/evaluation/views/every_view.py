@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.crops import write_crop
-from hickory_stream.engine.keyframe_images import crop_of
-from hickory_stream.mapping.views import view_of
+from hickory_stream.engine.effects import crop_of
+from hickory_stream.map_folder.views import write_crop
+from hickory_stream.mapping.entities.views import view_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

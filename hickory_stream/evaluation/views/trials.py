@@ -14,23 +14,23 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from hickory_stream.engine.crops import read_crop
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.evaluate import true_surface
 from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.placement import placed_truth
-from hickory_stream.evaluation.supports import supports_of
 from hickory_stream.evaluation.surface_score import SurfaceScore, TrueSurface, diameter_m, surface_score
 from hickory_stream.evaluation.truth import moved_mesh
 from hickory_stream.evaluation.views.every_view import EveryView, largest_of_frames
 from hickory_stream.geometry.rigid import compose, invert
-from hickory_stream.mapping.moved import moved_object
-from hickory_stream.mapping.support_graph import Relation
-from hickory_stream.mapping.views import Strategy, ViewConfig, score
+from hickory_stream.inspection.supports import supports_of
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.views import read_crop
+from hickory_stream.mapping.entities.rigid_motion import moved_object
+from hickory_stream.mapping.entities.views import Strategy, ViewConfig, score
+from hickory_stream.mapping.rules.support_graph import Relation
 from hickory_stream.ports import NoShape, ShapeInputs
-from hickory_stream.shapes.usable import usable
+from hickory_stream.shapes.mesh_validation import usable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
     from hickory_stream.evaluation.match import TruthScore
     from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.mapping.mapping_config import MappingConfig
+    from hickory_stream.map_folder.writer import MapFolder
+    from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.ports import Reconstructor, Sink, Source
     from hickory_stream.records import MapSnapshot, TrackedObject, View
 

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ModelError
-from hickory_stream.perception.models.imagenet import normalised
-from hickory_stream.ranges import Ranged, number
+from hickory_stream.perception.models.preprocessing import normalised
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from platformdirs import user_data_path
 
+from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import ModelError
-from hickory_stream.json_text import dumps_exactly
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ModelError
-from hickory_stream.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

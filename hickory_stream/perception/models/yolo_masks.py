@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.compiled import numba
+from hickory_stream.base.compiled import kernel
 from hickory_stream.perception.masks import InstanceMask
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.perception.models.letterbox import Letterbox
+    from hickory_stream.perception.models.preprocessing import Letterbox
 
 # Boxes are offset by this distance per class, so that boxes of different classes never suppress each other.
 _CLASS_OFFSET_PX = 7680.0
@@ -81,8 +81,8 @@ def suppressed(boxes: NDArray[np.float32], iou: float, most: int) -> NDArray[np.
     return kept
 
 
-@numba.njit(cache=True, nogil=True)
-def _suppress(boxes, iou, most):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _suppress(boxes, iou, most):
     kept = np.empty(min(most, len(boxes)), dtype=np.int64)
     count = 0
     for i in range(len(boxes)):
@@ -168,8 +168,8 @@ def _taps(length: int, inner: int, start: int, frame: int, size: int, letterbox:
     return _Taps(at=at, weights=taps)
 
 
-@numba.njit(cache=True, nogil=True)
-def _read(values, rows, row_weights, columns, column_weights, out):  # type: ignore[no-untyped-def] # pragma: no cover
+@kernel
+def _read(values, rows, row_weights, columns, column_weights, out):
     """Write whether values (h, w), interpolated from three rows and three columns per pixel, are above 0."""
     height, width = values.shape
     line = np.zeros(max(width, 3), dtype=np.float32)

@@ -11,11 +11,11 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig, RunConfig
-from hickory_stream.engine.history.recorded_config import resumed_config
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.errors import ConfigError
+from hickory_stream.journal.writer import JournalWriter
+from hickory_stream.map_folder.history.recorded_config import resumed_config
+from hickory_stream.map_folder.writer import create_map_folder
 from players import SourceOptions, note_of, open_source
 
 if TYPE_CHECKING:

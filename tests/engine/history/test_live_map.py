@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from hickory_stream.cli import main
-from hickory_stream.engine.history.live_map import is_live, live_map
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.map_folder.history.live_map import is_live, live_map
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.navigation.free_space import obstacles_of
 from tests.engine.run_fixtures import NO_SHAPES, map_scene
 

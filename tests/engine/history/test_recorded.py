@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history.recorded import final_snapshot, frame_indices, recorded_steps
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_format import JOURNAL
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.saved_map import open_map
-from hickory_stream.engine.step import StepKind
 from hickory_stream.events import FrameObserved
+from hickory_stream.journal.format import JOURNAL
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.step import StepKind
+from hickory_stream.journal.writer import JournalWriter
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.recorded import final_snapshot, frame_indices, recorded_steps
+from hickory_stream.map_folder.saved_map import open_map
 from tests.engine.run_fixtures import NUM_FRAMES
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.history.recorded import RecordedStep
-    from hickory_stream.engine.step import JournalEntry
+    from hickory_stream.journal.step import JournalEntry
+    from hickory_stream.map_folder.history.recorded import RecordedStep
     from tests.engine.run_fixtures import SceneRun
 
 pytestmark = pytest.mark.timeout(120)

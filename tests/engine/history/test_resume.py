@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 import pytest
 
 from hickory_stream.box_scene import SceneSource
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history.replay import replay
-from hickory_stream.engine.history.resume import reopen
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_format import JOURNAL
-from hickory_stream.engine.map_folder import create_map_folder
 from hickory_stream.engine.mapper import Mapper, MapperConfig
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError, RecordingError
+from hickory_stream.journal.format import JOURNAL
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.replay import replay
+from hickory_stream.map_folder.history.resume import reopen
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.testing import BreakingSource, InstanceSegmenter, MeanColorExtractor
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
 from tests.in_process_workers import InProcessWorkers
@@ -26,7 +26,7 @@ from tests.in_process_workers import InProcessWorkers
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.run_progress import Progress
+    from hickory_stream.engine.modes import Progress
 
 pytestmark = pytest.mark.timeout(120)
 

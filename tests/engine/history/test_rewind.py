@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history.replay import replay
-from hickory_stream.engine.history.resume import save_live, was_sought
-from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import MapFolderError
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.replay import replay
+from hickory_stream.map_folder.history.resume import save_live, was_sought
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
 from players.playback import PlaybackClock, PlayedSource
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from hickory_stream.engine.map_folder import MapFolder
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink, Source
     from hickory_stream.records import Frame, MapSnapshot, RawFrame, TrackedObject
 

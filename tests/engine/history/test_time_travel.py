@@ -10,18 +10,17 @@ import numpy as np
 import pytest
 
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.history.core_replay import Replay
-from hickory_stream.engine.history.time_travel import as_known_at, changes, own_clock_s, stamp_of
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_chunks import JournalChunks
-from hickory_stream.engine.journal_format import ARRAYS, JOURNAL
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.known_records import object_without_points
-from hickory_stream.engine.record_codec import encode
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError, MapFolderError
-from hickory_stream.mapping.cold_clouds import is_packed
+from hickory_stream.journal.format import ARRAYS, JOURNAL
+from hickory_stream.journal.reader import Journal, JournalChunks
+from hickory_stream.journal.record_codec import encode
+from hickory_stream.journal.snapshot_records import object_without_points
+from hickory_stream.journal.writer import JournalWriter
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.core_replay import Replay
+from hickory_stream.map_folder.history.time_travel import as_known_at, changes, own_clock_s, stamp_of
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.mapping.entities.cloud import is_packed
 from hickory_stream.testing import RememberingSink
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
 from tests.engine.snapshot_fixtures import make_snapshot
@@ -29,8 +28,8 @@ from tests.engine.snapshot_fixtures import make_snapshot
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hickory_stream.engine.map_folder import MapFolder
-    from hickory_stream.engine.saved_map import SavedMap
+    from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink
     from hickory_stream.records import FrameReport
 
@@ -74,7 +73,7 @@ def test_the_map_at_every_keyframe_is_exactly_the_one_that_was_published_then(wa
 
 def test_to_look_back_takes_neither_perception_nor_shapes(watched: Watched) -> None:
     code = (
-        "import sys; from pathlib import Path; from hickory_stream.engine.saved_map import open_map; "
+        "import sys; from pathlib import Path; from hickory_stream.map_folder.saved_map import open_map; "
         f"known = open_map(Path(sys.argv[1])).as_known_at({watched.reports[4].stamp_ns}); "
         "print(len([one.box for one in known.objects]), *(name for name in sys.modules if name in sys.argv[2:]))"
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hickory_stream.engine.history.track_histories import TrackHistories
+from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.records import Decision
 
 

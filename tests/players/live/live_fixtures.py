@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING
 
-from players.containers import Topic
 from players.live.transport import Health
+from players.logs.containers import Topic
 from tests.player_scenes import Messages, make_scene, png_images, scene_messages
 
 if TYPE_CHECKING:

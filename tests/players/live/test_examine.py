@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli import main
-from players.doctor_text import diagnosis_text
+from players.doctor.report import diagnosis_text
 from players.live.examine import examine_live
 from players.live.transport import Health
 from players.options import SourceOptions

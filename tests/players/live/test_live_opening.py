@@ -12,7 +12,7 @@ from hickory_stream.errors import CalibrationError, RecordingError
 from players.live import open_live
 from players.live.transport import Health
 from players.opening import open_source
-from players.rig import RigReader
+from players.poses.camera_poses import RigReader
 from tests.player_scenes import OPTICAL, Messages, make_scene, png_bytes, png_images, scene_messages, write_mcap
 from tests.players.live.live_fixtures import Packet, ScriptedRoute, scene_packets
 from tools.robot.stamps import restamped
@@ -184,7 +184,7 @@ def test_a_frame_is_there_as_soon_as_its_images_and_its_pose_are() -> None:
 
 
 def test_poses_without_images_do_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("players.log_source._FORGET_EVERY", 50)
+    monkeypatch.setattr("players.logs.log_source._FORGET_EVERY", 50)
     odometry = next(packet for packet in scene_packets() if packet.topic.name == "/odom")
     route = ScriptedRoute(at_start=scene_packets())
     source = opened(route)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import OutputError
-from players.doctor import examine
+from players.doctor.diagnosis import examine
 from players.live import open_live
 from players.live.inbox import Inbox
 from players.live.recorder import Recorder
@@ -21,7 +21,7 @@ from tests.players.live.live_fixtures import ScriptedRoute, scene_packets
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from players.containers import LogMessage
+    from players.logs.containers import LogMessage
 
 
 def heard(path: Path) -> list[LogMessage]:
@@ -97,6 +97,6 @@ def test_a_full_disk_and_a_slow_one_end_or_thin_the_recording_and_not_the_run(tm
 
 
 def _message(packet):
-    from players.containers import LogMessage
+    from players.logs.containers import LogMessage
 
     return LogMessage(packet.topic.name, packet.stamp_ns, packet.data)

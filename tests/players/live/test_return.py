@@ -12,9 +12,9 @@ import pytest
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.sinks.publish_sink import MAP_TOPIC, MARKERS_TOPIC, OBJECTS_TOPIC, PLAN_TOPIC, TF_TOPIC, PublishSink
 from hickory_stream.sinks.ros_messages import PATH, TRANSFORMS, goal_message, store
-from players.containers import Topic
 from players.live import open_live
 from players.live.zenoh_keys import publication_of_key, publication_of_token
+from players.logs.containers import Topic
 from tests.navigation.rooms import snapshot
 from tests.players.live.robot_fixtures import eventually, free_port, scene_log
 from tests.sinks.test_publish_sink import report

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import RecordingError
-from players.doctor import examine
+from players.doctor.diagnosis import examine
 from players.live import open_live
 from players.live.routes import is_live, is_recording, route_of
 from players.live.zed_messages import COLOR, ODOM

@@ -17,11 +17,12 @@ import numpy as np
 
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.evaluation.maps.ambiguous import AmbiguousConfig, Draw, simulate_ambiguous, uniform
-from hickory_stream.evaluation.maps.simulate import Difficulty, SimulatedPair, SimulationConfig, simulate_pair
-from hickory_stream.evaluation.maps.trial import error_of, normalised_square, overlap_b
+from hickory_stream.evaluation.alignment_table import error_of
 from tools.benchmarks.alignment.furnished_maps import furnished, shared_apartment, unrelated_apartments
 from tools.benchmarks.common.figures import Figure, Options, figure, share
+from tools.evaluation.simulated_maps.ambiguous import AmbiguousConfig, Draw, simulate_ambiguous, uniform
+from tools.evaluation.simulated_maps.simulate import Difficulty, SimulatedPair, SimulationConfig, simulate_pair
+from tools.evaluation.simulated_maps.trial import normalised_square, overlap_b
 
 AMBIGUOUS = (
     *(AmbiguousConfig(kind="symmetric", order=order, num_objects=n) for order in (2, 4) for n in (24, 60)),

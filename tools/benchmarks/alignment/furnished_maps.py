@@ -14,14 +14,6 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.evaluation.maps.ambiguous import Corner
-from hickory_stream.evaluation.maps.simulate import (
-    Difficulty,
-    SimulatedObject,
-    SimulatedPair,
-    SimulatedWorld,
-    random_pose,
-)
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
 from hickory_stream.geometry.superquadric import Superquadrics, moved, sorted_by_volume
 from hickory_stream.worlds.apartment import apartment
@@ -29,6 +21,14 @@ from hickory_stream.worlds.furnishing import FURNISH, Room
 from hickory_stream.worlds.furniture import chair
 from hickory_stream.worlds.object_models import Model
 from hickory_stream.worlds.scene import Placement, at_place
+from tools.evaluation.simulated_maps.ambiguous import Corner
+from tools.evaluation.simulated_maps.simulate import (
+    Difficulty,
+    SimulatedObject,
+    SimulatedPair,
+    SimulatedWorld,
+    random_pose,
+)
 
 _SEEN, _REACH_M = 0.8, 8.0
 _MIN_SIDE_M = 1.0

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.alignment.align import evidence_of
-from hickory_stream.alignment.align_config import AlignConfig
+from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.grouping import crowding
 from hickory_stream.alignment.shape_scores import superquadric_scores
-from hickory_stream.evaluation.maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
 from tools.benchmarks.alignment.furnished_maps import unrelated_apartments
+from tools.evaluation.simulated_maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
 
 _EDGES_M = np.array([0.0, 0.35, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0])
 _SHARES = (0.01, 0.02, 0.05, 0.1, 0.25)

@@ -9,9 +9,10 @@ from dataclasses import asdict, dataclass
 
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.evaluation.maps.simulate import Difficulty, SimulationConfig, simulate_pair
-from hickory_stream.evaluation.maps.trial import error_of, overlap_b
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
+from hickory_stream.evaluation.alignment_table import error_of
+from tools.evaluation.simulated_maps.simulate import Difficulty, SimulationConfig, simulate_pair
+from tools.evaluation.simulated_maps.trial import overlap_b
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

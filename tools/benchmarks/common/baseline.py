@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
 from tools.benchmarks.common.figures import Figure
 from tools.benchmarks.common.processes import ROOT
 

@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.config_text import read_config
+from hickory_stream.base.json_text import dumps
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import SavedMap, open_map
 from hickory_stream.errors import MapFolderError
-from hickory_stream.evaluation.maps.moved_source import MovedSource
-from hickory_stream.evaluation.maps.variants import random_frame
 from hickory_stream.evaluation.truth import Truth
-from hickory_stream.json_text import dumps
+from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.ports import Source
 from hickory_stream.worlds.cache import cached_recording, recording_name
 from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
 from tools.benchmarks.common.code_hashes import MAPS, code_hash
 from tools.benchmarks.common.processes import NO_SHAPES, ROOT
+from tools.evaluation.simulated_maps.moved_source import MovedSource
+from tools.evaluation.simulated_maps.variants import random_frame
 
 
 def state_folder(state: Path, name: str, *code: str) -> Path:

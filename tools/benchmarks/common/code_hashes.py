@@ -13,17 +13,12 @@ from typing import Any
 
 from tools.benchmarks.common.processes import ROOT
 
-_DATA = (".toml", ".npz", ".onnx", ".lock")
+_DATA = (".toml", ".json", ".npz", ".onnx", ".lock")
 _MODULE = re.compile(r"(?:hickory_stream|players|tools)(?:\.\w+)*\.(\w+)")
-_PACKAGES = tuple(
-    f"hickory_stream/{name}"
-    for name in (
-        "config.py", "events.py", "ports.py", "records.py",
-        "engine", "evaluation", "geometry", "graph", "loops", "mapping", "perception", "poses", "shapes",
-    )
-)  # fmt: skip
+_MODULES = ("config.py", "events.py", "ports.py", "records.py", "base", "engine", "evaluation", "geometry", "graph")
+_MODULES += ("journal", "loops", "map_folder", "mapping", "perception", "poses", "shapes")
 PLAYERS = ("players",)
-MAPS = (*PLAYERS, *_PACKAGES)
+MAPS = (*PLAYERS, *(f"hickory_stream/{name}" for name in _MODULES))
 """The code that a map and its figures depend on; the command line, sinks, paths and alignment are not in it."""
 
 

@@ -25,7 +25,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
 from tools.benchmarks.common.baseline import baseline_file, read_baseline
 from tools.benchmarks.common.code_hashes import commit_of_the_code
 from tools.benchmarks.common.figures import Figure, records_of

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
 from tools.benchmarks.common.intervals import bootstrap, wilson
 
 Better = Literal["higher", "lower", "same"]

@@ -15,7 +15,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
-from hickory_stream.json_text import dumps_exactly
+from hickory_stream.base.json_text import dumps_exactly
 from tools.benchmarks.common.code_hashes import code_hash, commit_of_the_code
 
 CODE = ("requirements.lock", "hickory_stream", "players", "tools/benchmarks")

@@ -13,10 +13,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.evaluation.ladder import Rung
 from tools.benchmarks.common.figures import Better, Figure, figure, mean, share
 from tools.benchmarks.common.intervals import bootstrap
 from tools.benchmarks.foreign.parts import CAMERAS, OUTDOORS, OWN, ROLES, WALKS, WORLDS, Part
+from tools.evaluation.oracle_ablation import Rung
 
 Record = Mapping[str, Any]
 Measured = Mapping[Part, Record]

@@ -13,7 +13,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from hickory_stream import caches
+from hickory_stream.base import caches
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE
 from hickory_stream.worlds.cache import cache_folder, cached_recording
@@ -27,7 +27,7 @@ _HEIGHT_M = {"hand": 1.4, "robot": 0.45}
 _FOLDERS = {"home": "home", "bookstore": "bookstore", "office": "service-office", "warehouse": "warehouse"}
 # The program imports Open3D, which needs a library that the project provides.
 _RUN = (
-    "import runpy, sys; from hickory_stream.evaluation.open3d_import import import_open3d; import_open3d(); "
+    "import runpy, sys; from hickory_stream.pictures.open3d_import import import_open3d; import_open3d(); "
     "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
 )
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hickory_stream.errors import InputError
-from hickory_stream.evaluation.ladder import RUNGS, Rung
+from tools.evaluation.oracle_ablation import RUNGS, Rung
 
 TUNED_WORLDS, REPORTED_WORLDS = ("home", "bookstore"), ("office", "warehouse")
 WORLDS = (*TUNED_WORLDS, *REPORTED_WORLDS)

@@ -13,14 +13,13 @@ import cv2
 import numpy as np
 
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.saved_map import SavedMap, open_map
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import evaluate
-from hickory_stream.evaluation.ladder import Rung, TrueImages, core_of, mapping_of, segmenter_of
 from hickory_stream.evaluation.match import MIN_SEEN, best_box, meshes_of
 from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.truth import Truth, load_truth
 from hickory_stream.evaluation.why import NoWhy, reasons_of
+from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.ports import Segmenter
 from hickory_stream.records import Frame, MapPrior, Phase, Segmentation
@@ -29,6 +28,7 @@ from tools.benchmarks.common.cached_runs import play_into
 from tools.benchmarks.common.processes import ROOT, output_of, play
 from tools.benchmarks.perception.first_layer import play_first_layer
 from tools.benchmarks.perception.labelled_clouds import clouds_in, load_cloud, score_cloud
+from tools.evaluation.oracle_ablation import Rung, TrueImages, core_of, mapping_of, segmenter_of
 
 _TIMED_KEYFRAMES = 60
 _WARM_KEYFRAMES = 5

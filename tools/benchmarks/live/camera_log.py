@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from players.containers import Topic
+from players.logs.containers import Topic
 from players.opening import open_container
 from tools.robot.stamps import humble
 

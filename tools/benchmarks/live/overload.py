@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.config_text import read_config
+from hickory_stream.base.json_text import dumps
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.map_folder import MapFolder
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.saved_map import open_map
-from hickory_stream.engine.step import Step
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.json_text import dumps
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.step import Step
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.ports import Segmenter, Sink
 from hickory_stream.records import Frame, FrameReport, MapPrior, Segmentation

@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
 from hickory_stream.ports import SourceAround
 from hickory_stream.records import RawFrame
-from players.containers import LogMessage, Topic
 from players.live import LiveMapSource, open_live
 from players.live.inbox import Inbox
 from players.live.recorder import Recorder
-from players.peek import peek_stamp_ns
+from players.logs.containers import LogMessage, Topic
+from players.messages.header_stamp import peek_stamp_ns
 from tools.benchmarks.common.processes import NO_SHAPES, watched_peak_mb
 
 _DRAINED_S = 3.0
@@ -133,8 +133,8 @@ def _publisher(source: LiveMapSource) -> Any:
 
 def _mapper(out: Path, *, has_shapes: bool) -> Any:
     # Imported here: a receiver without a map starts sooner.
+    from hickory_stream.base.config_text import read_config
     from hickory_stream.config import MapperConfig
-    from hickory_stream.config_text import read_config
     from hickory_stream.engine.mapper import Mapper
 
     config = read_config(MapperConfig, None, ("run.workers=1", *(() if has_shapes else (NO_SHAPES,))))

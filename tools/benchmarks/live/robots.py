@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import STRICT_IOU, match_boxes
+from hickory_stream.map_folder.saved_map import open_map
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import DEMO, NO_SHAPES, ROOT, overridden, play
 from tools.benchmarks.live.camera_log import write_720p

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.evaluation.truth import Truth, frame_at, instances_of, load_truth
 from hickory_stream.geometry.camera import backproject

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from hickory_stream.errors import InputError
-from players.damaging import KINDS, Kind, damaged, open_sound, parts_of, survivors
 from players.opening import open_container
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.repetitions import Repetitions, measurement_folder
 from tools.benchmarks.logs import damaged_maps
+from tools.benchmarks.logs.damaging import KINDS, Kind, damaged, open_sound, parts_of, survivors
 from tools.benchmarks.logs.small_logs import write_small_logs
 
 _CASES, _QUICK_CASES = 1000, 160
@@ -33,7 +33,7 @@ _CHECKED = ("mcap_zstd", "mcap_lz4", "mcap_none", "bag_bz2")
 
 @dataclass(slots=True)
 class Tally:
-    """The result of one case, or the sum over all; `worst` has recovered and expected messages by container and kind."""
+    """The result of one case, or the sum of all; `worst` has recovered and expected messages by container and kind."""
 
     cases: int = 0
     crashes: list[str] = field(default_factory=list)

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 import psutil
 
-from hickory_stream.compiled import kernels_folder
-from hickory_stream.config_text import to_toml
+from hickory_stream.base.compiled import kernels_folder
+from hickory_stream.base.config_text import to_toml
 from hickory_stream.settings import Settings
 from tools.benchmarks.common.figures import Figure, figure
 from tools.benchmarks.common.processes import DEMO

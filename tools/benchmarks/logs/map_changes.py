@@ -22,12 +22,12 @@ import cbor2
 import numpy as np
 import zstandard
 
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.journal_chunks import JournalChunks
-from hickory_stream.engine.journal_file import FileMessage, begin_file, end_file, write_chunk
-from hickory_stream.engine.journal_format import JOURNAL
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import HickoryError
+from hickory_stream.journal.format import JOURNAL
+from hickory_stream.journal.mcap_file import FileMessage, begin_file, end_file, write_chunk
+from hickory_stream.journal.reader import JournalChunks
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.saved_map import open_map
 
 OUTSIDE = "OUTSIDE"
 _SECRETS = (f"../../../../{OUTSIDE}/secret", f"../{OUTSIDE}/secret", "/etc/passwd")

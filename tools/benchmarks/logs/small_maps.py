@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
-from hickory_stream.engine.jobs import write_job
-from hickory_stream.engine.manifest import MANIFEST, manifest_json
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.engine.shape_jobs.job_folder import write_job
 from hickory_stream.events import RequestShape
+from hickory_stream.map_folder.manifest import MANIFEST, manifest_json
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tools.benchmarks.common.cached_runs import play_into
 from tools.benchmarks.common.processes import COARSE

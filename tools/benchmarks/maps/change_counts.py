@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 
-from hickory_stream.evaluation.true_changes import TrueChanges
 from tools.benchmarks.common.figures import Figure, figure, share
 from tools.benchmarks.common.intervals import wilson
+from tools.evaluation.true_changes import TrueChanges
 
 Held = Mapping[int, int | None]
 """The object of a map by true object of which enough was seen; None: the map does not hold it."""

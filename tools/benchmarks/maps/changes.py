@@ -19,11 +19,10 @@ from hickory_stream.alignment.object_map import object_map
 from hickory_stream.changes.compare import compare_maps
 from hickory_stream.changes.records import ObjectChange, Verdict
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.folder_layout import EMPTY
-from hickory_stream.engine.saved_map import SavedMap, open_map
 from hickory_stream.evaluation.match import meshes_of, score_map
-from hickory_stream.evaluation.true_changes import TrueChanges, true_changes
 from hickory_stream.evaluation.truth import Truth, load_truth
+from hickory_stream.map_folder.layout import EMPTY
+from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.query.answers import ask
 from hickory_stream.query.map_index import MapIndex, index_of, neighbours
 from hickory_stream.worlds.recording_config import RecordingConfig
@@ -34,6 +33,7 @@ from tools.benchmarks.maps.change_counts import PairCounts, calibration_figures,
 from tools.benchmarks.maps.passers_by import passer_by
 from tools.benchmarks.maps.true_questions import true_questions
 from tools.benchmarks.maps.within_run import run_counts
+from tools.evaluation.true_changes import TrueChanges, true_changes
 
 # Nothing was tuned on these seeds, but the roles of the figures say otherwise.
 _FIRST_SEED = 4_100

@@ -9,9 +9,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.records import Phase
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import DEMO, ROOT, Played, play

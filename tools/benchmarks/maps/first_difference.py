@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hickory_stream.engine.journal import Journal
+from hickory_stream.journal.reader import Journal
 
 # Measurements of the machine differ from run to run, and decide nothing.
 _MEASURED = ("metrics", "shape_counts", "counts", "timings")

@@ -9,11 +9,11 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.records import Phase
 from players import open_source
 from players.first_frames import FirstFrames

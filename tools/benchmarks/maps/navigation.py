@@ -15,8 +15,7 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.caches import cache_folder
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.base.caches import cache_folder
 from hickory_stream.evaluation.evaluate import true_mesh_world
 from hickory_stream.evaluation.navigation_methods import Obstacles, built
 from hickory_stream.evaluation.navigation_scene import R_SAFE_M, score_saved_map, true_obstacles, truth_of
@@ -25,12 +24,13 @@ from hickory_stream.evaluation.truth import Truth, load_truth, mesh_of
 from hickory_stream.geometry.mesh import Mesh, sha256_of
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics, moved
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.navigation.free_space import CELL_M
 from hickory_stream.navigation.occupancy import Occupancy, distance_field_m
 from hickory_stream.navigation.robot import Robot, load_robot
 from hickory_stream.navigation.search import NoPath, Path, first_path, plan
-from hickory_stream.shapes.fit import FitConfig, fit_superquadrics
-from hickory_stream.shapes.inflate import InflateConfig, inflated
+from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics
+from hickory_stream.shapes.inflate.inflation import InflateConfig, inflated
 from hickory_stream.worlds.cache import cached_recording
 from tools.benchmarks.common.cached_runs import apartment_map, walk_recording
 from tools.benchmarks.common.code_hashes import code_hash

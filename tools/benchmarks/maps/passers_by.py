@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hickory_stream.engine.saved_map import SavedMap
 from hickory_stream.evaluation.match import score_map
-from hickory_stream.evaluation.raycast import Scene
 from hickory_stream.geometry.voxels import contains, dilate
+from hickory_stream.map_folder.saved_map import SavedMap
+from hickory_stream.pictures.raycast import Scene
 from hickory_stream.records import Phase
 from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.walkable import person_of, walkable_world

@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from hickory_stream.engine.saved_map import open_map
+from hickory_stream.base.html_page import page
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import Evaluation, evaluate
 from hickory_stream.evaluation.page import write_page
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
 from hickory_stream.evaluation.views.comparison import compare, verdict
 from hickory_stream.evaluation.views.trials import BEST, OURS
-from hickory_stream.html_page import page
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.worlds.cache import cached_recording
 from tools.benchmarks.common.baseline import QUICK
 from tools.benchmarks.common.cached_runs import walk_recording

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from hickory_stream.evaluation.match import surface_of
-from hickory_stream.evaluation.raycast import Scene, Surface
 from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject, structure_meshes
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.pictures.raycast import Scene, Surface
 
 _SAMPLES = 150
 _RANGE_M = (0.3, 6.0)

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from hickory_stream.changes.within_run import changes_within_run
 from hickory_stream.evaluation.match import MIN_SEEN, score_map
-from hickory_stream.evaluation.true_changes import TrueChanges
 from hickory_stream.evaluation.truth import Truth
 from hickory_stream.records import MapSnapshot
 from hickory_stream.worlds.recording_config import RecordingConfig
 from tools.benchmarks.common.cached_runs import map_without_shapes
 from tools.benchmarks.maps.change_counts import Held, PairCounts, counts_of
 from tools.benchmarks.maps.rendered_views import scene_of, seen_share
+from tools.evaluation.true_changes import TrueChanges
 
 _SECONDS, _CHANGE_AT_S = 60.0, 28.0
 

@@ -37,15 +37,15 @@ NOT_DECIDING = {
     "perception/absolute_features.py": _TREES,
     "perception/region_extents.py": _TREES,
     "perception/region_graph.py": _TREES,
-    "perception/support_contacts.py": _TREES,
+    "perception/contacts.py": _TREES,
     "perception/color_split.py:_OTSU_BINS": "the bins of a histogram",
-    "perception/structure.py:_AZIMUTHS": "the bins of a histogram",
+    "perception/detection.py:_AZIMUTHS": "the bins of a histogram",
     "perception/space.py": "the layout of keys",
-    "mapping/requests.py": "when shapes are computed",
+    "mapping/shape_requests.py": "when shapes are computed",
     "mapping/views.py:_SECTORS": "how many views are kept",
     "mapping/existence.py:_MOST_PLACES": "how much is stored",
-    "mapping/associate.py:_ROUNDING": "keeps a product of floats from missing its limit",
-    "mapping/associate.py:_TIE": "equality but for rounding",
+    "mapping/association.py:_ROUNDING": "keeps a product of floats from missing its limit",
+    "mapping/association.py:_TIE": "equality but for rounding",
     "mapping/lifecycle.py:_ROUNDING": "keeps a sum of floats from missing its limit",
     "mapping/observed_space.py:_HELD": "a mark",
     "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",
@@ -58,7 +58,7 @@ _LEAST = 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Constant:
-    """A number: of the configuration (`mapping.merge.min_votes`), or of a module (`mapping/track_merging.py:_MEET_M`).
+    """A number: of the configuration (`mapping.merge.min_votes`), or of a module (`mapping/merging.py:_MEET_M`).
 
     A module is named by its package and file, without the folders between; `[i]` is the place in a tuple.
     """

@@ -12,7 +12,7 @@ from pathlib import Path
 from hickory_stream.config import MapperConfig
 from hickory_stream.events import ComputeFeatures, Effect, Event, FeaturesReady, Publish, RequestShape, ShapeFailed
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.keyframes import Keyframe, is_keyframe
+from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import Perceived, features_of, perceive

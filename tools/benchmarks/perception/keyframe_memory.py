@@ -14,8 +14,8 @@ from pathlib import Path
 
 import cv2
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.config import MapperConfig
-from hickory_stream.json_text import dumps
 from hickory_stream.perception.choose import make_segmenter
 from tools.benchmarks.common.processes import json_of, resident_mb
 from tools.benchmarks.perception.first_layer import keyframes_of, play_first_layer

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.masks import MaskConfig, compose
 from hickory_stream.perception.models.fastsam import FastSam, FastSamConfig
-from hickory_stream.perception.models.letterbox import letterbox_of, letterboxed
 from hickory_stream.perception.models.network import Tensor
+from hickory_stream.perception.models.preprocessing import letterbox_of, letterboxed
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 from hickory_stream.records import Frame
 from tools.benchmarks.common.figures import Figure, figure

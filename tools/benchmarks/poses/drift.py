@@ -16,17 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
-from hickory_stream.engine.journal import Journal
 from hickory_stream.engine.keyframe_places import KeyframePlaces, PlacedFrame
-from hickory_stream.engine.saved_map import SavedMap, open_map
 from hickory_stream.evaluation.evaluate import evaluate
-from hickory_stream.evaluation.pose_error import best_alignment
-from hickory_stream.evaluation.trajectory_error import trajectory_error
+from hickory_stream.evaluation.trajectory_error import best_alignment, trajectory_error
 from hickory_stream.evaluation.truth import load_truth, moved_truth
 from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.rigid import compose, from_rotation_translation
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.worlds.drift import drifted
 from hickory_stream.worlds.trajectory import Trajectory

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.open3d_import import import_open3d
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.ports import Source, SourceAround
 from hickory_stream.records import Frame, RawFrame
 from hickory_stream.worlds.drift import DriftConfig, drifted

@@ -20,9 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.evaluation.match import Score, meshes_of, score_map
 from hickory_stream.evaluation.truth import Truth, moved_truth
 from hickory_stream.fleet.finish import finish
@@ -30,6 +29,7 @@ from hickory_stream.fleet.result import FleetResult
 from hickory_stream.fleet.robots import FleetConfig, Robot
 from hickory_stream.fleet.run import FleetPlan, run_fleet
 from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from hickory_stream.worlds.cache import cached_recording
 from hickory_stream.worlds.recording import drawn_frame

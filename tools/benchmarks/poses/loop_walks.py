@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneBox, SceneSource, cast_scene
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.events import LoopsSearched
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.worlds.drift import drifted
 from hickory_stream.worlds.trajectory import Trajectory
 from tools.benchmarks.common.cached_runs import cached, play_into, state_folder

@@ -21,9 +21,9 @@ from hickory_stream.evaluation.trajectory_error import TrajectoryError, trajecto
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
 from hickory_stream.ports import Registered
 from hickory_stream.poses.choose import make_odometry
-from hickory_stream.poses.config import MethodName, Sensor
 from hickory_stream.poses.depth_scan import scan_of_depth
 from hickory_stream.poses.hand_eye import HandEye
+from hickory_stream.poses.odometry_config import MethodName, Sensor
 from hickory_stream.records import Scan
 from hickory_stream.worlds.cache import cached_recording
 from hickory_stream.worlds.corridor import CorridorConfig, corridor_scans
@@ -31,8 +31,8 @@ from hickory_stream.worlds.layouts import drawn_mounting
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
-from players.log_source import LogSource
-from players.mounting import estimated_mounting
+from players.logs.log_source import LogSource
+from players.poses.extrinsics import estimated_mounting
 from tools.benchmarks.alignment.covariance import square_figures
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import DEMO, ROOT

@@ -23,8 +23,8 @@ from typing import Any
 
 import psutil
 
-from hickory_stream.engine.saved_map import open_map
 from hickory_stream.errors import InputError, MapFolderError
+from hickory_stream.map_folder.saved_map import open_map
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import ROOT, finished, output_of, overridden, play_coarsely
 from tools.benchmarks.common.repetitions import Repetitions, measurement_folder

@@ -22,14 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hickory_stream.base.json_text import dumps
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.crops import crop_files
-from hickory_stream.engine.digest import map_digest
-from hickory_stream.engine.far_arrays import FarArrays
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.journal_writer import JournalWriter
-from hickory_stream.engine.map_folder import create_map_folder
-from hickory_stream.engine.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind, Told
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
@@ -47,9 +41,15 @@ from hickory_stream.events import (
 )
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.json_text import dumps
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.step import Checkpoint, FramePose, JournalEntry, OpenJob, Step, StepKind, Told
+from hickory_stream.journal.writer import JournalWriter
+from hickory_stream.map_folder.array_spill import FarArrays
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.views import crop_files
+from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.moved import moved_box, moved_shape
+from hickory_stream.mapping.entities.rigid_motion import moved_box, moved_shape
 from hickory_stream.records import MapSnapshot, MaskFeature, ObjectShape
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from tools.benchmarks.common.processes import folder_mb, json_of, resident_mb

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from hickory_stream.engine.journal import Journal
-from hickory_stream.engine.saved_map import SavedMap, open_map
-from hickory_stream.evaluation.render import render_map
-from hickory_stream.json_text import dumps
+from hickory_stream.base.json_text import dumps
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.navigation.free_space import free_space_of
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.navigation.search import first_path
+from hickory_stream.pictures.render import render_map
 from tools.benchmarks.common.processes import json_of
 
 _PICTURE_PX = (1600, 800)

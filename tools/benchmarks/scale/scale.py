@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from hickory_stream.base.config_text import read_config
 from hickory_stream.batch.run import BatchPlan, run_batch
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from hickory_stream.worlds.building.building import BuildingSize
 from hickory_stream.worlds.cache import cached_recording

@@ -19,11 +19,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from hickory_stream.base.config_text import read_config
+from hickory_stream.base.json_text import dumps
 from hickory_stream.config import MapperConfig
-from hickory_stream.config_text import read_config
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
-from hickory_stream.json_text import dumps
 from hickory_stream.sinks.disk_sink import DiskSink
 from players import SourceOptions, note_of, open_noted
 from tools.benchmarks.common.processes import folder_mb, json_of

@@ -16,7 +16,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from hickory_stream.evaluation.ray_caster import ray_caster
+from hickory_stream.pictures.ray_caster import ray_caster
 
 _FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 # Nothing is blue: with blue first there would be nothing to turn by.

@@ -11,7 +11,6 @@ import numpy as np
 import trimesh
 
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
-from hickory_stream.geometry.shape_score import shape_score
 from hickory_stream.geometry.superquadric import Superquadrics, joined, moved, taken
 from hickory_stream.geometry.superquadric_surface import surface_points
 from hickory_stream.navigation.clearance import Answer, ClearanceScene
@@ -22,6 +21,7 @@ from tools.benchmarks.shapes.meshes import MESH_NAMES, hollow_mesh, test_mesh
 from tools.benchmarks.shapes.rows import Row, disturbed, fit, of_diameter_one, rotation, row_of, warm_up
 from tools.benchmarks.shapes.solids import is_inside
 from tools.benchmarks.shapes.swept_truth import swept_distance_m
+from tools.evaluation.shape_score import shape_score
 
 _HOLLOW = ("hollow mug", "bowl")
 _SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".off")

@@ -15,10 +15,10 @@ import numpy as np
 import trimesh
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.geometry.shape_score import shape_score
 from tools.benchmarks.common.figures import Figure, Options, figure, mean
 from tools.benchmarks.foreign.logs import worlds_folder
 from tools.benchmarks.shapes.rows import disturbed, fit, of_diameter_one, rotation, row_of
+from tools.evaluation.shape_score import shape_score
 
 _TUNED = ("home", "bookstore")
 _HELD_OUT = ("service-office", "warehouse")

@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from hickory_stream.evaluation.surface_score import diameter_m
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import MeshPlacement, Reconstruction
-from hickory_stream.shapes.judgement import JudgementConfig, judged, shape_evidence
-from hickory_stream.shapes.placement import EmbeddedPlacement, PlacementConfig
+from hickory_stream.shapes.generated.judgement import JudgementConfig, judged, shape_evidence
+from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
 from tools.benchmarks.common.figures import Figure, Options, figure, mean, share
 from tools.benchmarks.foreign.logs import worlds_folder
 from tools.benchmarks.maps.views import view_figures

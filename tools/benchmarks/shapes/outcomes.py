@@ -13,11 +13,17 @@ from hickory_stream.evaluation.surface_score import diameter_m
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import MeshPlacement, Reconstruction
-from hickory_stream.shapes.blend import BlendConfig, blended
-from hickory_stream.shapes.distance_field import even_samples
-from hickory_stream.shapes.foretold import by_other_views
-from hickory_stream.shapes.fused import FusedConfig, FusedReconstructor, VolumeConfig
-from hickory_stream.shapes.judgement import JudgementConfig, ShapeEvidence, judged, replaces, shape_evidence
+from hickory_stream.shapes.generated.blend import BlendConfig, blended
+from hickory_stream.shapes.generated.distance_field import even_samples
+from hickory_stream.shapes.generated.judgement import (
+    JudgementConfig,
+    ShapeEvidence,
+    by_other_views,
+    judged,
+    replaces,
+    shape_evidence,
+)
+from hickory_stream.shapes.reconstruct.fused import FusedConfig, FusedReconstructor, VolumeConfig
 from tools.benchmarks.shapes.spoiled_generator import Generated, Sighted, plain_mesh
 
 _SAMPLES = 3000

@@ -13,16 +13,16 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from hickory_stream.evaluation.close_up import close_up_of, draw
-from hickory_stream.evaluation.raycast import Surface
-from hickory_stream.evaluation.render_parts import superquadric_surfaces
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.geometry.superquadric import Superquadrics, moved
 from hickory_stream.geometry.superquadric_surface import display_mesh
+from hickory_stream.pictures.object_thumbnail import close_up_of, draw
+from hickory_stream.pictures.raycast import Surface
+from hickory_stream.pictures.render_parts import superquadric_surfaces
 from hickory_stream.records import FitKind
-from hickory_stream.shapes.fit import FitConfig, Fitted, fitted_shape
-from hickory_stream.shapes.inflate import InflateConfig, Inflated, inflated
+from hickory_stream.shapes.fit.marching_primitives import FitConfig, Fitted, fitted_shape
+from hickory_stream.shapes.inflate.inflation import InflateConfig, Inflated, inflated
 from tools.benchmarks.common.figures import Options
 from tools.benchmarks.common.processes import best_s
 from tools.benchmarks.shapes.meshes import test_mesh
@@ -56,7 +56,7 @@ class Row:
 def row_of(
     name: str, upright: trimesh.Trimesh, turn: NDArray[np.float64], options: Options, *, is_thin: bool = False
 ) -> Row:
-    """Measure an object and print a line; the overlap of an object that may be thin is sampled, not counted in cells."""
+    """Measure an object and print a line; the overlap of a thin object is sampled, not counted in cells."""
     mesh = turned(upright, turn)
     started = time.process_time()
     found = fit(mesh)

@@ -9,9 +9,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hickory_stream.evaluation.open3d_import import import_open3d
 from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, volumes_m3
 from hickory_stream.geometry.superquadric_surface import display_mesh
+from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.shapes.sdf import distance_grid
 
 _SAMPLES = 8000

@@ -14,12 +14,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from hickory_stream.evaluation.raycast import Scene, Surface
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, rotation_from_quaternion, yaw_rotation
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
+from hickory_stream.pictures.raycast import Scene, Surface
 from hickory_stream.ports import Crop, ShapeInputs
 
 Fate = Literal["own", "other", "mirrored"]

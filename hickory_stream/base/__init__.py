@@ -1,0 +1,1 @@
+"""Parts that know nothing of maps: files, text, JSON, caches and compiled kernels."""

@@ -1,0 +1,170 @@
+"""numba, as every module with kernels imports it: compiled kernels are cached by a hash of all their sources.
+
+numba itself looks at the file of a function only, and would go on with a kernel whose callees have changed; and it
+writes beside the modules, which an installation may not allow. Here the name of a kernel's folder is a hash of its
+file and of every file that it takes kernels and constants from: other code is another folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import re
+import shutil
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numba
+import numpy as np
+from numba.core import event
+
+from hickory_stream.base import compiling
+from hickory_stream.base.caches import cache_folder, cache_root, mark_used, wanted_root
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["KernelLocator", "compiler_name", "kernel", "kernels_folder", "numba", "source_hash"]
+
+# The ray caster brings a TBB that is too old for numba, which warns of it wherever it finds one in the process.
+numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+
+_OURS = ("hickory_stream", "players")
+_IMPORT = re.compile(rf"^from ((?:{'|'.join(_OURS)})[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
+_HAS_KERNELS = re.compile(r"^@kernel\b", re.MULTILINE)
+_CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]*")
+
+
+class KernelLocator:
+    """Tells numba where the kernels of our packages are kept; of the interface that its own locators have."""
+
+    def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
+        self._py_file = py_file
+        self._line = py_func.__code__.co_firstlineno
+        self._stamp = source_hash(py_func.__module__, Path(py_file))
+        self._folder = kernels_folder() / f"{py_func.__module__}-{self._stamp[:16]}"
+        mark_used(self._folder)
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> KernelLocator | None:
+        """Return the locator of a function; None where it is not ours, or has no file."""
+        if not _is_ours(py_func) or not Path(py_file).is_file():
+            return None
+        return cls(py_func, py_file)
+
+    def get_cache_path(self) -> str:
+        """Return the folder."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """Return what must be as it was when the kernel was compiled."""
+        return self._stamp
+
+    def get_disambiguator(self) -> str:
+        """Return what tells functions of one name apart."""
+        return str(self._line)
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder; raises `OSError`."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+
+def kernel(
+    function: Callable[..., Any] | None = None,
+    *,
+    error_model: Literal["python", "numpy"] = "python",
+    parallel: bool = False,
+) -> Any:
+    """Compile a function that holds no lock of the interpreter, and cache it.
+
+    Args:
+        function: takes and returns arrays and numbers; numba infers their types from the call.
+        error_model: "numpy" divides by zero without an error, and the compiler then vectorises the loop.
+        parallel: spreads the loops over `numba.prange` over threads.
+    """
+    compiled = numba.njit(cache=True, nogil=True, error_model=error_model, parallel=parallel)
+    return compiled if function is None else compiled(function)
+
+
+@cache
+def kernels_folder() -> Path:
+    """Return the folder of the kernels of this compiler."""
+    folder = cache_folder("kernels") / compiler_name()
+    kept = wanted_root() / "kernels" / compiler_name()
+    if wanted_root() != cache_root() and not folder.exists() and kept.is_dir():
+        # Compiled while the installation was made, and read-only since: what is there need not be compiled again.
+        with contextlib.suppress(OSError):
+            partial = Path(tempfile.mkdtemp(prefix=".", dir=folder.parent))
+            shutil.copytree(kept, partial, dirs_exist_ok=True)
+            partial.rename(folder)
+    return folder
+
+
+def compiler_name() -> str:
+    """Return the versions that a kernel's file depends on; the processor is in the file."""
+    return f"py{sys.version_info[0]}{sys.version_info[1]}-numba{numba.__version__}-numpy{np.__version__}"
+
+
+@cache
+def source_hash(module: str, file: Path) -> str:
+    """Return the sha256 of a module's file and of those that its kernels can take kernels and constants from."""
+    base = file.parents[module.count(".") + (file.stem == "__init__")]
+    known: dict[Path, bytes] = {}
+    waiting = [file]
+    while waiting:
+        path = waiting.pop()
+        if path not in known:
+            known[path], needed = _read(path, base)
+            waiting += needed
+    digest = hashlib.sha256()
+    for path in sorted(known):
+        digest.update(path.relative_to(base).as_posix().encode() + known[path])
+    return digest.hexdigest()
+
+
+@cache
+def _read(file: Path, base: Path) -> tuple[bytes, tuple[Path, ...]]:
+    """Return the hash of a file, and the files whose content can be in its kernels."""
+    needed: list[Path] = []
+    content = file.read_bytes()
+    for module, listed in _IMPORT.findall(content.decode()):
+        names = re.findall(r"\w+", re.sub(r"#.*| as \w+", "", listed))
+        folder = base.joinpath(*module.split("."))
+        needed += [path for name in names if (path := folder / f"{name}.py").is_file()]
+        source = folder.with_suffix(".py")
+        if source.is_file() and (any(_CONSTANT.fullmatch(name) for name in names) or _has_kernels(source)):
+            needed.append(source)
+    return hashlib.sha256(content).digest(), tuple(needed)
+
+
+@cache
+def _has_kernels(file: Path) -> bool:
+    return _HAS_KERNELS.search(file.read_text(encoding="utf-8")) is not None
+
+
+def _is_ours(function: Callable[..., Any]) -> bool:
+    return function.__module__.partition(".")[0] in _OURS
+
+
+class _Compiles(event.Listener):  # type: ignore[misc] # numba has no types
+    """Passes on what numba says of itself."""
+
+    def on_start(self, event: Any) -> None:
+        function = event.data["dispatcher"].py_func
+        if _is_ours(function):
+            compiling.compile_begins(f"{function.__module__}.{function.__qualname__}")
+
+    def on_end(self, event: Any) -> None:
+        del event
+
+
+if not numba.config.CACHE_LOCATOR_CLASSES:
+    # Ours first, then those that numba asks by default: functions of others stay where they are kept.
+    numba.config.CACHE_LOCATOR_CLASSES = (
+        "hickory_stream.base.compiled.KernelLocator,UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,"
+        "IPythonCacheLocator,ZipCacheLocator"
+    )
+event.register("numba:compile", _Compiles())

@@ -1,0 +1,201 @@
+"""TOML into checked, frozen dataclasses, and back; a key that nobody declared is refused with the nearest one that is.
+
+It knows no configuration in particular but the names that keys had in earlier versions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import tomllib
+import types
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from hickory_stream.base.json_text import toml_string
+from hickory_stream.base.ranges import ranges_of
+from hickory_stream.errors import ConfigError, RangeError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+T = TypeVar("T")
+
+_ONE_LATTICE = "the one lattice of perception and mapping"
+_MOVED = {
+    "perception.observe.voxel_m": ("mapping.lattice.points_m", _ONE_LATTICE),
+    "mapping.track.voxel_m": ("mapping.lattice.points_m", _ONE_LATTICE),
+    "perception.space.voxel_m": ("mapping.lattice.space_m", _ONE_LATTICE),
+    "mapping.space_voxel_m": ("mapping.lattice.space_m", _ONE_LATTICE),
+    "perception.geometric.shades": ("perception.geometric.color_split", "its new name"),
+    "perception.geometric.hidden_area_px": ("perception.geometric.occluded_area_px", "its new name"),
+    "perception.geometric.hidden_share": ("perception.geometric.occluded_share", "its new name"),
+    "perception.geometric.structure.relief": ("perception.geometric.structure.raised_patches", "its new name"),
+    "perception.geometric.join.hidden": ("perception.geometric.join.bridging", "its new name"),
+    "perception.masks.hidden_share": ("perception.masks.occluded_share", "its new name"),
+    "mapping.parts": ("mapping.split", "its new name"),
+    "mapping.floating": ("mapping.unsupported", "its new name"),
+}
+"""Keys of earlier versions: what to set instead, and why."""
+
+_PRIOR = "what the map says of a frame is perception.geometric.join.map_prior"
+_LEARNED = "trees that have learned what the network's odds are worth join fragments"
+_SEEN = "what is filled follows from what was seen around it"
+_GONE = {
+    "perception.map_guided_merge": _PRIOR,
+    "perception.known": _PRIOR,
+    **dict.fromkeys(
+        (
+            f"perception.affinities.{name}"
+            for name in ("join", "least_odds", "far_weight", "trees_weight", "near_weight", "far_odds_weight")
+        ),
+        _LEARNED,
+    ),
+    "perception.affinities.odds_shift": _LEARNED,
+    "perception.affinities.structure_odds": "what is structure is seen by geometry",
+    "perception.affinities.thing_odds": "what is structure is seen by geometry",
+    **dict.fromkeys(
+        (f"shapes.fused.completion.{name}" for name in ("full_share", "min_hidden_m", "max_hidden_m")), _SEEN
+    ),
+}
+"""Keys of earlier versions without a successor, or the sections of such, and why."""
+
+
+def read_config(kind: type[T], path: Path | None, overrides: tuple[str, ...] = ()) -> T:
+    """Return the configuration of a TOML file, with `section.key=value` overrides; the defaults where `path` is None.
+
+    Raises:
+        ConfigError: no such file, not TOML, an unknown key, a value of the wrong type, or one that its owner refuses.
+    """
+    data: dict[str, Any] = {}
+    if path is not None:
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ConfigError(f"cannot read the configuration {path}: {error.strerror}") from error
+        except (ValueError, RecursionError) as error:  # beside TOMLDecodeError: too many digits, too deep
+            raise ConfigError(f"{path} is not TOML: {error}") from error
+    for override in overrides:
+        _override(data, override)
+    return from_dict(kind, data)
+
+
+def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
+    """Return a configuration dataclass from nested dicts; missing keys keep their defaults.
+
+    Raises:
+        ConfigError: naming the key, what was found and what is expected.
+    """
+    hints = type_hints(kind)  # type: ignore[arg-type] # a class is hashable
+    fields = {f.name for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for key in data:
+        if key not in fields:
+            old = f"{where}{key}".removeprefix("mapper.")
+            if old in _GONE:
+                raise ConfigError(f"{where}{key} is no setting any more: {_GONE[old]}")
+            if (moved := _MOVED.get(old)) is not None:
+                root = "mapper." if where.startswith("mapper.") else ""
+                raise ConfigError(f"{where}{key} is no setting any more: set {root}{moved[0]}, {moved[1]}")
+            near = difflib.get_close_matches(key, fields, n=1)
+            hint = f"did you mean {where}{near[0]}?" if near else f"known keys: {', '.join(sorted(fields))}"
+            raise ConfigError(f"unknown configuration key {where}{key}; {hint}")
+    values = {key: converted(hints[key], value, f"{where}{key}") for key, value in data.items()}
+    try:
+        return kind(**values)
+    except RangeError as error:
+        raise ConfigError(f"{where}{error}") from error
+    except ValueError as error:
+        raise ConfigError(f"configuration {where.rstrip('.') or 'of the mapper'}: {error}") from error
+
+
+@cache
+def type_hints(kind: type[Any]) -> Mapping[str, Any]:
+    """Return the declared types of a dataclass's fields: a worker reads the same configuration in each job."""
+    return get_type_hints(kind)
+
+
+def to_toml(config: Any) -> str:
+    """Return a configuration as TOML, sections in the order of their declaration; comments say what may be there."""
+    lines: list[str] = []
+    _write_section(config, "", lines)
+    return "\n".join(lines).strip() + "\n"
+
+
+def _write_section(config: Any, name: str, lines: list[str]) -> None:
+    values = [(f.name, getattr(config, f.name)) for f in dataclasses.fields(config)]
+    plain = [(key, value) for key, value in values if not dataclasses.is_dataclass(value) and value is not None]
+    unset = [key for key, value in values if value is None]
+    if plain or unset:
+        if name:
+            summary = (type(config).__doc__ or "").partition("\n")[0]
+            lines += ["", f"# {summary}", f"[{name}]"]
+        allowed = _allowed(type(config))
+        lines += [f"{key} = {_toml_value(value)}" + allowed.get(key, "") for key, value in plain]
+        lines += [f"# {key} is not set" + allowed.get(key, "").replace("  # ", ": ") for key in unset]
+    for key, value in values:
+        if dataclasses.is_dataclass(value):
+            _write_section(value, f"{name}.{key}" if name else key, lines)
+
+
+def _allowed(kind: Any) -> dict[str, str]:
+    """Return the comments that say which numbers and which words may be there."""
+    told = {key: f"  # {found}" for key, found in ranges_of(kind).items()}
+    words = {key: get_args(hint) for key, hint in type_hints(kind).items() if get_origin(hint) is Literal}
+    return told | {key: f"  # {' or '.join(map(_toml_value, found))}" for key, found in words.items()}
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return toml_string(value)
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_toml_value(v) for v in value) + "]"
+    return repr(value)
+
+
+def _override(data: dict[str, Any], override: str) -> None:
+    """Put `a.b.c=value` into nested dicts; the value is TOML, or a bare string."""
+    path, equals, text = override.partition("=")
+    if not equals or not path.strip():
+        raise ConfigError(f"found the override {override!r}; expected SECTION.KEY=VALUE")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except (ValueError, RecursionError):
+        value = text
+    *sections, key = path.strip().split(".")
+    for section in sections:
+        data = data.setdefault(section, {})
+        if not isinstance(data, dict):
+            raise ConfigError(f"override {override!r}: {section} is a value, not a section")
+    data[key] = value
+
+
+def converted(hint: Any, value: Any, where: str) -> Any:
+    """Return `value` as the declared type: numbers widen to float, lists become tuples, tables dataclasses."""
+    origin = get_origin(hint)
+    if dataclasses.is_dataclass(hint):
+        if not isinstance(value, dict):
+            raise ConfigError(f"{where} is a section, found {value!r}")
+        return from_dict(hint, value, f"{where}.")  # type: ignore[arg-type]
+    if origin is Literal:
+        if value not in get_args(hint):
+            raise ConfigError(f"{where} is {value!r}; expected one of {', '.join(map(repr, get_args(hint)))}")
+        return value
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in get_args(hint):  # as a map's manifest has what is not set; TOML has no null
+            return None
+        return next((converted(part, value, where) for part in get_args(hint) if part is not type(None)), None)
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise ConfigError(f"{where} is {value!r}; expected a list")
+        return tuple(converted(get_args(hint)[0], item, where) for item in value)
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError as error:
+            raise ConfigError(f"{where} is a number of {len(str(value))} digits; expected float") from error
+    if isinstance(hint, type) and isinstance(value, hint) and isinstance(value, bool) == (hint is bool):
+        return value
+    raise ConfigError(f"{where} is {value!r}; expected {getattr(hint, '__name__', hint)}")

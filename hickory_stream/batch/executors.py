@@ -1,0 +1,111 @@
+"""The tasks of a batch on a Dask cluster that is there already.
+
+Its workers read the logs and write the maps at the paths that they have here: on disks that all machines share. Dask
+gives the task of a worker that was lost to another one, which goes on with the map that was begun.
+
+The tasks of a batch on this machine: so many at a time, each with its share of the processors.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.batch.child import CHILDREN, run_task, with_cores
+from hickory_stream.batch.tasks import software
+from hickory_stream.errors import ConfigError, WorkerError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from hickory_stream.batch.tasks import LogOutcome, LogTask
+
+
+_CONNECT_S = 10.0
+
+
+def outcomes_on(address: str, tasks: Sequence[LogTask]) -> Iterator[LogOutcome]:
+    """Yield what comes of the tasks, as they end.
+
+    Raises:
+        ConfigError: Dask is not installed, nobody answers, there is no worker, or one has another version.
+        WorkerError: the cluster was lost; what was mapped is there.
+    """
+    try:
+        from distributed import Client, as_completed
+    except ImportError as error:
+        raise ConfigError("workers on a cluster need Dask: pip install 'hickory-stream[dask]'") from error
+    try:
+        client = Client(address, timeout=_CONNECT_S, set_as_default=False, name="hickory-stream batch")
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ConfigError(
+            f"no Dask scheduler answers at {address}; start one with `dask scheduler`, or use --workers N"
+        ) from error
+    with client, client.as_current():
+        _check_workers(client, address)
+        handed = [client.submit(run_task, task, key=f"hickory-batch-{task.name}", pure=False) for task in tasks]
+        try:
+            for future in as_completed(handed):
+                yield future.result()
+        except Exception as error:
+            raise WorkerError(
+                f"the cluster at {address} was lost: {' '.join(str(error).split()) or type(error).__name__}; "
+                "the same command goes on"
+            ) from error
+        finally:
+            client.cancel(handed)
+
+
+def _check_workers(client: Any, address: str) -> None:
+    try:
+        found: dict[str, str] = client.run(software)
+    except Exception as error:
+        raise ConfigError(
+            f"a worker of the cluster at {address} cannot run hickory-stream ({type(error).__name__}: {error}); "
+            f"install {software()} on all of them"
+        ) from error
+    if not found:
+        raise ConfigError(f"the cluster at {address} has no worker; start some with `dask worker {address}`")
+    for worker, version in sorted(found.items()):
+        if version != software():
+            raise ConfigError(
+                f"the worker {worker} has {version}, this machine {software()}; install the same version on all workers"
+            )
+
+
+def outcomes_here(tasks: Sequence[LogTask], workers: int) -> Iterator[LogOutcome]:
+    """Yield what comes of the tasks, as they end. Whoever closes the iterator before its end ends what runs."""
+    is_stopped = False
+    shares: SimpleQueue[tuple[int, ...]] = SimpleQueue()
+    for share in _shares(workers):
+        shares.put(share)
+
+    def run(task: LogTask) -> LogOutcome:
+        share = shares.get()
+        try:
+            return run_task(with_cores(task, share) if share else task, lambda: is_stopped)
+        finally:
+            shares.put(share)
+
+    with ThreadPoolExecutor(workers) as pool:
+        open_ = {pool.submit(run, task) for task in tasks}
+        try:
+            while open_:
+                done, open_ = wait(open_, return_when=FIRST_COMPLETED)
+                for one in done:
+                    yield one.result()
+        finally:
+            is_stopped = True
+            for one in open_:
+                one.cancel()
+            CHILDREN.kill()
+
+
+def _shares(workers: int) -> list[tuple[int, ...]]:
+    """Return the processors of each worker; () for all, where there are fewer processors than workers."""
+    if not hasattr(os, "sched_getaffinity"):
+        return [()] * workers
+    cores = sorted(os.sched_getaffinity(0))
+    return [tuple(cores[i::workers]) for i in range(workers)] if workers <= len(cores) else [()] * workers

@@ -1,0 +1,63 @@
+"""`hickory-stream doctor`: examine a log, or a robot, before it is mapped."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.base.atomic_files import write_output
+from hickory_stream.base.terminal import clear_line
+from hickory_stream.cli.option_values import seconds
+from hickory_stream.cli.output_files import add_output, disk_refusals
+from hickory_stream.cli.source_options import add_source_options, source_options
+from hickory_stream.outputs import output
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.commands import Commands
+
+_LIVE_S = 10.0
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    doctor = commands.add_parser(
+        "doctor",
+        parents=[common],
+        help="examine a log or a robot: status 0 sound, 3 usable with losses, 2 unusable",
+    )
+    doctor.set_defaults(run=run)
+    doctor.add_argument("source", nargs="+", metavar="LOG", help="what play or live would be given")
+    doctor.add_argument(
+        "--seconds", type=float, default=_LIVE_S, metavar="S", help="how long a live route is listened to (10)"
+    )
+    add_output(doctor, "--html", type=Path, metavar="PAGE", help="write a page with plots")
+    add_source_options(doctor)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    from players.doctor.diagnosis import examine
+    from players.doctor.report import diagnosis_page, diagnosis_text
+    from players.live.examine import examine_live
+    from players.live.routes import is_live
+
+    def progress(stage: str) -> None:
+        if sys.stderr.isatty() and not options.json:
+            clear_line()
+            sys.stderr.write(f"{stage} ...")
+
+    if len(options.source) == 1 and is_live(options.source[0]):
+        most_s = seconds(options.seconds, "--seconds", least=1.0)
+        found = examine_live(options.source[0], source_options(options), progress, seconds=most_s)
+    else:
+        found = examine(options.source, source_options(options), progress)
+    if sys.stderr.isatty() and not options.json:
+        clear_line()
+    if options.html is not None:
+        with disk_refusals(options.html, "page"):
+            write_output(options.html, diagnosis_page(found).encode())
+    print(output("doctor", found.as_dict(), indent=1) if options.json else diagnosis_text(found))
+    return found.status

@@ -1,0 +1,1 @@
+"""Commands that ask, draw, export, compare and align finished maps."""

@@ -1,0 +1,184 @@
+"""`hickory-stream align`: find where two maps overlap, or say why not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.cli.exit_status import NO_ALIGNMENT
+from hickory_stream.cli.output_files import add_output, disk_refusals, write_picture
+from hickory_stream.errors import InputError
+from hickory_stream.outputs import output
+
+if TYPE_CHECKING:
+    import argparse
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.answer import Alignment, NoAlignment, Rival
+    from hickory_stream.alignment.object_map import ObjectMap
+    from hickory_stream.cli.commands import Commands
+    from hickory_stream.map_folder.saved_map import SavedMap
+
+METHODS = ("sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic", "ransac")
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    align = commands.add_parser(
+        "align", parents=[common], help="find the transform between two maps that overlap; exit status 3: they do not"
+    )
+    align.set_defaults(run=run)
+    align.add_argument("a", type=Path, metavar="A", help="the map whose frame the answer is in")
+    align.add_argument("b", type=Path, metavar="B")
+    align.add_argument("--method", choices=METHODS, default="sq", help="sq (default), or another method for comparison")
+    add_output(align, "-o", "--out", type=Path, metavar="PNG|RRD", help="draw both maps joined by their pairs")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    from hickory_stream.alignment.answer import Alignment
+    from hickory_stream.alignment.methods import align_by
+
+    if options.out is not None and options.out.suffix not in (".png", ".rrd"):
+        raise InputError(f"found -o {options.out}, expected a name that ends in .png or .rrd")
+    map_a, map_b = load_objects(options.a), load_objects(options.b)
+    answer = align_by(options.method, map_a, map_b)
+    if options.out is not None:
+        _draw(options.out, map_a, map_b, answer)
+    print(output("align", answer_json(answer), indent=1) if options.json else answer_text(answer))
+    return 0 if isinstance(answer, Alignment) else NO_ALIGNMENT
+
+
+def load_objects(folder: Path) -> ObjectMap:
+    """Return the objects of a map folder; raises `MapFolderError`."""
+    from hickory_stream.cli.option_values import open_map_at
+
+    return objects_of(open_map_at(folder))
+
+
+def objects_of(saved: SavedMap) -> ObjectMap:
+    """Return the objects of an opened map, with the name of what made their features."""
+    from hickory_stream.alignment.object_map import object_map
+
+    return object_map(saved.snapshot, saved.manifest.extractor)
+
+
+def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
+    """Return an answer for machines."""
+    import numpy as np
+
+    from hickory_stream.alignment.answer import Alignment
+
+    against = answer.contradictions
+    told: dict[str, Any] = {
+        "aligned": isinstance(answer, Alignment),
+        "notes": list(answer.notes),
+        "expected": against.num_expected,
+        "missing": against.num_missing,
+        "missing_in_b": list(against.ids_a),
+        "missing_in_a": list(against.ids_b),
+        "rivals": [
+            {
+                "a_from_b": rival.a_from_b.tolist(),
+                "covariance": rival.covariance.tolist(),
+                "center_a": rival.center_a.tolist(),
+                "num_pairs": rival.num_pairs,
+                "log10_chance": rival.log10_chance,
+                "margin": rival.margin,
+            }
+            for rival in answer.rivals
+        ],
+    }
+    if isinstance(answer, Alignment):
+        return told | {
+            "a_from_b": answer.a_from_b.tolist(),
+            "covariance": answer.covariance.tolist(),
+            "center_a": answer.center_a.tolist(),
+            "translation_sigma_m": answer.translation_sigma_m,
+            "rotation_sigma_deg": float(np.degrees(answer.rotation_sigma_rad)),
+            "log10_chance": answer.log10_chance,
+            "margin": answer.margin,
+            "is_level": answer.is_level,
+            "is_refined": answer.is_refined,
+            "pairs": [
+                {
+                    "a": pair.id_a,
+                    "b": pair.id_b,
+                    "semantic": pair.semantic,
+                    "geometric": pair.geometric,
+                    "rank": pair.rank,
+                    "residual_m": pair.residual_m,
+                }
+                for pair in answer.pairs
+            ],
+        }
+    return told | {
+        "refusal": answer.refusal.value,
+        "reason": answer.reason,
+        "hypotheses": [
+            {
+                "a_from_b": hypothesis.a_from_b.tolist(),
+                "num_pairs": len(hypothesis.pairs),
+                "log10_chance": hypothesis.log10_chance if np.isfinite(hypothesis.log10_chance) else None,
+            }
+            for hypothesis in answer.hypotheses
+        ],
+    }
+
+
+def answer_text(answer: Alignment | NoAlignment) -> str:
+    """Return an answer for people."""
+    import numpy as np
+
+    from hickory_stream.alignment.answer import Alignment
+
+    notes = [f"note: {note}" for note in answer.notes]
+    if not isinstance(answer, Alignment):
+        tried = [
+            f"  hypothesis: {len(h.pairs)} pairs, chance 10^{h.log10_chance:.1f}"
+            for h in answer.hypotheses[:3]
+            if np.isfinite(h.log10_chance)
+        ]
+        if answer.rivals:
+            tried = ["  one of these may be right:", *map(_rival_text, answer.rivals)]
+        return "\n".join([f"not aligned ({answer.refusal.value}): {answer.reason}", *tried, *notes])
+    against = answer.contradictions
+    lines = [
+        f"aligned by {len(answer.pairs)} pairs: {_place_text(answer.a_from_b)}",
+        f"  uncertainty {100 * answer.translation_sigma_m:.1f} cm, {np.degrees(answer.rotation_sigma_rad):.2f} deg"
+        f"{', refined on surfaces' if answer.is_refined else ''}{'' if answer.is_level else ', maps tilted'}",
+        f"  expected false alarms 10^{answer.log10_chance:.1f}; {_separation_text(answer)}",
+        f"  of {against.num_expected} objects whose place the other map saw, {against.num_missing} are missing",
+    ]
+    return "\n".join([*lines, *notes])
+
+
+def _place_text(a_from_b: NDArray[np.float64]) -> str:
+    import numpy as np
+
+    yaw_deg = np.degrees(np.arctan2(a_from_b[1, 0], a_from_b[0, 0]))
+    x, y, z = a_from_b[:3, 3]
+    return f"b lies at ({x:.3f}, {y:.3f}, {z:.3f}) m in a, turned by {yaw_deg:.2f} deg"
+
+
+def _rival_text(rival: Rival) -> str:
+    return f"    {_place_text(rival.a_from_b)}: {rival.num_pairs} pairs, chance 10^{rival.log10_chance:.1f}"
+
+
+def _separation_text(answer: Alignment) -> str:
+    if not answer.rivals:
+        return "no other transform is significant"
+    return f"{len(answer.rivals)} others are ruled out, the closest by {answer.margin:.1f} decades"
+
+
+def _draw(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment) -> None:
+    from hickory_stream.pictures.render_alignment import render_alignment
+    from hickory_stream.sinks.rerun.alignment import write_alignment
+
+    if path.suffix == ".rrd":
+        with disk_refusals(path, "picture"):
+            write_alignment(path, map_a, map_b, answer)
+    else:
+        write_picture(path, render_alignment(map_a, map_b, answer))

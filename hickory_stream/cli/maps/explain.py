@@ -1,0 +1,127 @@
+"""`hickory-stream explain`: why something is not in a map, or how it came to be there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import InputError, MapFolderError
+from hickory_stream.outputs import output
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hickory_stream.cli.commands import Commands
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    explain = commands.add_parser("explain", parents=[common], help="say why something is not in a map")
+    explain.set_defaults(run=run)
+    explain.add_argument("map", type=Path, metavar="MAP")
+    what = explain.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "--at-pixel", metavar="FRAME,U,V", help="what a pixel shows: a frame of the timeline `frame`, column and row"
+    )
+    what.add_argument("--point", metavar="X,Y,Z", help="a place in the map, metres")
+    what.add_argument(
+        "--truth", type=Path, metavar="DIR", help="all true objects that are missed, and all false objects"
+    )
+    explain.add_argument("--object", type=int, metavar="ID", help="this true object alone, keyframe by keyframe")
+    explain.add_argument(
+        "--log", nargs="+", metavar="LOG", help="the log, for the depth of a pixel that the journal does not have"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    if options.object is not None and options.truth is None:
+        raise InputError(f"found --object {options.object} without --truth DIR, expected both")
+    if options.log is not None and options.at_pixel is None:
+        raise InputError("found --log without --at-pixel: the journal has all that is needed for a point and for truth")
+    return _truth(options) if options.truth is not None else _place(options)
+
+
+def _truth(options: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from hickory_stream.cli.option_values import open_map_at
+    from hickory_stream.evaluation.truth import load_truth
+    from hickory_stream.evaluation.why import investigate, story_of, why_of
+    from hickory_stream.evaluation.why_text import object_text, why_text
+
+    truth = load_truth(options.truth)
+    if options.object is not None and options.object not in {item.id for item in truth.objects}:
+        known = ", ".join(str(item.id) for item in truth.objects)
+        raise InputError(f"found --object {options.object}, expected the id of a true object: {known}")
+    found = investigate(open_map_at(options.map), truth)
+    if options.object is not None:
+        story = story_of(found, options.object)
+        print(output("explain-object", asdict(story), indent=1) if options.json else object_text(story))
+        return 0
+    why = why_of(found)
+    print(output("explain-truth", asdict(why), indent=1) if options.json else why_text(why))
+    return 0
+
+
+def _place(options: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    import numpy as np
+
+    from hickory_stream.cli.option_values import open_map_at
+    from hickory_stream.evaluation.why_text import place_text
+    from hickory_stream.inspection.pixel_history import story_of_pixel
+    from hickory_stream.inspection.point_history import story_of_point
+
+    if options.point is not None:
+        point = np.array(_three_numbers(options.point, "--point", "X,Y,Z in metres, e.g. --point=1.5,-2,0.8"))
+        open_map_at(options.map)
+        story = story_of_point(options.map, point)
+    else:
+        expected = "FRAME,U,V, a frame's index, a column and a row, e.g. --at-pixel 120,320,240"
+        frame, u, v = _three_numbers(options.at_pixel, "--at-pixel", expected)
+        if frame != int(frame):
+            raise InputError(f"found --at-pixel {options.at_pixel}, expected {expected}")
+        open_map_at(options.map)
+        depth_of = None if options.log is None else _depth_reader(options.map, options.log)
+        story = story_of_pixel(options.map, int(frame), (u, v), depth_of)
+    print(output("explain", asdict(story), indent=1) if options.json else place_text(story))
+    return 0
+
+
+def _three_numbers(text: str, option: str, expected: str) -> tuple[float, float, float]:
+    """Return the numbers of a text like 1,2,3; raises `InputError`."""
+    try:
+        a, b, c = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(f"found {option} {text}, expected {expected}") from error
+    if not all(abs(value) < float("inf") for value in (a, b, c)):
+        raise InputError(f"found {option} {text}, expected three finite numbers")
+    return a, b, c
+
+
+def _depth_reader(path: Path, logs: list[str]) -> Callable[[int], NDArray[np.float32]]:
+    """Return what gives the depth of the frame of a stamp, from a log that is played as the map's was."""
+
+    def depth_of(stamp_ns: int) -> NDArray[np.float32]:
+        from hickory_stream.map_folder.manifest import read_manifest
+        from players import open_noted
+
+        recorded = read_manifest(path).run.get("source")
+        if not isinstance(recorded, dict):
+            raise MapFolderError(f"{path} does not say how its log was played, so that --log is of no use")
+        source = open_noted({**recorded, "uris": logs})
+        try:
+            for raw in source.frames():
+                if raw.stamp_ns == stamp_ns:
+                    return raw.decode().depth_m
+        finally:
+            source.close()
+        raise InputError(f"{', '.join(logs)} has no frame of the stamp {stamp_ns}ns: it is not the log of {path}")
+
+    return depth_of

@@ -1,0 +1,220 @@
+"""`hickory-stream export`: a map in a format that other programs read."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.base.atomic_files import write_output
+from hickory_stream.base.json_text import dumps_exactly
+from hickory_stream.cli.maps.floor import add_floor_argument, floor_of_option
+from hickory_stream.cli.option_values import (
+    add_texture_argument,
+    add_unproven_argument,
+    open_proven_map_at,
+    robot_of_option,
+)
+from hickory_stream.cli.output_files import add_output, refuse_taken, written_text
+from hickory_stream.errors import InputError, MapFolderError
+from hickory_stream.outputs import output
+from hickory_stream.textures import DEFAULT_TEXTURE_PX
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable
+
+    from hickory_stream.cli.commands import Commands
+    from hickory_stream.geometry.mesh import Mesh
+    from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.records import TrackedObject
+    from hickory_stream.textures.textured_mesh import TexturedMesh
+
+
+# Structure above is ceiling to a robot.
+_WALL_HEIGHT_M = 2.0
+_MOST_TOLD = 3
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    export = commands.add_parser("export", parents=[common], help="write a map in another format")
+    export.set_defaults(run=run)
+    export.add_argument("map", type=Path, metavar="MAP")
+    export.add_argument(
+        "--format",
+        choices=sorted((*_WRITERS, *_SEVERAL)),
+        default="json",
+        help="json (default): all records; ply: layer 1 of all objects; glb: layer 2, one named node an object, y up, "
+        "_SEEN per vertex; nav2: a grid for map_server (YAML and PGM); mjcf, urdf: a folder for simulators, layer 2 to "
+        "see, layer 4 to touch",
+    )
+    add_output(
+        export,
+        "-o",
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="default: MAP with the ending of the format, yaml for nav2",
+    )
+    export.add_argument(
+        "--robot", metavar="NAME|FILE", help="nav2: whose heights count; its footprint does not. nav2 needs it"
+    )
+    export.add_argument(
+        "--cell", type=float, default=0.05, metavar="M", help="nav2: the side of a cell, default 0.05 m"
+    )
+    export.add_argument(
+        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
+    )
+    add_floor_argument(export, "nav2, mjcf, urdf: which storey, of a map with several")
+    add_texture_argument(export, "glb, mjcf, urdf: the side of an object's texture", DEFAULT_TEXTURE_PX)
+    add_unproven_argument(export)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    saved, doubt = open_proven_map_at(options)
+    ending = "yaml" if options.format == "nav2" else options.format
+    out = options.out or options.map.with_suffix(f".{ending}")
+    refuse_taken([out], overwrite=options.overwrite)
+    if options.format in _SEVERAL:
+        files = _SEVERAL[options.format](saved, out, options)
+    else:
+        files = {out: _WRITERS[options.format](saved, options)}
+    refuse_taken(files, overwrite=options.overwrite)
+    try:
+        for path, data in files.items():
+            if options.format in _SEVERAL:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            write_output(path, data)
+    except OSError as error:
+        raise InputError(f"cannot write {out}: {error.strerror}; choose another --out") from error
+    if options.json:
+        told = {"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}
+        told |= {"unproven": doubt or None}
+        print(output("export", told if len(files) == 1 else told | {"files": len(files)}))
+    else:
+        if doubt:
+            sys.stderr.write(f"note: layer 4 is not proven: {doubt}\n")
+        # A file that was named is told of with those of all commands.
+        told_of = [path for path in files if path != options.out]
+        if len(told_of) > _MOST_TOLD:
+            size = sum(len(data) for data in files.values()) / 1024**2
+            print(f"{out}: {len(files)} files, {size:.2f} MiB")
+        else:
+            print("".join(f"{written_text(path)}\n" for path in told_of), end="")
+    return 0
+
+
+def _json(saved: SavedMap, options: argparse.Namespace) -> bytes:
+    from hickory_stream.map_folder.codec import encode_snapshot
+    from hickory_stream.map_folder.layout import OBJECTS
+    from hickory_stream.map_folder.manifest import json_of, read_file
+
+    if saved.is_sealed and options.at is None:
+        # The document as it was saved: it names points and voxels by their content, which need not be read for that.
+        document = json_of(saved.folder, OBJECTS, read_file(saved.folder, OBJECTS))
+    else:
+        document, _ = encode_snapshot(saved.snapshot)
+    return dumps_exactly(document, indent=1).encode()
+
+
+def _ply(saved: SavedMap, _options: argparse.Namespace) -> bytes:
+    import numpy as np
+
+    from hickory_stream.map_folder.array_files import ply_bytes
+
+    objects = saved.snapshot.objects
+    points = [np.zeros((0, 3), dtype=np.float32), *(tracked.points_world for tracked in objects)]
+    colors = [np.zeros((0, 3), dtype=np.uint8), *(tracked.colors for tracked in objects)]
+    return ply_bytes(np.concatenate(points), np.concatenate(colors))
+
+
+def _texture_of(
+    saved: SavedMap, tracked: TrackedObject, options: argparse.Namespace, mesh: Mesh
+) -> TexturedMesh | None:
+    """Return the textured mesh of an object, None where colours per vertex were asked for."""
+    if not options.texture:
+        return None
+    from hickory_stream.map_folder.textured_objects import textured_object
+
+    try:
+        return textured_object(saved.views, tracked, mesh, options.texture, is_past=options.at is not None)
+    except MapFolderError as error:
+        raise MapFolderError(f"{error}, or write object {tracked.id} without it: --texture 0") from error
+
+
+def _glb(saved: SavedMap, options: argparse.Namespace) -> bytes:
+    """Return a scene of glTF, which is y up; `_SEEN` of a vertex is 1 where the surface was seen, 0 where completed."""
+    import numpy as np
+    import trimesh
+
+    from hickory_stream.textures.textured_mesh import trimesh_visual
+
+    gltf_from_world = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    scene = trimesh.Scene()
+    for tracked in saved.snapshot.objects:
+        if tracked.shape is not None:
+            mesh = saved.mesh(tracked.shape)
+            textured = _texture_of(saved, tracked, options, mesh)
+            if textured is None:
+                visual = trimesh.visual.ColorVisuals(vertex_colors=mesh.colors)
+            else:
+                mesh, visual = textured.mesh, trimesh_visual(textured)
+            shown = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
+            shown.vertex_attributes["_SEEN"] = mesh.is_seen.astype(np.float32)
+            name = f"object-{tracked.id}"
+            pose = gltf_from_world @ tracked.shape.world_from_object
+            scene.add_geometry(shown, node_name=name, geom_name=name, transform=pose)
+    if not scene.geometry:
+        raise InputError(f"{saved.folder} holds no meshes; export --format ply writes the points")
+    exported: bytes = scene.export(file_type="glb")
+    return exported
+
+
+def _nav2(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path, bytes]:
+    from hickory_stream.navigation.free_space import obstacle_grid
+    from hickory_stream.navigation.nav2 import pgm_of, yaml_of
+
+    robot, floor_m = robot_of_option(options.robot, "--robot"), floor_of_option(saved.snapshot, options.floor)
+    grid = obstacle_grid(saved.snapshot, robot, cell_m=options.cell, floor_m=floor_m)
+    picture = out.with_suffix(".pgm")
+    if picture == out:
+        raise InputError(f"found --out {out}, expected the name of the YAML file; the picture lies beside it")
+    return {picture: pgm_of(grid.states()), out: yaml_of(grid.frame, picture.name).encode()}
+
+
+def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path, bytes]:
+    from hickory_stream.navigation.free_space import layer_four_of, obstacles_of
+    from hickory_stream.navigation.observed import Band
+    from hickory_stream.navigation.simulators import SimulatedObject, mjcf_files, urdf_files
+    from hickory_stream.navigation.walls import wall_boxes
+    from hickory_stream.storeys import on_storey
+
+    floor = floor_of_option(saved.snapshot, options.floor)
+    snapshot = on_storey(saved.snapshot, floor)
+    meshes = {tracked.id: saved.mesh(tracked.shape) for tracked in snapshot.objects if tracked.shape is not None}
+    objects = [
+        SimulatedObject(
+            name=f"object-{tracked.id}",
+            mesh=meshes.get(tracked.id),
+            texture=_texture_of(saved, tracked, options, meshes[tracked.id]) if tracked.id in meshes else None,
+            world_from_object=tracked.box.world_from_box if tracked.shape is None else tracked.shape.world_from_object,
+            inflated=layer_four_of(tracked),
+        )
+        for tracked in obstacles_of(snapshot)
+    ]
+    band = Band(low_m=floor, high_m=floor + _WALL_HEIGHT_M)
+    bodies = [item.inflated for item in objects]
+    walls = wall_boxes(snapshot.submaps, band, floor, bodies)
+    files = mjcf_files if options.format == "mjcf" else urdf_files
+    made = files(objects, walls, floor, out.stem)
+    return {out / name: data for name, data in made.items()}
+
+
+_WRITERS: dict[str, Callable[[SavedMap, argparse.Namespace], bytes]] = {"json": _json, "ply": _ply, "glb": _glb}
+_SEVERAL: dict[str, Callable[[SavedMap, Path, argparse.Namespace], dict[Path, bytes]]] = {
+    "nav2": _nav2,
+    "mjcf": _simulated,
+    "urdf": _simulated,
+}

@@ -1,0 +1,145 @@
+"""`hickory-stream query`: which objects of a map are what a question asks for, or how many there are."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.cli.exit_status import NO_ANSWER
+from hickory_stream.cli.option_values import open_map_at, parse_place, positive
+from hickory_stream.cli.output_files import add_output, write_picture
+from hickory_stream.errors import InputError
+from hickory_stream.outputs import output
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.commands import Commands
+    from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.query.answers import Answer, Answers
+    from hickory_stream.query.looks import ObjectLooks
+    from hickory_stream.query.map_index import MapIndex
+
+_TOLD_EVERY = 100
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    query = commands.add_parser(
+        "query", parents=[common], help="which objects answer a question; exit status 3: none does"
+    )
+    query.set_defaults(run=run)
+    query.add_argument("map", type=Path, metavar="MAP")
+    query.add_argument("question", nargs="+", metavar="WORD", help='e.g. "a red box on a table" or "how many chairs"')
+    query.add_argument("--top", type=int, default=5, metavar="N", help="show the best N answers, default 5")
+    query.add_argument(
+        "--from",
+        dest="viewer",
+        metavar="X,Y",
+        help='from where "in front of" is meant; without it, from where the landmark was seen best',
+    )
+    query.add_argument(
+        "--model",
+        metavar="NAME",
+        help="the image-text network for words that geometry does not tell; default: the only one there is",
+    )
+    add_output(query, "-o", "--out", type=Path, metavar="PNG", help="draw the map with the answers, and their views")
+    query.add_argument(
+        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    from hickory_stream.config import MapperConfig, as_far_as_known
+    from hickory_stream.query.answers import ask
+    from hickory_stream.query.grammar import UnknownWord
+    from hickory_stream.query.map_index import index_of
+
+    top = positive(options.top, "--top")
+    if options.out is not None and options.out.suffix != ".png":
+        raise InputError(f"found -o {options.out}, expected a name that ends in .png")
+    viewer = None if options.viewer is None else parse_place(options.viewer, "--from")
+    saved = open_map_at(options.map, options.at)
+    index = index_of(saved.snapshot, as_far_as_known(MapperConfig, saved.manifest.config).mapping)
+    question = " ".join(options.question)
+    try:
+        answers = ask(index, question, viewer)
+    except UnknownWord as unknown:
+        answers = ask(index, question, viewer, _looks(saved, index, options.model, unknown, is_quiet=options.json))
+    if options.out is not None:
+        from hickory_stream.query.picture import draw_answers
+
+        write_picture(options.out, draw_answers(saved, answers))
+    print(output("query", _as_json(index, answers, top), indent=1) if options.json else _as_text(index, answers, top))
+    return 0 if answers.found or answers.counts else NO_ANSWER
+
+
+def _looks(saved: SavedMap, index: MapIndex, model: str | None, unknown: InputError, *, is_quiet: bool) -> ObjectLooks:
+    """Return how objects look by the network of a name, or by the only one that is there."""
+    from hickory_stream.perception.models.image_text import open_image_text
+    from hickory_stream.perception.models.library import find_model, models_folder, read_manifest
+    from hickory_stream.perception.models.network import Network, NetworkConfig
+    from hickory_stream.query.looks import ObjectLooks
+
+    there = [entry.name for entry in read_manifest(models_folder()).values() if entry.kind == "image-text"]
+    if model is None and len(there) != 1:
+        one_of = f"several image-text networks are there ({', '.join(there)}): choose one with --model"
+        none = "an image-text network could tell (`hickory-stream models add FOLDER --kind image-text`)"
+        raise InputError(f"{unknown}; {one_of if there else none}")
+    entry, path = find_model(model or there[0], "image-text")
+    config = NetworkConfig(warm_up=False)
+    network = open_image_text(entry, Network(path, config), config)
+    preprocessor = next(one.sha256 for one in entry.companions if one.role == "preprocessor")
+
+    def progress(done: int, total: int) -> None:
+        if done == total or done % _TOLD_EVERY == 0:
+            print(f"views looked at by {entry.name}: {done} of {total}", file=sys.stderr)
+
+    told = {} if is_quiet else {"progress": progress}
+    return ObjectLooks(saved, index, network, entry.sha256 + preprocessor, **told)
+
+
+def _as_json(index: MapIndex, answers: Answers, top: int) -> dict[str, Any]:
+    return {
+        "question": answers.question,
+        "counts": answers.counts,
+        "count": len(answers.found),
+        "answers": [_answer_json(index, answer) for answer in answers.found[:top]],
+        "nearly": [_answer_json(index, answer) for answer in answers.nearly],
+    }
+
+
+def _answer_json(index: MapIndex, answer: Answer) -> dict[str, Any]:
+    i = index.ids.tolist().index(answer.id)
+    return {
+        "object": answer.id,
+        "goal": f"object:{answer.id}",
+        "score": answer.score,
+        "center_m": [round(part, 4) for part in index.centers[i].tolist()],
+        "size_m": [round(part, 4) for part in index.sides_m[i].tolist()],
+        "why": dict(answer.why),
+    }
+
+
+def _as_text(index: MapIndex, answers: Answers, top: int) -> str:
+    asked = f"{answers.question}: "
+    if answers.counts:
+        return asked + str(len(answers.found)) + _listed(answers)
+    if not answers.found:
+        near = [f"  nearly: {_line(index, answer)}" for answer in answers.nearly]
+        return "\n".join([f"{asked}nothing in the map answers", *near])
+    lines = [_line(index, answer) for answer in answers.found[:top]]
+    more = len(answers.found) - top
+    return "\n".join([f"{asked}{len(answers.found)} found", *lines, *([f"and {more} more"] if more > 0 else [])])
+
+
+def _listed(answers: Answers) -> str:
+    return f" ({', '.join(f'#{answer.id}' for answer in answers.found)})" if answers.found else ""
+
+
+def _line(index: MapIndex, answer: Answer) -> str:
+    x, y, z = index.centers[index.ids.tolist().index(answer.id)]
+    why = ", ".join(f"{text} {score:.2f}" for text, score in answer.why)
+    return f"#{answer.id:<5} {answer.score:.2f}  at ({x:.2f}, {y:.2f}, {z:.2f}) m: {why}"

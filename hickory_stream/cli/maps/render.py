@@ -1,0 +1,66 @@
+"""`hickory-stream render`: draw a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hickory_stream.cli.maps.floor import add_floor_argument, floor_of_option
+from hickory_stream.cli.option_values import add_texture_argument, open_map_at, parse_layers, parse_size
+from hickory_stream.cli.output_files import add_output, write_drawing, write_picture
+from hickory_stream.errors import InputError
+from hickory_stream.outputs import output
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.commands import Commands
+    from hickory_stream.map_folder.saved_map import SavedMap
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    render = commands.add_parser("render", parents=[common], help="draw a map; needs no screen")
+    render.set_defaults(run=run)
+    render.add_argument("map", type=Path, metavar="MAP")
+    add_output(render, "-o", "--out", type=Path, default=Path("map.png"), metavar="PNG")
+    render.add_argument("--layers", default="1,2", help="which layers to draw, e.g. 1,2 (default) or 3,4")
+    render.add_argument(
+        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
+    )
+    add_floor_argument(render, "draw one storey alone")
+    add_texture_argument(render, "layer 2 with the pixels of the kept views: the side of an object's texture", 0)
+    render.add_argument("--size", default="1600x800", metavar="WxH")
+    render.add_argument(
+        "--graph",
+        action="store_true",
+        help="draw the pose graph instead: the way before and after, loops, residuals; an SVG where the name says so",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    layers = parse_layers(options.layers)
+    width, height = parse_size(options.size)
+    saved = open_map_at(options.map, options.at)
+    if options.graph:
+        _draw_graph(saved, options.out, (width, height))
+    else:
+        from hickory_stream.pictures.render import render_map
+
+        floor_m = None if options.floor is None else floor_of_option(saved.snapshot, options.floor)
+        write_picture(options.out, render_map(saved, layers, (width, height), options.texture, floor_m))
+    if options.json:
+        shown = [] if options.graph else sorted(layers)
+        told = {"picture": str(options.out), "width": width, "height": height, "layers": shown, "graph": options.graph}
+        print(output("render", told))
+    return 0
+
+
+def _draw_graph(saved: SavedMap, out: Path, size: tuple[int, int]) -> None:
+    from hickory_stream.pictures.render_graph import recorded_ways, render_graph
+
+    ways = recorded_ways(saved)
+    if saved.snapshot.graph is None or ways is None:
+        raise InputError(f"{saved.folder} has no pose graph: no loops were searched for when it was made")
+    write_drawing(out, render_graph(saved.snapshot.graph, ways, size))

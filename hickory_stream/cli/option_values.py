@@ -1,0 +1,192 @@
+"""Checks of option values of the command line, with messages that say what was expected."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.errors import ConfigError, InputError
+from hickory_stream.textures import LEAST_TEXTURE_PX, MOST_TEXTURE_PX
+
+if TYPE_CHECKING:
+    import argparse
+    from pathlib import Path
+
+    from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.navigation.robot import Robot
+    from hickory_stream.progress import Style
+    from hickory_stream.settings import Settings
+
+
+def read_settings(options: argparse.Namespace) -> Settings:
+    """Return the settings that `--config`, `--set` and `--workers` make; raises `ConfigError`."""
+    from dataclasses import replace
+
+    from hickory_stream.base.config_text import read_config
+    from hickory_stream.settings import Settings
+
+    settings = read_config(Settings, options.config, tuple(options.set or ()))
+    if getattr(options, "workers", None) is not None:
+        mapper = settings.mapper
+        settings = replace(settings, mapper=replace(mapper, run=replace(mapper.run, **parse_workers(options.workers))))
+    return settings
+
+
+def parse_workers(text: str) -> dict[str, Any]:
+    """Return what a text like 2 or dask=tcp://HOST:PORT says of the workers; raises `ConfigError`."""
+    if text.startswith("dask="):
+        return {"cluster": text.removeprefix("dask=")}
+    if not text.isdigit() or int(text) < 1:
+        raise ConfigError(f"found --workers {text}, expected a number, at least 1, or dask=tcp://HOST:PORT")
+    return {"workers": int(text), "cluster": ""}
+
+
+def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_whole: bool = False) -> SavedMap:
+    """Return the map in a folder, as it was known at a time (`--at`) where one is given.
+
+    `warns` and `is_whole` are those of `open_map`. Of a run that did not end it is said on standard error
+    how to go on with it.
+
+    Raises:
+        MapFolderError: there is no map, or it keeps no history.
+        InputError: the time is none, or outside of the run.
+    """
+    from dataclasses import replace
+
+    from hickory_stream.cli.unfinished import unfinished_note
+    from hickory_stream.map_folder.saved_map import open_map
+
+    saved = open_map(path, warns=warns, is_whole=is_whole)
+    note = unfinished_note(saved)
+    if note is not None:
+        sys.stderr.write(f"note: {note}\n")
+    if at is None:
+        return saved
+    # With the core, which takes a second to import and which nobody else needs.
+    from hickory_stream.map_folder.history.time_travel import stamp_of
+
+    return replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
+
+
+def add_unproven_argument(parser: argparse.ArgumentParser) -> None:
+    """Add what says that an altered map is taken all the same."""
+    parser.add_argument(
+        "--unproven", action="store_true", help="go on with a map that was altered after it was saved, and say so"
+    )
+
+
+def open_proven_map_at(options: argparse.Namespace) -> tuple[SavedMap, str]:
+    """Return the map of `options.map` and `options.at`, and why its layer 4 is not proven, "" where it is.
+
+    Raises:
+        MapFolderError: there is no map, it keeps no history, or it was altered and `--unproven` is not given.
+        InputError: the time is none, or outside of the run.
+    """
+    from hickory_stream.map_folder.saved_map import check_unaltered
+
+    saved = open_map_at(options.map, options.at, warns=False)
+    if not options.unproven:
+        check_unaltered(saved, ", --unproven goes on all the same")
+    doubt = saved.doubt
+    if not doubt and options.at is not None:
+        doubt = f"what was known at {options.at} is from the journal, which only `hickory-stream verify` looks through"
+    return saved, doubt
+
+
+def robot_of_option(name: str | None, option: str) -> Robot:
+    """Return the robot that an option names; there is no default, which would be too low or too slim for another one.
+
+    Raises:
+        ConfigError: it names none, one that nobody knows, or a file that is no robot's.
+    """
+    from hickory_stream.navigation.robot import load_robot, robot_names
+
+    if name is None:
+        known = ", ".join(robot_names())
+        raise ConfigError(f"found no {option}, expected the robot that is to drive: {known}, or a file FILE.toml")
+    return load_robot(name)
+
+
+def make_style(options: argparse.Namespace) -> Style:
+    """Return how the progress is shown."""
+    return "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
+
+
+def parse_rate(text: str) -> float | None:
+    """Return a factor of real time, None for `max`; raises `InputError`."""
+    if text == "max":
+        return None
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = 0.0
+    if not 0 < rate < float("inf"):
+        raise InputError(f"found --rate {text}, expected max or a number above 0, e.g. 1.0 for real time")
+    return rate
+
+
+def positive(number: int, option: str) -> int:
+    """Return the number, which is 1 or more; raises `InputError`, which names the option."""
+    if number < 1:
+        raise InputError(f"found {option} {number}, expected at least 1")
+    return number
+
+
+def seconds(value: float, option: str, *, least: float) -> float:
+    """Return seconds, which are `least` or more and not endless; raises `InputError`, which names the option."""
+    if not least <= value < float("inf"):
+        raise InputError(f"found {option} {value:g}, expected seconds, {least:g} or more")
+    return value
+
+
+def parse_nanoseconds(tolerance_ms: float | None) -> int | None:
+    """Return milliseconds as nanoseconds; raises `InputError` below 0."""
+    if tolerance_ms is None:
+        return None
+    if not 0 <= tolerance_ms < float("inf"):
+        raise InputError(f"found --sync-tolerance {tolerance_ms:g}, expected milliseconds, 0 or more")
+    return round(tolerance_ms * 1e6)
+
+
+def parse_place(text: str, option: str) -> tuple[float, float]:
+    """Return the x and y of a text like 1.5,-2, metres; raises `InputError`."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(f"found {option} {text}, expected X,Y in metres, e.g. {option} 1.5,-2") from error
+    if not (abs(x) < float("inf") and abs(y) < float("inf")):
+        raise InputError(f"found {option} {text}, expected two finite numbers")
+    return x, y
+
+
+def parse_layers(text: str) -> set[int]:
+    """Return the layers that a text like 1,2 names; raises `InputError`."""
+    parts = {part.strip() for part in text.split(",")}
+    if not parts <= {"1", "2", "3", "4"}:
+        raise InputError(f"found --layers {text}, expected some of 1,2,3,4")
+    return {int(part) for part in parts}
+
+
+def add_texture_argument(parser: argparse.ArgumentParser, what: str, default: int) -> None:
+    """Add --texture: the largest side in pixels, 0 for none."""
+    import argparse
+
+    least, most = LEAST_TEXTURE_PX, MOST_TEXTURE_PX
+
+    def side(text: str) -> int:
+        if not text.isdigit() or not (int(text) == 0 or least <= int(text) <= most):
+            raise argparse.ArgumentTypeError(
+                f"found --texture {text}, expected {least} to {most} pixels, or 0 for the colours of vertices"
+            )
+        return int(text)
+
+    told = f"{what} at most, {least} to {most} pixels; 0: colours of vertices; default {default}"
+    parser.add_argument("--texture", type=side, default=default, metavar="PX", help=told)
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Return width and height of a text like 1600x800, pixels; raises `InputError`."""
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit() and 480 <= int(width) <= 8192 and 240 <= int(height) <= 8192):
+        raise InputError(f"found --size {text}, expected WIDTHxHEIGHT of 480x240 to 8192x8192 pixels, e.g. 1600x800")
+    return int(width), int(height)

@@ -1,0 +1,92 @@
+"""Output files of commands: an existing file is replaced only with --overwrite, and each file written is named."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.errors import InputError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hickory_stream.pictures.drawing import Drawing
+
+
+def add_output(command: argparse.ArgumentParser, *names: str, **options: Any) -> None:
+    """Add an option that names a file to write; with the first one of a command comes its `--overwrite`."""
+    dest = command.add_argument(*names, **options).dest
+    known = command.get_default("outputs") or ()
+    command.set_defaults(outputs=(*known, dest))
+    if not any("--overwrite" in action.option_strings for action in command._actions):
+        command.add_argument("--overwrite", action="store_true", help="replace files that are there")
+
+
+def outputs_of(options: argparse.Namespace) -> list[Path]:
+    """Return the files that the options name to be written."""
+    named = (getattr(options, dest) for dest in getattr(options, "outputs", ()))
+    return [path for path in named if path is not None]
+
+
+def refuse_taken(paths: Iterable[Path], *, overwrite: bool) -> None:
+    """Refuse to write over files; pipes and devices are there to be written.
+
+    Raises:
+        InputError: one is there, and it was not asked to be replaced.
+    """
+    for path in paths:
+        if path.is_file() and not overwrite:
+            raise InputError(f"{path} is there already; --overwrite replaces it, or choose another name")
+
+
+@contextmanager
+def disk_refusals(path: Path, what: str) -> Iterator[None]:
+    """Turn an `OSError` within the block into an `InputError` that says what cannot be written where, and why."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write the {what} {path}: {error.strerror}") from error
+
+
+def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Write an (H, W, 3) picture, red first, as PNG.
+
+    Raises:
+        InputError: the disk refused.
+    """
+    import cv2
+
+    from hickory_stream.base.atomic_files import write_output
+
+    with disk_refusals(path, "picture"):
+        write_output(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+
+
+def write_drawing(path: Path, drawing: Drawing) -> None:
+    """Write a drawing: as SVG where the name ends so, else as PNG.
+
+    Raises:
+        InputError: the disk refused.
+    """
+    from hickory_stream.base.atomic_files import write_output
+
+    if path.suffix.lower() != ".svg":
+        write_picture(path, drawing.image())
+        return
+    with disk_refusals(path, "drawing"):
+        write_output(path, drawing.svg().encode())
+
+
+def written_text(path: Path) -> str:
+    """Return what is said of a file that was written."""
+    size = path.stat().st_size
+    return f"{path}: {size} bytes" if size < 1024 else f"{path}: {_large(size)}"
+
+
+def _large(size: int) -> str:
+    return f"{size / 1024:.1f} KiB" if size < 1024**2 else f"{size / 1024**2:.2f} MiB"

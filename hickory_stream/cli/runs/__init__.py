@@ -1,0 +1,1 @@
+"""Commands that map a log or a camera."""

@@ -1,0 +1,289 @@
+"""`hickory-stream play`: map a recorded log.
+
+Keys on a terminal that drive the playback clock: space, arrows and the full stop.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from hickory_stream.cli.option_values import make_style, parse_rate, positive, read_settings, robot_of_option
+from hickory_stream.cli.output_files import add_output
+from hickory_stream.cli.runs.summary import finish
+from hickory_stream.cli.source_options import add_source_options, source_options
+from hickory_stream.cli.unfinished import resume_command
+from hickory_stream.errors import InputError
+from hickory_stream.outputs import output
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable
+
+    from hickory_stream.cli.commands import Commands
+    from hickory_stream.map_folder.writer import MapFolder
+    from hickory_stream.ports import Sink
+    from hickory_stream.settings import Settings
+    from players.playback import PlaybackClock
+
+
+HELP = "space: pause; . : one frame; k: to the next keyframe; right, left: 10 s on or back; up, down: faster or slower"
+_SEEK_S = 10.0
+_RATES = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, None)
+
+
+class Keys:
+    """While entered, keys drive a clock; does nothing where standard input is no terminal."""
+
+    def __init__(self, clock: PlaybackClock) -> None:
+        self._clock = clock
+        self._saved: list[Any] | None = None
+        self._ended = threading.Event()
+
+    def __enter__(self) -> Self:
+        """Take the terminal out of its line mode; Ctrl-C stays what it is."""
+        if sys.platform != "win32" and sys.stdin.isatty():
+            import termios
+            import tty
+
+            self._saved = termios.tcgetattr(sys.stdin.fileno())
+            tty.setcbreak(sys.stdin.fileno())
+            threading.Thread(target=self._read, name="keys", daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Give the terminal back."""
+        self._ended.set()
+        if self._saved is not None:
+            import termios
+
+            termios.tcsetattr(sys.stdin.fileno(), termios.TCSADRAIN, self._saved)
+
+    def _read(self) -> None:
+        import os
+        import select
+
+        while not self._ended.is_set():
+            ready, _, _ = select.select([sys.stdin], [], [], 0.2)
+            if ready:
+                press(self._clock, os.read(sys.stdin.fileno(), 16))
+
+
+def press(clock: PlaybackClock, keys: bytes) -> None:
+    """Do what the keys say; unknown ones do nothing."""
+    match keys:
+        case b" ":
+            clock.pause()
+        case b".":
+            clock.step("frame")
+        case b"k":
+            clock.step("keyframe")
+        case b"\x1b[C":
+            clock.seek(_SEEK_S, relative=True)
+        case b"\x1b[D":
+            clock.seek(-_SEEK_S, relative=True)
+        case b"\x1b[A" | b"\x1b[B":
+            place = _RATES.index(clock.rate) if clock.rate in _RATES else _RATES.index(1.0)
+            step = 1 if keys == b"\x1b[A" else -1
+            clock.set_rate(_RATES[min(max(place + step, 0), len(_RATES) - 1)])
+
+
+# What `play` has beside what a fleet has, and what it is where it was not said.
+_OF_ONE_LOG = {
+    "rate": "max", "live": False, "loop": 1, "start": 0.0, "end": None, "inject": None, "frames": None, "rrd": None,
+    "costmap": None, "metrics_port": None, "profile": None, "odometry": "auto", "poses": None, "pose_topic": None,
+    "color_topic": None, "depth_topic": None,
+}  # fmt: skip
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    play = commands.add_parser("play", parents=[common, configured], help="map a recorded log")
+    play.set_defaults(run=run)
+    play.add_argument(
+        "source",
+        nargs="*",
+        help="an MCAP file, a ROS 1 or ROS 2 bag, or a folder of images; several logs are played as one; or, without "
+        "any, --robot NAME=LOG for each robot of a fleet",
+    )
+    play.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
+    play.add_argument("--overwrite", action="store_true", help="replace the map and the files that are there")
+    play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
+    play.add_argument(
+        "--live",
+        action="store_true",
+        help="play like a live camera: in real time; frames that come too fast are left out",
+    )
+    play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
+    play.add_argument("--start", type=float, default=0.0, metavar="S", help="begin so many seconds into the log")
+    play.add_argument("--end", type=float, metavar="S", help="end so many seconds into the log")
+    play.add_argument(
+        "--inject", metavar="FAULTS", help="inject faults, e.g. drop=0.1,teleport=0.02; see --inject-seed"
+    )
+    play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="which frames have faults")
+    play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
+    add_run_options(play)
+    add_source_options(play)
+
+
+def add_run_options(command: argparse.ArgumentParser) -> None:
+    """Add what may be said of a run, whatever is mapped: its workers, and where it is shown."""
+    command.add_argument(
+        "--workers",
+        metavar="N",
+        help="child processes that build shapes, or dask=tcp://HOST:PORT; they do not change the map",
+    )
+    command.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
+    add_output(command, "--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
+    add_output(
+        command, "--costmap", type=Path, metavar="FILE", help="write the growing grid as ROS 2 messages (MCAP) for Nav2"
+    )
+    command.add_argument(
+        "--costmap-robot", metavar="NAME|FILE", help="at whose heights obstacles count there; --costmap needs it"
+    )
+    command.add_argument("--metrics-port", type=int, metavar="N", help="answer Prometheus on 127.0.0.1:N/metrics")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    from hickory_stream.engine.mapper import Mapper
+    from hickory_stream.engine.play import play
+    from hickory_stream.progress import ProgressPrinter
+    from hickory_stream.sinks.rerun.viewer import check_viewer, parse_viewer
+    from players import note_of, open_noted
+    from players.playback import PlaybackClock
+
+    if not options.source and any("=" in robot for robot in options.robot or ()):
+        return _play_fleet(options)
+    if not options.source:
+        raise InputError("found no log, expected play LOG [LOG ...], or --robot NAME=LOG for each robot of a fleet")
+    settings = read_settings(options)
+    viewer = parse_viewer(options.viewer)
+    check_viewer(viewer)
+    rate = parse_rate(options.rate)
+    if options.live and rate is None:
+        rate = 1.0
+    if not 0 <= options.start < (options.end if options.end is not None else float("inf")):
+        raise InputError(f"found --start {options.start:g}, expected 0 or more and less than --end {options.end}")
+    note = note_of(
+        options.source,
+        source_options(options),
+        first_frames=None if options.frames is None else positive(options.frames, "--frames"),
+        start_s=options.start,
+        end_s=options.end,
+        faults=options.inject,
+        fault_seed=options.inject_seed,
+    )
+    clock = PlaybackClock(rate)
+    source = open_noted(note, clock, settings.mapper.keyframes)
+    out = options.out or Path(f"{Path(options.source[0]).resolve().stem}.map")
+    style = make_style(options)
+    if not options.json:
+        sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
+        sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
+
+    # What cannot be had is refused before a map that is there is replaced.
+    beside = sinks_beside(options, settings, is_live=options.live)
+    printer = ProgressPrinter(style, clock.describe)
+    keys = Keys(clock)
+    if style == "bar" and sys.stdin.isatty():
+        sys.stderr.write(f"{HELP}\n")
+    options.resumed_by = resume_command(out)
+    try:
+        with keys:
+            played = play(
+                Mapper(settings.mapper, out=out, overwrite=options.overwrite),
+                source,
+                sinks=all_sinks(options, settings, viewer, beside),
+                rate=None,  # the clock of the source keeps it
+                mode="live" if options.live else "playback",
+                source_note=note,
+                loops=positive(options.loop, "--loop"),
+                progress=printer,
+            )
+    finally:
+        printer.close()
+        source.close()
+        for sink in beside:
+            sink.close()
+    return finish(options, out, played)
+
+
+def _play_fleet(options: argparse.Namespace) -> int:
+    """Map several robots as `fleet` does; the options of a single log are refused."""
+    from argparse import Namespace
+
+    from hickory_stream.cli.runs import fleet
+
+    alone = [
+        f"--{name.replace('_', '-')}" for name, default in _OF_ONE_LOG.items() if getattr(options, name) != default
+    ]
+    if alone:
+        raise InputError(f"found {alone[0]}, which is for a single log; leave it out, or use `fleet FLEET.toml`")
+    if options.out is None:
+        raise InputError("found no --out, expected --out OUT: the folder for the robots' maps and the merged one")
+    return fleet.run(Namespace(**{**vars(options), **fleet.DEFAULTS}))
+
+
+def sinks_beside(options: argparse.Namespace, settings: Settings, *, is_live: bool) -> list[Sink]:
+    """Return the sinks of `--metrics-port` and `--costmap`, where in a live run nothing waits to be sure.
+
+    Raises:
+        InputError: what they are told cannot be had.
+    """
+    made: list[Sink] = []
+    if options.metrics_port is not None:
+        from hickory_stream.sinks.metrics_sink import MetricsSink
+
+        metrics = MetricsSink(options.metrics_port, settings.rerun.bind)
+        url = f"http://{settings.rerun.bind}:{metrics.port}/metrics"
+        told = output("metrics", {"event": "metrics", "url": url}) if options.json else f"metrics: {url}"
+        sys.stderr.write(f"{told}\n")
+        made.append(metrics)
+    if options.costmap is not None:
+        from hickory_stream.sinks.costmap_sink import CostmapSink
+
+        robot = robot_of_option(options.costmap_robot, "--costmap-robot")
+        made.append(CostmapSink(robot, path=options.costmap, early=is_live))
+    return made
+
+
+def all_sinks(
+    options: argparse.Namespace,
+    settings: Settings,
+    viewer: Any,
+    beside: list[Sink],
+    *,
+    status: Callable[[], str] | None = None,
+) -> Callable[[MapFolder], list[tuple[Sink, bool]]]:
+    """Return what makes the sinks of a run; it hands over those `beside`, which until then are the caller's.
+
+    `status` says how a live route is, for the viewer.
+    """
+
+    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        made = make_sinks(folder, settings, viewer, options.rrd, status)
+        handed_over = [(sink, False) for sink in beside]
+        beside.clear()
+        return [*made, *handed_over]
+
+    return sinks
+
+
+def make_sinks(
+    folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None, status: Callable[[], str] | None = None
+) -> list[tuple[Sink, bool]]:
+    """Return the sinks of a playback, each with whether the run must stop when it fails."""
+    from hickory_stream.sinks.disk_sink import DiskSink
+    from hickory_stream.sinks.rerun.sink import RerunSink
+    from hickory_stream.sinks.rerun.viewer import ViewerKind
+
+    made: list[tuple[Sink, bool]] = [(DiskSink(folder, settings.disk), True)]
+    if rrd is not None or viewer.kind is not ViewerKind.NONE:
+        shown = RerunSink(settings.rerun, folder.path, rrd, viewer, status)
+        if shown.web_url:
+            sys.stderr.write(f"viewer: {shown.web_url}\n")
+        made.append((shown, False))
+    return made

@@ -1,0 +1,1 @@
+"""Commands for models, generators, caches, configuration and schemas."""

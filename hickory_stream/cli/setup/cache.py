@@ -1,0 +1,59 @@
+"""`hickory-stream cache`: what is kept to save time, and removing it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hickory_stream.base.caches import KINDS, cache_root, cap_mb, clear, entries
+from hickory_stream.errors import InputError
+from hickory_stream.outputs import output
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.commands import Commands
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    del configured
+    cache = commands.add_parser(
+        "cache",
+        help="show or clear what is kept to save time: compiled kernels, shapes, recordings",
+    )
+    actions = cache.add_subparsers(required=True, metavar="ACTION")
+    show = actions.add_parser("show", parents=[common], help="print the folder and the sizes by kind")
+    show.set_defaults(run=_show)
+    cleared = actions.add_parser("clear", parents=[common], help="remove all of it, or some kinds")
+    cleared.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(KINDS)}; default: all")
+    cleared.set_defaults(run=_clear)
+
+
+def _show(options: argparse.Namespace) -> int:
+    totals = {kind: [0, 0] for kind in KINDS}
+    for entry in entries():
+        totals[entry.kind][0] += 1
+        totals[entry.kind][1] += entry.num_bytes
+    if options.json:
+        kinds = {kind: {"entries": number, "bytes": size} for kind, (number, size) in totals.items()}
+        print(output("cache-show", {"folder": str(cache_root()), "cap_mb": cap_mb(), "kinds": kinds}))
+        return 0
+    print(cache_root())
+    for kind, (number, size) in totals.items():
+        print(f"  {kind:<12}{number:>7} entries {size / 1e6:>9.1f} MB")
+    total_mb = sum(size for _, size in totals.values()) / 1e6
+    print(f"  {'together':<12}{'':>15} {total_mb:>9.1f} MB of at most {cap_mb():g} (HICKORY_CACHE_MB)")
+    return 0
+
+
+def _clear(options: argparse.Namespace) -> int:
+    unknown = [kind for kind in options.kinds if kind not in KINDS]
+    if unknown:
+        raise InputError(f"there is no cache of {unknown[0]!r}; kinds are {', '.join(KINDS)}")
+    kinds = [kind for kind in KINDS if kind in options.kinds or not options.kinds]
+    num_bytes = clear(kinds)
+    if options.json:
+        print(output("cache-clear", {"folder": str(cache_root()), "cleared": kinds, "bytes": num_bytes}))
+    else:
+        print(f"removed {', '.join(kinds)} from {cache_root()}: {num_bytes / 1e6:.1f} MB")
+    return 0

@@ -1,0 +1,70 @@
+"""`hickory-stream generators`: the programs that make shapes on this machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.cli.output_files import add_output, write_picture
+from hickory_stream.errors import HickoryError
+from hickory_stream.outputs import output
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.commands import Commands
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    actions = commands.add_parser("generators", help="programs that make shapes").add_subparsers(
+        required=True, metavar="ACTION"
+    )
+    listing = actions.add_parser(
+        "list", parents=[common], help="the generators of $HICKORY_GENERATORS, and what they lack"
+    )
+    listing.set_defaults(run=_list)
+    check = actions.add_parser("check", parents=[common], help="start a generator and give it a built-in object")
+    check.set_defaults(run=_check)
+    check.add_argument("name", metavar="NAME", help="its TOML, or its name in the folder of generators")
+    add_output(check, "-o", "--out", type=Path, metavar="PNG", help="draw what it made, placed over what it was shown")
+
+
+def _list(options: argparse.Namespace) -> int:
+    from hickory_stream.engine.shape_jobs.generators.spec import generators_folder, missing_of, read_spec
+
+    folder = generators_folder()
+    rows: list[dict[str, Any]] = []
+    for path in sorted(folder.glob("*.toml")):
+        try:
+            spec = read_spec(path)
+        except HickoryError as error:
+            rows.append({"name": path.stem, "file": str(path), "licence": "", "acceptance": "", "state": str(error)})
+            continue
+        state = "; ".join(f"lacks {missing}" for missing in missing_of(spec)) or "ok"
+        told = {"licence": spec.licence, "acceptance": spec.acceptance, "state": state}
+        rows.append({"name": path.stem, "file": str(path), **told})
+    if options.json:
+        print(output("generators-list", {"folder": str(folder), "generators": rows}))
+        return 0
+    for row in rows:
+        print(f"{row['name']}  {row['licence']}  {row['state']}")
+    if not rows:
+        print(f"no generators in {folder}; put a TOML there (hickory_stream/engine/shape_jobs/generators/README.md)")
+    return 0
+
+
+def _check(options: argparse.Namespace) -> int:
+    from hickory_stream.engine.shape_jobs.generators.check import checked
+    from hickory_stream.engine.shape_jobs.generators.spec import find_spec, read_spec
+
+    path = find_spec(options.name)
+    told, picture = checked(read_spec(path), path)
+    if options.out is not None and picture is not None:
+        write_picture(options.out, picture)
+        told["picture"] = str(options.out)
+    if options.json:
+        print(output("generators-check", told))
+    else:
+        print("\n".join(f"{key:<12}{value}" for key, value in told.items()))
+    return 0 if told["is_usable"] else 1

@@ -1,0 +1,255 @@
+"""`hickory-stream models`: the networks of this machine."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, assert_never
+
+from hickory_stream.cli.output_files import add_output, write_picture
+from hickory_stream.errors import ConfigError, ModelError
+from hickory_stream.outputs import output
+
+if TYPE_CHECKING:
+    import argparse
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hickory_stream.cli.commands import Commands
+    from hickory_stream.perception.models.library import ModelEntry
+    from hickory_stream.perception.models.network import Network
+    from hickory_stream.perception.perceive import PerceptionConfig
+
+# What `check` asks an image-text network of the built-in picture.
+_TEXTS = ("a photo of a cup of coffee.", "a photo of a dog.")
+_KINDS = ("fastsam", "dinov2", "oneformer", "semantic", "image-text")
+
+
+def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    actions = commands.add_parser("models", help="the networks of this machine").add_subparsers(
+        required=True, metavar="ACTION"
+    )
+    where = actions.add_parser("where", parents=[common], help="print the folder of models ($HICKORY_MODELS)")
+    where.set_defaults(run=_where)
+    listing = actions.add_parser("list", parents=[common], help="what is there, and whether its hash is right")
+    listing.set_defaults(run=_list)
+    adding = actions.add_parser("add", parents=[common], help="copy an ONNX file there, with an entry in the manifest")
+    adding.set_defaults(run=_add)
+    adding.add_argument("file", type=Path, metavar="ONNX", help="the network; of an image-text pair, its folder")
+    adding.add_argument("--kind", required=True, choices=_KINDS)
+    adding.add_argument("--name", help="what the configuration calls it; default: the stem of the file")
+    adding.add_argument("--source", default="added by hand", help="where the weights come from")
+    adding.add_argument("--licence", default="not stated")
+    adding.add_argument("--labels", type=Path, metavar="FILE", help="names of its classes, one a line, by their ids")
+    check = actions.add_parser("check", parents=[common, configured], help="run a model on a built-in picture")
+    check.set_defaults(run=_check)
+    check.add_argument("name", metavar="NAME")
+    add_output(check, "-o", "--out", type=Path, metavar="PNG", help="draw what it gives")
+
+
+def _where(options: argparse.Namespace) -> int:
+    from hickory_stream.perception.models.library import models_folder
+
+    print(output("models-where", {"folder": str(models_folder())}) if options.json else models_folder())
+    return 0
+
+
+def _list(options: argparse.Namespace) -> int:
+    from hickory_stream.perception.models.library import find_model, models_folder, read_manifest
+
+    folder = models_folder()
+    rows = []
+    for name, entry in read_manifest(folder).items():
+        try:
+            find_model(name, entry.kind, folder=folder)
+            state = "ok"
+        except ModelError as error:
+            state = str(error)
+        rows.append({**asdict(entry), "state": state})
+    if options.json:
+        print(output("models-list", {"folder": str(folder), "models": rows}))
+        return 0
+    for row in rows:
+        width, height = row["input_px"]
+        size = f"{width or 'any'} x {height or 'any'}"
+        print(f"{row['name']}  {row['kind']}  {size}  {row['licence']}  {row['source']}  {row['state']}")
+    if not rows:
+        print(
+            f"no models in {folder}; export one (hickory_stream/perception/models/README.md) and add it with "
+            "`hickory-stream models add FILE.onnx --kind KIND`"
+        )
+    return 0
+
+
+def _add(options: argparse.Namespace) -> int:
+    from hickory_stream.perception.models.library import ModelEntry, add_model, models_folder, sha256_of
+    from hickory_stream.perception.models.network import Network, NetworkConfig
+
+    if options.kind == "image-text":
+        return _add_image_text(options)
+    labels = _read_labels(options.labels) if options.labels is not None else ()
+    # A file that cannot be opened is refused now, not in the first run.
+    network = Network(options.file, NetworkConfig(provider="cpu", warm_up=False))
+    height, width = network.require_image_input(options.kind)
+    name = options.name or options.file.stem
+    try:
+        entry = ModelEntry(
+            name=name,
+            kind=options.kind,
+            file=f"{name}.onnx",
+            sha256=sha256_of(options.file),
+            source=options.source,
+            licence=options.licence,
+            input_px=(width or 0, height or 0),
+            labels=labels,
+        )
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    if options.kind in ("oneformer", "semantic") and not labels:
+        raise ConfigError(f"a model of kind {options.kind} needs the names of its classes: --labels FILE")
+    add_model(models_folder(), options.file, entry)
+    return _tell_added(entry, options.json)
+
+
+def _add_image_text(options: argparse.Namespace) -> int:
+    from hickory_stream.perception.models.image_text import ImageTextNetwork, published_files
+    from hickory_stream.perception.models.library import Companion, ModelEntry, add_model, models_folder, sha256_of
+    from hickory_stream.perception.models.network import Network, NetworkConfig
+
+    if options.labels is not None:
+        raise ConfigError("found --labels, which an image-text network has no use for: it is asked in words")
+    files = published_files(options.file)
+    config = NetworkConfig(provider="cpu", warm_up=False)
+    vision = Network(files["vision"], config)
+    # A pair that cannot be opened is refused now, not with the first question.
+    ImageTextNetwork(
+        vision,
+        Network(files["text"], config),
+        tokenizer=files["tokenizer"],
+        preprocessor=files["preprocessor"],
+        tokenizer_config=files.get("tokenizer-config"),
+    )
+    height, width = vision.require_image_input("image-text")
+    name = options.name or options.file.resolve().name
+    try:
+        entry = ModelEntry(
+            name=name,
+            kind="image-text",
+            file=f"{name}.onnx",
+            sha256=sha256_of(files["vision"]),
+            source=options.source,
+            licence=options.licence,
+            input_px=(width or 0, height or 0),
+            companions=tuple(
+                Companion(role=role, file=f"{name}.{role}{path.suffix}", sha256=sha256_of(path))
+                for role, path in files.items()
+                if role != "vision"
+            ),
+        )
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    add_model(models_folder(), files["vision"], entry, files)
+    return _tell_added(entry, options.json)
+
+
+def _tell_added(entry: ModelEntry, as_json: bool) -> int:
+    from hickory_stream.perception.models.library import models_folder
+
+    told = {"name": entry.name, "file": str(models_folder() / entry.file), "sha256": entry.sha256}
+    text = f"{told['file']} is the model {entry.name}, sha256 {entry.sha256}"
+    print(output("models-add", told) if as_json else text)
+    return 0
+
+
+def _check(options: argparse.Namespace) -> int:
+
+    from hickory_stream.cli.option_values import read_settings
+    from hickory_stream.perception.models.library import find_model, models_folder, read_manifest
+    from hickory_stream.perception.models.network import Network, available_providers
+
+    config = read_settings(options).mapper.perception
+    entry = read_manifest(models_folder()).get(options.name)
+    # The search for one that is not there says what to do.
+    entry, path = find_model(options.name, entry.kind if entry is not None else _guess(options.name))
+    network = Network(path, config.network)
+    told, picture = _tried(entry, network, config)
+    told = {
+        "name": entry.name,
+        "kind": entry.kind,
+        "provider": network.provider,
+        "providers": list(available_providers()),
+        "warm_up_ms": None if network.warm_up_s is None else round(1e3 * network.warm_up_s, 1),
+        "run_ms": round(1e3 * network.last_s, 1),
+        **told,
+    }
+    if options.out is not None:
+        write_picture(options.out, picture)
+        told["picture"] = str(options.out)
+    if options.json:
+        print(output("models-check", told))
+    else:
+        print("\n".join(f"{key:<12}{value}" for key, value in told.items()))
+    return 0
+
+
+def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tuple[dict[str, Any], NDArray[np.uint8]]:
+    """Return what a model gives on the built-in picture, in figures and drawn."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from hickory_stream.perception.models.dinov2 import DinoExtractor
+    from hickory_stream.perception.models.fastsam import FastSam
+    from hickory_stream.perception.models.image_text import open_image_text
+    from hickory_stream.perception.models.preprocessing import built_in_picture
+    from hickory_stream.perception.models.semantic_graph import GraphSemantics
+    from hickory_stream.pictures.show_perception import classes_picture, features_picture, masks_picture
+
+    rgb = built_in_picture()
+    warm_up = config.network.warm_up
+    match entry.kind:
+        case "fastsam":
+            masks, num_not_finite = FastSam(network, config.fastsam, warm_up=warm_up).masks(rgb)
+            return {"masks": len(masks), "not_finite": num_not_finite}, masks_picture(rgb, masks)
+        case "dinov2":
+            patches = DinoExtractor(network, config.dinov2, warm_up=warm_up).extract(rgb)
+            told = {"patches": list(patches.shape[:2]), "dim": patches.shape[2]}
+            return told, features_picture(patches, (rgb.shape[1], rgb.shape[0]))
+        case "oneformer" | "semantic":
+            model = GraphSemantics(
+                network,
+                entry.labels,
+                short_px=config.semantic.short_px,
+                panoptic=replace(config.semantic.panoptic),
+                warm_up=warm_up,
+            )
+            semantics = model.classify(rgb)
+            ids, areas = np.unique(semantics.classes, return_counts=True)
+            shares = {
+                "nothing" if i < 0 else semantics.labels[i]: round(float(a) / semantics.classes.size, 3)
+                for i, a in sorted(zip(ids.tolist(), areas.tolist(), strict=True), key=lambda pair: -pair[1])
+            }
+            return {"classes": shares}, classes_picture(rgb, semantics)
+        case "image-text":
+            pair = open_image_text(entry, network, config.network)
+            if warm_up:
+                pair.warm_up(rgb)
+            feature = pair.of_image(rgb)
+            scores = {text: round(float(feature @ pair.of_text(text)), 4) for text in _TEXTS}
+            return {"dim": len(feature), "similarity": scores}, rgb
+        case _:
+            assert_never(entry.kind)
+
+
+def _guess(name: str) -> Any:
+    """Return the kind that a name that is not there was probably meant to have."""
+    return next((kind for kind in _KINDS if kind in name.lower()), "fastsam")
+
+
+def _read_labels(path: Path) -> tuple[str, ...]:
+    try:
+        return tuple(line.strip() for line in path.read_text(encoding="utf-8").splitlines() if line.strip())
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"cannot read the labels {path}: {error}") from error

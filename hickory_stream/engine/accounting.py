@@ -1,0 +1,106 @@
+"""The accounts of a run: metrics for plots, the ledger of messages, frames and jobs, and where the time went.
+
+The account of all messages of a log, each in one bucket: that of the source, completed by the run's use of frames.
+
+The source counts the images of all frames as used. The run did not need those of frames that were no keyframes, and
+some of its keyframes may have been unreadable.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import psutil
+
+from hickory_stream.ports import account_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from hickory_stream.ports import Source
+
+
+_IMAGES_PER_FRAME = 2
+
+
+def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
+    """Return the account of a source's messages, {} where it keeps none.
+
+    `frames` are the run's counts: `read`, `keyframes`, `keyframes_kept_out`, `frames_undecodable`. After several rounds
+    of a log the account is that of the last round, in which the images are not told apart.
+    """
+    kept = account_of(source)
+    if kept is None:
+        return {}
+    account = kept.as_dict()
+    counts = source.ledger()
+    found, dropped, doubled = (counts.get(name, 0) for name in ("frames", "injected_drop", "injected_duplicate"))
+    if frames.get("read", 0) != found - dropped + doubled:
+        return account
+    torn = frames.get("frames_undecodable", 0)
+    # What was kept out of the map was looked at.
+    needed = frames.get("keyframes", 0) + frames.get("keyframes_kept_out", 0)
+    skipped = _IMAGES_PER_FRAME * max(0, found - needed - torn)
+    account["not_keyframe"] = skipped
+    account["not_needed"] += skipped
+    account["unreadable"] += _IMAGES_PER_FRAME * torn
+    account["used"] -= skipped + _IMAGES_PER_FRAME * torn
+    return account
+
+
+_PROCESS = psutil.Process()
+
+
+def run_ledger(
+    source: Source,
+    *,
+    num_frames: int,
+    num_keyframes: int,
+    counts: Mapping[str, int],
+    shapes: dict[str, int],
+    num_not_shown: int,
+) -> dict[str, dict[str, Any]]:
+    """Return what became of every message, frame and job; `counts` are of frames, by what became of them."""
+    told = {name: count for name, count in counts.items() if count}
+    read = told.pop("read", num_frames + told.get("frames_late", 0))
+    frames = {"read": read, "keyframes": num_keyframes, **told}
+    if num_not_shown:
+        frames["reports_not_shown"] = num_not_shown
+    kept = {"source": dict(source.ledger()), "frames": frames, "shapes": shapes}
+    messages = message_ledger(source, frames)
+    return {**kept, "messages": messages} if messages else kept
+
+
+def run_timings(
+    times_s: Mapping[str, float], shape_times_s: Mapping[str, float], loop_delay_s: float
+) -> dict[str, float]:
+    """Return seconds of work: by layer as in the paper's table of storage and time, and by stage."""
+    layers = {
+        "layer1_s": times_s.get("perceive", 0.0) + times_s.get("decide", 0.0),
+        "layer2_s": shape_times_s["reconstruct"],
+        "layer3_s": shape_times_s["fit"],
+        "layer4_s": shape_times_s["inflate"],
+    }
+    stages = {f"{stage}_s": seconds for stage, seconds in sorted(times_s.items())}
+    return {**layers, **stages, "loop_delay_p99_ms": 1e3 * loop_delay_s}
+
+
+def engine_metrics(
+    times_s: Mapping[str, float],
+    *,
+    queues: Mapping[str, int],
+    loop_delay_s: float,
+    num_workers: int,
+    source_ledger: Mapping[str, int],
+    num_dropped: int,
+) -> tuple[tuple[str, float], ...]:
+    """Return the named numbers of a keyframe's report that are the engine's: stages, queues, memory, ledger."""
+    return (
+        *((f"time/{name}", seconds) for name, seconds in times_s.items()),
+        *((f"queue/{name}", float(length)) for name, length in queues.items()),
+        ("engine/loop_delay_ms", 1e3 * loop_delay_s),
+        ("engine/workers", float(num_workers)),
+        ("engine/memory_mb", _PROCESS.memory_info().rss / 1e6),
+        *((f"ledger/{bucket}", float(number)) for bucket, number in source_ledger.items()),
+        ("engine/frames_dropped", float(num_dropped)),
+    )

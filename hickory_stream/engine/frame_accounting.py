@@ -1,0 +1,122 @@
+"""Where a run stands: the last frame, its round of the log, and what became of all frames so far.
+
+What becomes of frames that have come: each has one outcome, and is counted once.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from hickory_stream.events import TimeJumped
+from hickory_stream.journal.step import FramePose
+from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from hickory_stream.engine.modes import Mode
+    from hickory_stream.engine.reading import Read
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.map_folder.history.resume import ResumePoint
+    from hickory_stream.mapping.rules.keyframes import KeyframeConfig
+
+
+class RunClock:
+    """Goes on with every frame, and tells where the stamps have jumped; a gap of up to `time_jump_s` is no jump.
+
+    `counts` are of frames, by what became of them; `num_frames` and `num_keyframes` are totals.
+    """
+
+    def __init__(self, time_jump_s: float) -> None:
+        self._time_jump_s = time_jump_s
+        self.last: FramePose | None = None
+        self.camera: Camera | None = None
+        self.first_ns: int | None = None
+        self.round_index = 0
+        self.first_index = 0
+        self.num_frames = 0
+        self.num_keyframes = 0
+        self.counts: Counter[str] = Counter()
+
+    def resume(self, point: ResumePoint) -> None:
+        """Go on where an interrupted run stood."""
+        step = point.step
+        self.last = point.last_frame
+        self.camera = step.camera
+        self.first_ns = step.first_ns
+        self.round_index, self.first_index = step.round_index, step.first_index
+        self.num_frames, self.num_keyframes = step.num_frames, step.num_keyframes
+        self.counts.update(step.counts)
+
+    def jump_before(self, read: Read) -> TimeJumped | None:
+        """Return the jump of time before a frame, None where its stamp follows that of the frame before."""
+        if self.last is None or self.first_ns is None:
+            return None
+        from_ns, to_ns = self.last.stamp_ns, read.raw.stamp_ns
+        if read.round_index != self.round_index:
+            return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="loop")
+        if 0 <= to_ns - from_ns <= self._time_jump_s * 1e9:
+            return None
+        return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="restart" if to_ns < self.first_ns else "seek")
+
+    def advance(self, read: Read) -> FramePose:
+        """Go on to a frame, and return its pose."""
+        raw = read.raw
+        self.num_frames += 1
+        self.round_index, self.first_index = read.round_index, read.first_index
+        self.camera = raw.camera
+        self.first_ns = raw.stamp_ns if self.first_ns is None else self.first_ns
+        self.last = FramePose(index=raw.index, stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+        return self.last
+
+
+class FrameOutcome(StrEnum):
+    """What becomes of a frame; the values are the names of the counts.
+
+    `DROPPED`: a keyframe that was left out because mapping could not keep up. `UNDECODABLE`: it was to be one, and its
+    images are torn. `KEPT_OUT`: it was to be one, and does not fit the map.
+    """
+
+    MAPPED = "keyframes"
+    BETWEEN = "between_keyframes"
+    DROPPED = "keyframes_dropped"
+    UNDECODABLE = "frames_undecodable"
+    KEPT_OUT = "keyframes_kept_out"
+
+
+class KeyframeChoice:
+    """Chooses which of the frames that have come is mapped: in a live run the newest that makes a keyframe."""
+
+    def __init__(self, mode: Mode, config: KeyframeConfig) -> None:
+        self._mode = mode
+        self._config = config
+        self._mapped: Keyframe | None = None
+
+    def outcomes(self, reads: Sequence[Read]) -> list[FrameOutcome]:
+        """Return what becomes of each frame, as far as is known before any is decoded in a live run."""
+        if self._mode == "playback":
+            return [
+                FrameOutcome.MAPPED
+                if r.is_candidate
+                else FrameOutcome.UNDECODABLE
+                if r.is_torn
+                else FrameOutcome.BETWEEN
+                for r in reads
+            ]
+        chosen = next((i for i in range(len(reads) - 1, -1, -1) if self._makes_keyframe(reads[i])), None)
+        dropped = [i for i, read in enumerate(reads) if read.is_candidate and i != chosen]
+        if chosen is not None:
+            raw = reads[chosen].raw
+            self._mapped = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+            if not reads[chosen].is_candidate:
+                # It is mapped in the place of a candidate, the newest.
+                dropped = dropped[:-1]
+        outcomes = [FrameOutcome.DROPPED if i in dropped else FrameOutcome.BETWEEN for i in range(len(reads))]
+        if chosen is not None:
+            outcomes[chosen] = FrameOutcome.MAPPED
+        return outcomes
+
+    def _makes_keyframe(self, read: Read) -> bool:
+        return is_keyframe(self._mapped, read.raw.stamp_ns, read.raw.world_from_camera, self._config)

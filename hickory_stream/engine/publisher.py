@@ -1,0 +1,164 @@
+"""Publishes what a run does: to sinks, to the consumer that iterates over the snapshots, and to the progress bar.
+
+Sinks on threads of their own, each behind a bounded queue.
+
+The sink that keeps the map is essential: when it fails, the run must stop and say so. Any other is for looking: when it
+fails, it is set aside with a warning and the mapping goes on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import queue
+import threading
+from typing import TYPE_CHECKING
+
+from hickory_stream.engine.modes import Progress
+from hickory_stream.errors import OutputError
+from hickory_stream.map_folder.history.frame_reports import in_map_frame
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from hickory_stream.engine.frame_accounting import RunClock
+    from hickory_stream.engine.shape_jobs.queue import ShapeQueue
+    from hickory_stream.ports import Sink
+    from hickory_stream.records import FrameReport, MapSnapshot
+
+
+logger = logging.getLogger(__name__)
+
+
+class Announcer:
+    """Keeps the newest `snapshot`, whose pose corrections reports are shown with; `waits`: for sinks that are full."""
+
+    def __init__(
+        self,
+        sinks: Sequence[SinkThread],
+        publish: Callable[[MapSnapshot], None],
+        progress: Callable[[Progress], None],
+        *,
+        waits: bool,
+    ) -> None:
+        self._sinks = sinks
+        self._publish = publish
+        self._progress = progress
+        self._waits = waits
+        self.snapshot: MapSnapshot | None = None
+        self.total: int | None = None
+
+    @property
+    def num_not_shown(self) -> int:
+        """How many reports were left out for sinks that could not keep up."""
+        return sum(sink.num_dropped for sink in self._sinks)
+
+    @property
+    def backlogs(self) -> list[int]:
+        """How many reports wait for each sink."""
+        return [sink.backlog for sink in self._sinks]
+
+    def publish(self, snapshot: MapSnapshot) -> None:
+        """Hand out the map as it is now."""
+        self.snapshot = snapshot
+        self._publish(snapshot)
+
+    async def show(self, report: FrameReport) -> None:
+        """Hand a report to every sink; raises `HickoryError` where an essential one has failed."""
+        placed = in_map_frame(report, self.snapshot)
+        for sink in self._sinks:
+            await sink.show(placed, waits=self._waits)
+
+    def progress(
+        self, phase: str, clock: RunClock, shapes: ShapeQueue, *, num_compiled: int = 0, num_kernels: int = 0
+    ) -> None:
+        """Say where the run is, of `total` frames."""
+        self._progress(
+            Progress(
+                phase=phase,
+                num_compiled=num_compiled,
+                num_kernels=num_kernels,
+                frames=clock.num_frames,
+                total=self.total,
+                keyframes=clock.num_keyframes,
+                objects=len(self.snapshot.objects) if self.snapshot is not None else 0,
+                open_shapes=shapes.num_open,
+            )
+        )
+
+
+_CAPACITY = 16
+_CLOSE_TIMEOUT_S = 5.0
+
+
+class SinkThread:
+    """Runs one sink; `show` waits while its queue is full (playback loses nothing), or counts in `num_dropped`."""
+
+    def __init__(self, sink: Sink, *, is_essential: bool) -> None:
+        self._sink = sink
+        self.is_essential = is_essential
+        self._queue: queue.Queue[FrameReport | None] = queue.Queue(_CAPACITY)
+        self._error: BaseException | None = None
+        self.num_dropped = 0
+        self._thread = threading.Thread(target=self._work, name=f"sink-{type(sink).__name__}", daemon=True)
+        self._thread.start()
+
+    async def show(self, report: FrameReport, *, waits: bool = True) -> None:
+        """Hand a report over; unless it `waits`, a sink for looking that is behind does not get it.
+
+        Raises:
+            HickoryError: an essential sink has failed.
+        """
+        self._raise_if_failed()
+        try:
+            self._queue.put_nowait(report)
+        except queue.Full:
+            if not waits and not self.is_essential:
+                self.num_dropped += 1
+                return
+            await asyncio.to_thread(self._queue.put, report)
+
+    async def close(self) -> None:
+        """Let the sink finish what it was given; a sink for looking is given up after 5 s.
+
+        Raises:
+            HickoryError: an essential sink has failed.
+        """
+        timeout_s = None if self.is_essential else _CLOSE_TIMEOUT_S
+        try:
+            await asyncio.to_thread(self._queue.put, None, timeout=timeout_s)
+        except queue.Full:
+            logger.warning("%s hangs and is left behind", type(self._sink).__name__)
+            return
+        await asyncio.to_thread(self._thread.join, timeout_s)
+        self._raise_if_failed()
+
+    @property
+    def lost_output(self) -> str | None:
+        """Why a file that was asked for is not there to its end; None where nothing was lost."""
+        return str(self._error) if isinstance(self._error, OutputError) else None
+
+    @property
+    def backlog(self) -> int:
+        """How many reports wait."""
+        return self._queue.qsize()
+
+    def _raise_if_failed(self) -> None:
+        if self._error is not None and self.is_essential:
+            raise self._error
+
+    def _work(self) -> None:
+        while True:
+            report = self._queue.get()
+            if self._error is not None and report is not None:
+                continue
+            try:
+                if report is None:
+                    return self._sink.close()
+                self._sink.show(report)
+            except Exception as error:  # noqa: BLE001 -- a sink is foreign code: its failure is kept and judged above
+                self._error = self._error or error
+                if not self.is_essential:
+                    logger.warning("%s failed and is set aside: %s", type(self._sink).__name__, error)
+                if report is None:
+                    return None

@@ -1,0 +1,98 @@
+"""A generator tried on a built-in object: what it is, what it lacks, what it gives and what that takes."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, cast_scene, scene_pose
+from hickory_stream.engine.shape_jobs.generators.choose import ExternalGenerator
+from hickory_stream.engine.shape_jobs.generators.spec import fingerprint, missing_of
+from hickory_stream.errors import WorkerError
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.camera import backproject, project
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.ports import Crop, MeshPlacement, NoShape, ShapeInputs
+from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.engine.shape_jobs.generators.spec import GeneratorSpec
+
+_FRAMES = (0, 6, 12)
+_DRAWN = np.array([230, 60, 40], np.uint8)
+
+
+def checked(spec: GeneratorSpec, path: Path) -> tuple[dict[str, Any], NDArray[np.uint8] | None]:
+    """Return what can be said of a generator, and a picture of what it made of a box, placed over the image of it."""
+    missing = missing_of(spec)
+    told: dict[str, Any] = {
+        "name": spec.name,
+        "file": str(path),
+        "command": " ".join(spec.command),
+        "licence": spec.licence,
+        "acceptance": spec.acceptance,
+        "weights": len(spec.weights),
+        "missing": missing,
+        "is_usable": False,
+    }
+    if missing:
+        return {**told, "state": f"lacks {'; '.join(missing)}"}, None
+    told["fingerprint"] = fingerprint(spec)
+    generator = ExternalGenerator(spec)
+    started = time.perf_counter()
+    try:
+        said = generator.process.start()
+        told |= {"start_s": round(time.perf_counter() - started, 2), "said": {k: str(v) for k, v in said.items()}}
+        return _tried(generator, told)
+    except WorkerError as error:
+        return {**told, "state": str(error)}, None
+    finally:
+        generator.process.close()
+
+
+def _tried(generator: ExternalGenerator, told: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.uint8] | None]:
+    inputs = _object()
+    started = time.perf_counter()
+    found = generator.generate(inputs)
+    told |= {
+        "job_s": round(time.perf_counter() - started, 2),
+        "memory_mb": round(generator.process.most_memory_mb, 1),
+    }
+    if isinstance(found, NoShape):
+        return {**told, "state": found.reason}, None
+    told |= {"vertices": len(found.mesh.vertices), "triangles": len(found.mesh.faces)}
+    placed = EmbeddedPlacement(PlacementConfig()).place(found.mesh, inputs)
+    if not isinstance(placed, MeshPlacement):
+        return {**told, "state": placed.reason}, None
+    crop = inputs.crops[0]
+    world = apply(placed.world_from_mesh, found.mesh.vertices.astype(np.float64))
+    pixels = np.round(project(apply(invert(crop.world_from_camera), world), crop.camera))
+    picture = crop.rgb.copy()
+    is_inside = ((pixels >= 0) & (pixels < (crop.camera.width, crop.camera.height))).all(axis=1)
+    columns, rows = pixels[is_inside].astype(np.int64).T
+    picture[rows, columns] = _DRAWN
+    return {**told, "state": "ok", "cost": round(placed.cost, 3), "is_usable": True}, picture
+
+
+def _object() -> ShapeInputs:
+    """Return a box on a floor as a few views show it."""
+    crops = []
+    box = SCENE_BOXES[-1:]
+    for index in _FRAMES:
+        pose = scene_pose(index)
+        rgb, depth_m, instances = cast_scene(box, SCENE_CAMERA, pose)
+        crops.append(Crop(rgb=rgb, depth_m=depth_m, mask=instances > 0, camera=SCENE_CAMERA, world_from_camera=pose))
+    points = np.concatenate([apply(c.world_from_camera, backproject(c.depth_m, c.camera)[c.mask]) for c in crops])
+    return ShapeInputs(
+        crops=tuple(crops),
+        points_world=points.astype(np.float32),
+        colors=np.concatenate([crop.rgb[crop.mask] for crop in crops]),
+        box=gravity_aligned_box(points, 0.005),
+        support_z_m=0.0,
+    )

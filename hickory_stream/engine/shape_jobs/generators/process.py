@@ -1,0 +1,168 @@
+"""A generator's process: started once, asked job after job, replaced when it crashes, hangs or grows.
+
+It is spoken to in lines of JSON. It says {"ready": true} when its weights are loaded; a job is {"job": NAME, "folder":
+PATH}, its answer {"done": NAME}. It ends when its standard input does. Standard error is the run's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+import psutil
+
+from hickory_stream.base.json_text import dumps_exactly
+from hickory_stream.engine.shape_jobs.generators.spec import missing_of, program_of
+from hickory_stream.errors import WorkerError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.engine.shape_jobs.generators.spec import GeneratorSpec
+
+_LOOK_EVERY_S = 0.1
+_MOST_LINE = 1 << 16
+
+
+class GeneratorLimitError(WorkerError):
+    """A generator took more time or memory than it may."""
+
+
+class GeneratorProcess:
+    """One generator; `ask` starts it where it does not run."""
+
+    def __init__(self, spec: GeneratorSpec) -> None:
+        self.name = spec.name
+        self._spec = spec
+        self._child: subprocess.Popen[bytes] | None = None
+        self._lines: queue.Queue[bytes] = queue.Queue()
+        self.most_memory_mb = 0.0
+
+    def start(self) -> dict[str, Any]:
+        """Start the program and return what it said when it was ready.
+
+        Raises:
+            WorkerError: it cannot be started, or does not get ready.
+        """
+        program = program_of(self._spec)
+        if program is None or (missing := missing_of(self._spec)):
+            missing = missing_of(self._spec)
+            raise WorkerError(f"the generator {self._spec.name} lacks {'; '.join(missing)}")
+        try:
+            child = subprocess.Popen(
+                [program, *self._spec.command[1:]],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                cwd=self._spec.folder,
+                env={**os.environ, **dict(self._spec.environment)},
+            )
+        except OSError as error:
+            raise WorkerError(f"the generator {self._spec.name} cannot be started: {error.strerror}") from error
+        self._child = child
+        self._lines = queue.Queue()
+        threading.Thread(target=_read, args=(child, self._lines), name="generator", daemon=True).start()
+        try:
+            said = self._next(self._spec.start_s, "ready")
+        except WorkerError:
+            self.close()
+            raise
+        if said.get("ready") is not True:
+            self.close()
+            raise WorkerError(f"the generator {self._spec.name} began with {str(said)[:100]}; expected ready")
+        return said
+
+    def ask(self, folder: Path, job: str) -> None:
+        """Have one job done; afterwards its answer lies in the folder.
+
+        Raises:
+            WorkerError: it crashed, or answered what is no answer; it is started anew for the next job.
+            GeneratorLimitError: it took too long, or too much memory.
+        """
+        if self._child is None or self._child.poll() is not None:
+            self.close()
+            self.start()
+        assert self._child is not None
+        assert self._child.stdin is not None
+        try:
+            self._child.stdin.write(dumps_exactly({"job": job, "folder": str(folder)}).encode() + b"\n")
+            self._child.stdin.flush()
+            said = self._next(self._spec.time_s, "an answer")
+            if said.get("done") != job:
+                raise WorkerError(f"the generator {self._spec.name} answered another job")
+        except OSError as error:
+            self.close()
+            raise WorkerError(f"the generator {self._spec.name} has ended: {error.strerror}") from error
+        except WorkerError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End the process and what it started."""
+        child, self._child = self._child, None
+        if child is None:
+            return
+        with contextlib.suppress(psutil.Error):
+            for part in psutil.Process(child.pid).children(recursive=True):
+                with contextlib.suppress(psutil.Error):
+                    part.kill()
+        child.kill()
+        child.wait()
+        for stream in (child.stdin, child.stdout):
+            if stream is not None:
+                with contextlib.suppress(OSError):
+                    stream.close()
+
+    def _next(self, limit_s: float, what: str) -> dict[str, Any]:
+        """Return the next line that it says; looks at its memory meanwhile."""
+        until_s = time.monotonic() + limit_s
+        while True:
+            try:
+                line = self._lines.get(timeout=_LOOK_EVERY_S)
+            except queue.Empty:
+                memory = self._memory_mb()
+                self.most_memory_mb = max(self.most_memory_mb, memory)
+                if memory > self._spec.memory_mb:
+                    raise GeneratorLimitError(
+                        f"the generator {self._spec.name} took more than {self._spec.memory_mb:g} MB (its memory_mb)"
+                    ) from None
+                if time.monotonic() > until_s:
+                    raise GeneratorLimitError(
+                        f"the generator {self._spec.name} gave no sign of {what} within {limit_s:g} s"
+                    ) from None
+                continue
+            if not line:
+                assert self._child is not None
+                raise WorkerError(f"the generator {self._spec.name} ended with status {self._child.wait()}")
+            try:
+                said = json.loads(line)
+            except (ValueError, RecursionError) as error:
+                raise WorkerError(f"the generator {self._spec.name} printed what is no JSON: {line[:80]!r}") from error
+            if not isinstance(said, dict):
+                raise WorkerError(f"the generator {self._spec.name} said {str(said)[:80]}; expected an object")
+            return said
+
+    def _memory_mb(self) -> float:
+        if self._child is None:
+            return 0.0
+        total = 0
+        with contextlib.suppress(psutil.Error):
+            whole = psutil.Process(self._child.pid)
+            for part in [whole, *whole.children(recursive=True)]:
+                with contextlib.suppress(psutil.Error):
+                    total += part.memory_info().rss
+        return total / 1e6
+
+
+def _read(child: subprocess.Popen[bytes], lines: queue.Queue[bytes]) -> None:
+    """Hand on what the child says, line by line; an empty line is its end."""
+    assert child.stdout is not None
+    with contextlib.suppress(OSError, ValueError):
+        while line := child.stdout.readline(_MOST_LINE):
+            lines.put(line)
+    lines.put(b"")

@@ -1,0 +1,1 @@
+"""Compact storage of voxels, depths, colours and meshes, each restored to the bit."""

@@ -1,0 +1,174 @@
+"""Colours that are means of a few whole ones as bytes that compress: of how many each is the mean, and of what sum.
+
+A mean in float32 looks like noise in its lower bytes. As a sum of whole numbers over their number it takes a third
+less, and the last bits, in which the order of adding shows, are told beside it: it comes back to the bit.
+
+Colours of the voxels of surfaces as bytes that compress: each as how it differs from its neighbours'.
+
+Neighbours in space are more alike than those next to one another in the order of keys: a ninth less than with
+`packing.color_planes`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry.codecs.packing import color_planes, colors_of
+from hickory_stream.geometry.voxels import keys_of_cells
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+_MOST_HITS, _MOST_OFF = 255, 7
+# A row that is no such mean is stored as it is; where most of these are none, the array is no array of means.
+_ROW_BYTES, _MEAN_BYTES, _SAMPLED = 12, 10, 64
+
+
+def packed_means(colors: NDArray[np.float32]) -> bytes | None:
+    """Return the bytes of (N, 3) mean colours; None where most are no means of at most 255 whole ones."""
+    for rows in (colors[:: max(1, len(colors) // _SAMPLED)], colors):
+        hits, sums = np.zeros(len(rows), dtype=np.uint8), np.zeros((len(rows), 3), dtype=np.int32)
+        off = np.zeros((3, len(rows)), dtype=np.uint8)
+        # By their bits, so that what is no number is none.
+        _split(np.ascontiguousarray(rows), rows.view(np.int32), hits, sums, off)
+        if 2 * np.count_nonzero(hits) < len(rows):
+            return None
+    counts = np.maximum(hits, 1)[:, None].astype(np.int32)
+    whole, rest = np.divmod(sums, counts)
+    parts = (hits, np.ascontiguousarray(rest.T.astype(np.uint8)), off)
+    kept = np.ascontiguousarray(colors[hits == 0], dtype="<f4")
+    return b"".join((color_planes(whole.astype(np.uint8)), *(part.tobytes() for part in parts), kept.tobytes()))
+
+
+def unpacked_means(data: bytes, count: int) -> NDArray[np.float32]:
+    """Return the (N, 3) colours of `packed_means`; raises ValueError where there are not as many."""
+    if len(data) < _MEAN_BYTES * count:
+        raise ValueError(f"{count} mean colours in {len(data)} bytes")
+    numbers = np.frombuffer(data, np.uint8, _MEAN_BYTES * count)
+    whole = colors_of(data[: 3 * count], count).astype(np.int64)
+    hits = numbers[3 * count : 4 * count]
+    rest, off = (numbers[at * count : (at + 3) * count].reshape(3, count).T.astype(np.int32) for at in (4, 7))
+    is_kept = hits == 0
+    if len(data) != _MEAN_BYTES * count + _ROW_BYTES * np.count_nonzero(is_kept):
+        raise ValueError(f"{count} mean colours in {len(data)} bytes")
+    counts = np.maximum(hits, 1)[:, None].astype(np.int64)
+    means = ((whole * counts + rest) / counts).astype(np.float32)
+    means = (means.view(np.int32) + ((off >> 1) ^ -(off & 1))).view(np.float32)
+    means[is_kept] = np.frombuffer(data, "<f4", offset=_MEAN_BYTES * count).reshape(-1, 3)
+    return means
+
+
+@kernel
+def _split(colors, bits, hits, sums, off):
+    """Put into `hits` the number of colours that each is a mean of, 0: of none; the sums; and how far off the bits are.
+
+    What fits the one before, its neighbour, is tried first.
+    """
+    one, as_bits = np.empty(1, dtype=np.float32), np.empty(1, dtype=np.int32)
+    last = 1
+    for i in range(len(colors)):
+        for attempt in range(_MOST_HITS + 1):
+            count = last if attempt == 0 else attempt
+            fits = True
+            for k in range(3):
+                color = np.float64(colors[i, k])
+                if not 0 <= color < 256:
+                    fits = False
+                    break
+                total = np.int64(np.rint(color * count))
+                one[0] = total / count
+                as_bits[:] = one.view(np.int32)
+                difference = np.int64(bits[i, k]) - np.int64(as_bits[0])
+                if not -_MOST_OFF <= difference <= _MOST_OFF or total >= 256 * count:
+                    fits = False
+                    break
+                sums[i, k] = total
+                off[k, i] = 2 * difference if difference >= 0 else -2 * difference - 1
+            if fits:
+                hits[i] = last = count
+                break
+            if not 0 <= colors[i, 0] < 256:
+                break
+        if hits[i] == 0:
+            for k in range(3):
+                sums[i, k], off[k, i] = 0, 0
+
+
+_STEP_X, _STEP_Y, _ = (int(step) for step in keys_of_cells(np.eye(3)) - keys_of_cells(np.zeros((3, 3))))
+
+
+def packed_colors(keys: NDArray[np.int64], colors: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return (3, N) what is left of the (N, 3) colours of voxels of strictly ascending keys: red, green, blue.
+
+    Red and blue as what they differ from green.
+    """
+    left: NDArray[np.uint8] = np.empty((3, len(keys)), dtype=np.uint8)
+    _pack(keys, colors, left)
+    return left
+
+
+def unpacked_colors(keys: NDArray[np.int64], left: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the (N, 3) colours of which `packed_colors` gave what is left."""
+    colors = np.empty((len(keys), 3), dtype=np.uint8)
+    _unpack(keys, left, colors)
+    return colors
+
+
+@kernel
+def _expected(keys, colors, i, beside, behind):
+    """Return what the neighbours of voxel `i` say of its red, green and blue, and the places to go on at.
+
+    Neighbours are the voxel below, and those one step along x and one along y, or just below or above one of these.
+    """
+    key = keys[i]
+    while beside < i and keys[beside] < key - _STEP_X:
+        beside += 1
+    while behind < i and keys[behind] < key - _STEP_Y:
+        behind += 1
+    count, red, green, blue = 0, np.int64(0), np.int64(0), np.int64(0)
+    if i > 0 and keys[i - 1] == key - 1:
+        count, red, green, blue = 1, np.int64(colors[i - 1, 0]), np.int64(colors[i - 1, 1]), np.int64(colors[i - 1, 2])
+    for at, wanted in ((beside, key - _STEP_X), (behind, key - _STEP_Y)):
+        if at < i and keys[at] <= wanted + 1:
+            found = at
+        elif at > 0 and keys[at - 1] == wanted - 1:
+            found = at - 1
+        else:
+            continue
+        count += 1
+        red += colors[found, 0]
+        green += colors[found, 1]
+        blue += colors[found, 2]
+    if count == 0 and i > 0:
+        count, red, green, blue = 1, np.int64(colors[i - 1, 0]), np.int64(colors[i - 1, 1]), np.int64(colors[i - 1, 2])
+    if count == 2:
+        red, green, blue = red >> 1, green >> 1, blue >> 1
+    elif count == 3:
+        red, green, blue = red // 3, green // 3, blue // 3
+    return red, green, blue, beside, behind
+
+
+@kernel
+def _pack(keys, colors, left):
+    beside, behind = 0, 0
+    for i in range(len(keys)):
+        red, green, blue, beside, behind = _expected(keys, colors, i, beside, behind)
+        off = np.int64(colors[i, 1]) - green
+        left[0, i] = (np.int64(colors[i, 0]) - red - off) & 255
+        left[1, i] = off & 255
+        left[2, i] = (np.int64(colors[i, 2]) - blue - off) & 255
+
+
+@kernel
+def _unpack(keys, left, colors):
+    beside, behind = 0, 0
+    for i in range(len(keys)):
+        red, green, blue, beside, behind = _expected(keys, colors, i, beside, behind)
+        off = np.int64(left[1, i])
+        colors[i, 0] = (np.int64(left[0, i]) + off + red) & 255
+        colors[i, 1] = (off + green) & 255
+        colors[i, 2] = (np.int64(left[2, i]) + off + blue) & 255

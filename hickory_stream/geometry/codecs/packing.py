@@ -1,0 +1,73 @@
+"""Arrays as bytes that compress: the first bytes of all numbers, then the second ones, ...; colours by their changes.
+
+A general compressor finds in planes of bytes what it does not in numbers: their upper bytes hardly differ.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def planes_of(array: NDArray[Any]) -> bytes:
+    """Return the bytes of an array of at least one dimension: columns after one another, first bytes first."""
+    columns = np.ascontiguousarray(array.reshape(array.shape[0], math.prod(array.shape[1:])).T)
+    return columns.reshape(-1).view(np.uint8).reshape(-1, array.dtype.itemsize).T.tobytes()
+
+
+def array_of(planes: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return the array of which `planes_of` gave the bytes; raises ValueError where there are not as many."""
+    rows = np.frombuffer(planes, np.uint8).reshape(dtype.itemsize, math.prod(shape))
+    numbers = np.empty(rows.shape[::-1], np.uint8)
+    # Plane by plane it takes half of the time that a transposed copy takes.
+    for i, row in enumerate(rows):
+        numbers[:, i] = row
+    columns = numbers.reshape(-1).view(dtype).reshape(math.prod(shape[1:]), shape[0])
+    return np.ascontiguousarray(columns.T).reshape(shape)
+
+
+def unsigned(numbers: NDArray[np.int32]) -> NDArray[np.uint32]:
+    """Return whole numbers as 0, -1, 1, -2, 2, ... are counted: the upper bytes of small ones are 0, whatever the sign.
+
+    They take a third less than with signs, whose upper bytes are 0 and 255 in turn.
+    """
+    return ((numbers << 1) ^ (numbers >> 31)).astype("<u4", copy=False)
+
+
+def signed(numbers: NDArray[np.uint32]) -> NDArray[np.int32]:
+    """Return the numbers of which `unsigned` was given."""
+    return (numbers >> 1).astype(np.int32) ^ -(numbers & 1).astype(np.int32)
+
+
+def color_planes(colors: NDArray[np.uint8]) -> bytes:
+    """Return the bytes of (N, 3) colours, each as what it changes: red and blue against green, all against the last."""
+    planes = np.empty((3, len(colors)), dtype=np.uint8)
+    _put_color_planes(colors, planes)
+    return planes.tobytes()
+
+
+def colors_of(planes: bytes, count: int) -> NDArray[np.uint8]:
+    """Return the (N, 3) colours of `color_planes`; raises ValueError where there are not as many."""
+    red, green, blue = np.cumsum(np.frombuffer(planes, np.uint8).reshape(3, count), axis=1, dtype=np.uint8)
+    return np.stack([red + green, green, blue + green], axis=1)
+
+
+@kernel
+def _put_color_planes(colors, planes):
+    red, green, blue = np.int64(0), np.int64(0), np.int64(0)
+    for i in range(len(colors)):
+        now_green = np.int64(colors[i, 1])
+        now_red, now_blue = np.int64(colors[i, 0]) - now_green, np.int64(colors[i, 2]) - now_green
+        planes[0, i], planes[1, i], planes[2, i] = (
+            (now_red - red) & 255,
+            (now_green - green) & 255,
+            (now_blue - blue) & 255,
+        )
+        red, green, blue = now_red, now_green, now_blue

@@ -1,0 +1,181 @@
+"""The graph as GTSAM has it: factors, start values, marginals. The one module that imports the library.
+
+Its wheel has no TBB and runs on one thread: the same factors give the same solution to the last bit. The C library's
+sine and cosine may differ in the last bit between kinds of processor; `settled` rounds it away.
+
+Graduated non-convexity with truncated least squares (Yang et al., RA-L 2020): weights of factors that are doubted.
+
+A factor counts fully up to a limit of its squared residual, and not at all above it. That has many local minima, so the
+weights begin with those of a smooth cost, in which every factor counts a little, and come nearer to it by steps of
+`sharper`; once each weight is 0 or 1 they are those of the limit itself.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.geometry import portable
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.graph.chain import Link
+    from hickory_stream.graph.factors import LoopEdge, OdometryEdge
+
+
+_STEP = 1.4
+"""Greater steps accepted wrong loops in simulation."""
+_SHARPEST = 1e6
+
+
+def smoothest(chi2: NDArray[np.float64], limit: float) -> float:
+    """Return the sharpness to begin with for squared residuals (K,): none of them is beyond what counts a little."""
+    over = 2.0 * float(chi2.max(initial=0.0)) - limit
+    return limit / max(over, limit / _SHARPEST)
+
+
+def sharper(sharpness: float) -> float:
+    """Return the sharpness of the next round."""
+    return _STEP * sharpness
+
+
+def weights_of(chi2: NDArray[np.float64], limit: float, sharpness: float) -> NDArray[np.float64]:
+    """Return the weights (K,), 0..1, of squared residuals (K,)."""
+    share = sharpness / (sharpness + 1.0)
+    between = np.sqrt(sharpness * (sharpness + 1.0) * limit / np.maximum(chi2, 1e-12)) - sharpness
+    return np.where(chi2 <= share * limit, 1.0, np.where(chi2 >= limit / share, 0.0, between))
+
+
+# Node 0 is held this well, in radians and metres: far better than any edge, far from the end of double precision.
+_HELD = 1e-5
+# At each step of graduated non-convexity its limit is sharper by 1.4: far more than are needed.
+_MOST_ROUNDS = 200
+_DIGITS_M, _DIGITS_ROTATION = 6, 7
+
+
+class Factors:
+    """A factor graph that grows."""
+
+    def __init__(self) -> None:
+        import gtsam
+
+        self._gtsam = gtsam
+        self.graph = gtsam.NonlinearFactorGraph()
+        self.values = gtsam.Values()
+
+    def add_nodes(self, nodes: Sequence[int], start: NDArray[np.float64]) -> None:
+        """Add nodes by their numbers in `start` (N, 4, 4), the first of them held there."""
+        gtsam = self._gtsam
+        for node in nodes:
+            self.values.insert(node, gtsam.Pose3(start[node]))
+        held = gtsam.noiseModel.Isotropic.Sigma(6, _HELD)
+        self._add(gtsam.PriorFactorPose3(nodes[0], gtsam.Pose3(start[nodes[0]]), held))
+
+    def add_verticals(self, nodes: Sequence[int], upright: NDArray[np.float64], sigma_rad: float) -> None:
+        """Add that the vertical of nodes is the one that they have in `upright` (N, 4, 4), z up."""
+        gtsam = self._gtsam
+        up, level = gtsam.Unit3(np.array([0.0, 0.0, 1.0])), gtsam.noiseModel.Isotropic.Sigma(2, sigma_rad)
+        for node in nodes:
+            self._add(gtsam.AttitudeFactorPose3(node, up, level, gtsam.Unit3(upright[node][2, :3])))
+
+    def add_odometry(self, edge: OdometryEdge | Link) -> None:
+        """Add an edge that is not to be cut: its covariance says how far it may stretch."""
+        self._add(self._between(edge.before, edge.after, edge.before_from_after, edge.covariance))
+
+    def add_loop(self, loop: LoopEdge) -> int:
+        """Add a loop; return its place."""
+        return self._add(self._between(loop.earlier, loop.later, loop.earlier_from_later, loop.covariance))
+
+    def optimized(self) -> Any:
+        """Return the values of least squares, all factors taken as they are; raises RuntimeError."""
+        return self._gtsam.LevenbergMarquardtOptimizer(self.graph, self.values, _parameters()).optimize()
+
+    def judged(self, doubted: Sequence[int], limit_chi2: float) -> tuple[NDArray[np.float64], Any]:
+        """Return the weights (K,), 0..1, that graduated non-convexity gives to the factors at these places, and values.
+
+        The library has this, too (`GncLMOptimizer`), and goes from the start values in each round. From where the last
+        one ended one step of Gauss and Newton is enough, instead of two of Levenberg and Marquardt.
+        """
+        factors: list[Any] = [self.graph.at(place) for place in doubted]
+        roots = [factor.noiseModel().R() for factor in factors]
+        ordering = self._gtsam.Ordering.ColamdNonlinearFactorGraph(self.graph)
+        weighted, values = self._gtsam.NonlinearFactorGraph(self.graph), self.values
+        weights = np.ones(len(factors))
+        sharpness = 0.0
+        for _ in range(_MOST_ROUNDS):
+            chi2 = np.array([2.0 * factor.error(values) for factor in factors])
+            sharpness = sharper(sharpness) if sharpness else smoothest(chi2, limit_chi2)
+            weights = weights_of(chi2, limit_chi2, sharpness)
+            if np.isin(weights, (0.0, 1.0)).all():
+                break
+            for place, factor, root, weight in zip(doubted, factors, roots, np.sqrt(weights), strict=True):
+                model = self._gtsam.noiseModel.Gaussian.SqrtInformation(weight * root)
+                weighted.replace(place, factor.cloneWithNewNoiseModel(model))
+            values = values.retract(weighted.linearize(values).optimize(ordering))
+        return weights, values
+
+    def surprises(self, asked: Sequence[int], left_out: Collection[int], values: Any) -> NDArray[np.float64]:
+        """Return the squared Mahalanobis distances (K,) of the factors at the places `asked` from what others predict.
+
+        The others are all but those at the places `left_out`, which has what is asked. Each distance is by how much
+        their least squared residual rises when the factor joins them, to first order at `values`; raises RuntimeError.
+        """
+        ordering = self._gtsam.Ordering.ColamdNonlinearFactorGraph(self.graph)
+        linear = self.graph.linearize(values)
+        others = self._gtsam.GaussianFactorGraph()
+        for place in range(linear.size()):
+            if place not in left_out:
+                others.push_back(linear.at(place))
+        without = others.error(others.optimize(ordering))
+        rises = []
+        for place in asked:
+            joined = others.clone()
+            joined.push_back(linear.at(place))
+            rises.append(2.0 * (joined.error(joined.optimize(ordering)) - without))
+        return np.array(rises)
+
+    def chi2(self, place: int, values: Any) -> float:
+        """Return the squared residual of a factor, by its covariance."""
+        return 2.0 * float(self.graph.at(place).error(values))
+
+    def total_chi2(self, values: Any) -> float:
+        """Return the squared residuals of all factors."""
+        return 2.0 * float(self.graph.error(values))
+
+    def marginals(self, values: Any) -> Any:
+        """Return GTSAM's marginals at a solution; raises RuntimeError."""
+        return self._gtsam.Marginals(self.graph, values)
+
+    def _between(self, a: int, b: int, a_from_b: NDArray[np.float64], covariance: NDArray[np.float64]) -> Any:
+        noise = self._gtsam.noiseModel.Gaussian.Covariance(covariance)
+        return self._gtsam.BetweenFactorPose3(a, b, self._gtsam.Pose3(a_from_b), noise)
+
+    def _add(self, factor: Any) -> int:
+        self.graph.add(factor)
+        return int(self.graph.size()) - 1
+
+
+def _parameters() -> Any:
+    import gtsam
+
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setOrderingType("COLAMD")
+    parameters.setLinearSolverType("MULTIFRONTAL_CHOLESKY")
+    return parameters
+
+
+def poses_of(values: Any, nodes: Iterable[int]) -> NDArray[np.float64]:
+    """Return the poses (N, 4, 4) of nodes, to the last bit."""
+    return np.array([values.atPose3(node).matrix() for node in nodes])
+
+
+def settled(values: Any, nodes: Iterable[int]) -> NDArray[np.float64]:
+    """Return the poses (N, 4, 4) of nodes, rounded to a micrometre, and rotations to about a ten-millionth."""
+    poses = poses_of(values, nodes)
+    poses[:, :3, :3] = portable.nearest_orthogonal(np.round(poses[:, :3, :3], _DIGITS_ROTATION))
+    poses[:, :3, 3] = np.round(poses[:, :3, 3], _DIGITS_M)
+    return poses

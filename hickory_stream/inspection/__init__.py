@@ -1,0 +1,1 @@
+"""Questions to a finished map: what is at a place or pixel, and why."""

@@ -1,0 +1,367 @@
+"""A map in numbers: its objects, and the storage and time of the four layers as in the paper's table.
+
+Storage counts what the layers hold, not how a file packs it: 15 bytes a point (three float32 and a colour), the GLB for
+a mesh, eleven float64 for a superquadric (two exponents, three semi-axes, six of the pose).
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from math import hypot
+from typing import TYPE_CHECKING, Any, Literal
+
+from hickory_stream.config import MapperConfig, as_far_as_known
+from hickory_stream.inspection.graph_summary import GraphSummary, summary_of
+from hickory_stream.inspection.graph_summary import told as graph_line
+from hickory_stream.inspection.object_geometry import Place, place_of
+from hickory_stream.inspection.supports import supports_of, told
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.mapping.floor_notes import floor_notes
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.mapping.rules.support_graph import Support
+    from hickory_stream.records import Containment, FitKind, ObjectShape, TrackedObject
+
+SortBy = Literal["id", "distance", "volume", "height", "sightings"]
+
+LAYERS = (1, 2, 3, 4)
+LAYER_NAMES = ("points", "mesh", "superquadrics", "inflated")
+_POINT_BYTES = 3 * 4 + 3
+_PRIMITIVE_BYTES = 11 * 8
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ObjectSummary:
+    """One object; `size_m` are the sides of the box of layer 1, `layer_bytes` the sizes of layers 1 to 4, 0 if missing.
+
+    `place` is the pose and size of its best layer. `supports` are its relations in the support graph.
+    `is_sketched`: it has no layers 2 to 4 yet, but one superquadric fitted to its points. `verdict` is why a generated
+    shape was taken, or was not; "" where none was asked for. `fit_kind` says of what layer 3 is, as in `ObjectShape`;
+    None without a shape.
+    """
+
+    id: int
+    phase: Phase
+    submap_id: int
+    place: Place
+    sightings: int
+    size_m: tuple[float, float, float]
+    num_points: int
+    num_views: int
+    num_superquadrics: int
+    num_inflated: int
+    reconstructor: str | None
+    layers: tuple[int, ...]
+    layer_bytes: tuple[int, int, int, int]
+    containment: Containment | None
+    is_sketched: bool = False
+    supports: tuple[Support, ...] = ()
+    verdict: str = ""
+    fit_kind: FitKind | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LayerSummary:
+    """One layer of all objects together; `seconds` is the time to build it, None if no time was recorded."""
+
+    layer: int
+    num_objects: int
+    total_bytes: int
+    seconds: float | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MapSummary:
+    """A map; `digest` is of its objects as they are, `num_checked` and `num_outside` sum up the containment.
+
+    `num_objects` are in the map, `num_shaped` of them with layer 4; `objects` are those that were asked for.
+    `num_certified` objects have a layer 4 that provably contains them; in `num_fallbacks` of these it is a box.
+    `is_altered`: the objects differ from those that were saved, so that none counts as certified. `doubt` says why the
+    statements about layer 4 may not hold, "" if they do. `notes` are warnings about the map's floor and gravity.
+    `graph` is the map's pose graph, None where no loops were searched for.
+    """
+
+    objects: tuple[ObjectSummary, ...]
+    layers: tuple[LayerSummary, ...]
+    digest: str
+    finished_cleanly: bool
+    revision: int
+    source: str
+    num_checked: int
+    num_outside: int
+    num_certified: int
+    num_fallbacks: int
+    num_objects: int
+    num_shaped: int
+    is_altered: bool
+    doubt: str
+    notes: tuple[str, ...]
+    graph: GraphSummary | None = None
+
+
+def summarize(saved: SavedMap) -> MapSummary:
+    """Return the numbers of a map."""
+    supports = supports_of(saved.snapshot, as_far_as_known(MapperConfig, saved.manifest.config).mapping)
+    objects = tuple(_summarize_object(saved, tracked, supports[tracked.id]) for tracked in saved.snapshot.objects)
+    checks = [summary.containment for summary in objects if summary.containment]
+    return MapSummary(
+        objects=objects,
+        layers=tuple(_summarize_layer(saved, objects, layer) for layer in LAYERS),
+        digest=map_digest(saved.snapshot),
+        finished_cleanly=saved.manifest.finished_cleanly,
+        revision=saved.snapshot.revision,
+        source=str(saved.manifest.source.get("uri", "unknown")),
+        num_checked=sum(check.num_checked for check in checks),
+        num_outside=sum(check.num_outside for check in checks),
+        num_certified=sum(check.is_certified for check in checks),
+        num_fallbacks=sum(check.is_fallback for check in checks),
+        num_objects=len(objects),
+        num_shaped=sum(row.containment is not None for row in objects),
+        is_altered=saved.is_altered,
+        doubt=saved.doubt,
+        notes=floor_notes(saved.snapshot),
+        graph=None if saved.snapshot.graph is None else summary_of(saved.snapshot.graph),
+    )
+
+
+def chosen(
+    summary: MapSummary,
+    *,
+    sort: SortBy = "id",
+    near: tuple[float, float] = (0.0, 0.0),
+    within_m: float | None = None,
+    min_size_m: float = 0.0,
+) -> MapSummary:
+    """Return the summary with the objects that are asked for, in the order asked for; its totals stay the map's.
+
+    Args:
+        summary: of the whole map.
+        sort: by id or nearest first; largest, tallest and most often seen first. Ties by id.
+        near: x and y in the map, metres; distances are horizontal, from here to the objects' centres.
+        within_m: objects farther than this from `near` are left out.
+        min_size_m: objects whose longest side is shorter are left out.
+    """
+
+    def distance_m(row: ObjectSummary) -> float:
+        return hypot(row.place.center_m[0] - near[0], row.place.center_m[1] - near[1])
+
+    keys: dict[SortBy, Callable[[ObjectSummary], float]] = {
+        "id": lambda row: row.id,
+        "distance": distance_m,
+        "volume": lambda row: -row.place.volume_m3,
+        "height": lambda row: -row.place.size_m[2],
+        "sightings": lambda row: -row.sightings,
+    }
+    kept = [row for row in summary.objects if max(row.place.size_m) >= min_size_m]
+    if within_m is not None:
+        kept = [row for row in kept if distance_m(row) <= within_m]
+    return replace(summary, objects=tuple(sorted(kept, key=lambda row: (keys[sort](row), row.id))))
+
+
+def as_json(summary: MapSummary) -> dict[str, Any]:
+    """Return the summary as JSON has it; keys are the names of the fields."""
+    return asdict(summary)
+
+
+def format_table(summary: MapSummary) -> str:
+    """Return the summary as text for people: where each object is, what each holds, and what each layer takes."""
+    return "\n".join(
+        [
+            f"{summary.source}: {_count_objects(summary)}, {_ending(summary)}",
+            "",
+            *_columns([_PLACE_HEADER, *(_place_row(row) for row in summary.objects)]),
+            "",
+            *_columns([_OBJECT_HEADER, *(_object_row(row) for row in summary.objects)]),
+            *(f"shape of {row.id}: {row.verdict}" for row in summary.objects if row.verdict),
+            "",
+            *_columns([_LAYER_HEADER, *(_layer_row(row) for row in summary.layers)]),
+            "",
+            _containment_line(summary),
+            *summary.notes,
+            *([graph_line(summary.graph)] if summary.graph is not None else []),
+            f"digest {summary.digest}",
+        ]
+    )
+
+
+def _summarize_object(saved: SavedMap, tracked: TrackedObject, supports: tuple[Support, ...]) -> ObjectSummary:
+    width, depth, height = (round(2 * float(half), 6) for half in tracked.box.half_extents_m)
+    shape = tracked.shape
+    sizes = (
+        len(tracked.points_world) * _POINT_BYTES,
+        saved.mesh_path(shape).stat().st_size if shape else 0,
+        len(shape.fitted) * _PRIMITIVE_BYTES if shape else 0,
+        len(shape.inflated) * _PRIMITIVE_BYTES if shape else 0,
+    )
+    return ObjectSummary(
+        id=tracked.id,
+        phase=tracked.phase,
+        submap_id=tracked.submap_id,
+        place=place_of(tracked, saved.mesh(shape) if shape else None),
+        sightings=tracked.sightings,
+        size_m=(width, depth, height),
+        num_points=len(tracked.points_world),
+        num_views=len(tracked.views),
+        num_superquadrics=len(shape.fitted) if shape else 0,
+        num_inflated=len(shape.inflated) if shape else 0,
+        reconstructor=shape.reconstructor if shape else None,
+        layers=tuple(layer for layer, size in zip(LAYERS, sizes, strict=True) if size),
+        layer_bytes=sizes,
+        containment=_containment(saved, shape) if shape else None,
+        is_sketched=tracked.sketch is not None,
+        supports=supports,
+        verdict=shape.verdict if shape else "",
+        fit_kind=shape.fit_kind if shape else None,
+    )
+
+
+def _containment(saved: SavedMap, shape: ObjectShape) -> Containment:
+    """Return the certificate that a shape came with, None for an altered map, in which no certificate holds."""
+    return replace(shape.containment, is_certified=False) if saved.is_altered else shape.containment
+
+
+def _summarize_layer(saved: SavedMap, objects: tuple[ObjectSummary, ...], layer: int) -> LayerSummary:
+    seconds = saved.timings.get(f"layer{layer}_s")
+    return LayerSummary(
+        layer=layer,
+        num_objects=sum(layer in summary.layers for summary in objects),
+        total_bytes=sum(summary.layer_bytes[layer - 1] for summary in objects),
+        seconds=None if seconds is None else float(seconds),
+    )
+
+
+# ---- text -----------------------------------------------------------------------------------------------------------
+
+_PLACE_HEADER = (
+    "id",
+    "phase",
+    "submap",
+    "x m",
+    "y m",
+    "z m",
+    "yaw deg",
+    "size m",
+    "of layer",
+    "litres",
+    "color",
+    "held by",
+)
+_OBJECT_HEADER = ("id", "sightings", "layers", "points", "views", *LAYER_NAMES, "outside")
+_LAYER_HEADER = ("layer", "", "objects", "storage", "mean", "time", "mean")
+
+
+def _object_row(row: ObjectSummary) -> tuple[str, ...]:
+    return (
+        str(row.id),
+        str(row.sightings),
+        "".join(str(layer) if layer in row.layers else "-" for layer in LAYERS),
+        str(row.num_points),
+        str(row.num_views),
+        *(_bytes(size) if size else "-" for size in row.layer_bytes[:2]),
+        _superquadrics_cell(row),
+        f"{row.num_inflated} ({_bytes(row.layer_bytes[3])})" if row.layer_bytes[3] else "-",
+        _share(row.containment.num_outside, row.containment.num_checked) if row.containment else "-",
+    )
+
+
+def _place_row(row: ObjectSummary) -> tuple[str, ...]:
+    place = row.place
+    return (
+        str(row.id),
+        row.phase,
+        str(row.submap_id),
+        *(f"{part:.2f}" for part in place.center_m),
+        f"{place.yaw_deg:.0f}",
+        " x ".join(f"{side:.2f}" for side in place.size_m),
+        str(place.layer),
+        f"{1000 * place.volume_m3:.1f}",
+        place.color,
+        told(row.supports),
+    )
+
+
+def _superquadrics_cell(row: ObjectSummary) -> str:
+    if not row.layer_bytes[2]:
+        return "1 from points" if row.is_sketched else "-"
+    kind = "" if row.fit_kind == "solid" else f"{row.fit_kind}, "
+    return f"{row.num_superquadrics} ({kind}{_bytes(row.layer_bytes[2])})"
+
+
+def _layer_row(row: LayerSummary) -> tuple[str, ...]:
+    count = max(row.num_objects, 1)
+    return (
+        str(row.layer),
+        LAYER_NAMES[row.layer - 1],
+        str(row.num_objects),
+        _bytes(row.total_bytes),
+        _bytes(row.total_bytes // count),
+        "-" if row.seconds is None else f"{row.seconds:.2f} s",
+        "-" if row.seconds is None else f"{1000 * row.seconds / count:.0f} ms",
+    )
+
+
+def _columns(rows: list[tuple[str, ...]]) -> list[str]:
+    """Return the rows as lines, every column as wide as its widest cell; text to the left, numbers to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    is_text = [row_i in ("phase", "layers", "color", "held by", "") for row_i in rows[0]]
+    return [
+        "  ".join(
+            cell.ljust(width) if text else cell.rjust(width)
+            for cell, width, text in zip(row, widths, is_text, strict=True)
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def _bytes(size: int) -> str:
+    """Return a size as the paper writes it."""
+    if size < 1024:
+        return f"{size} B"
+    return f"{size / 1024:.1f} KiB" if size < 1024**2 else f"{size / 1024**2:.2f} MiB"
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{100 * part / whole:.2f} %" if whole else "-"
+
+
+def _count_objects(summary: MapSummary) -> str:
+    if len(summary.objects) < summary.num_objects:
+        return f"{len(summary.objects)} of {summary.num_objects} objects"
+    counts = [(phase, sum(row.phase == phase for row in summary.objects)) for phase in Phase]
+    return f"{len(summary.objects)} objects ({', '.join(f'{n} {phase}' for phase, n in counts if n) or 'none'})"
+
+
+def _ending(summary: MapSummary) -> str:
+    return (
+        "finished cleanly"
+        if summary.finished_cleanly
+        else (
+            "not finished: this is its last complete save"
+            if summary.revision
+            else "not finished: nothing was saved yet"
+        )
+    )
+
+
+def _containment_line(summary: MapSummary) -> str:
+    if not summary.num_checked:
+        return "layer 4: nothing checked"
+    if summary.is_altered:
+        return f"layer 4: NOT PROVEN: {summary.doubt}"
+    share = _share(summary.num_checked - summary.num_outside, summary.num_checked)
+    certified = f"{summary.num_certified} of {summary.num_shaped} objects certified"
+    boxes = f", {summary.num_fallbacks} as boxes" if summary.num_fallbacks else ""
+    return f"layer 4: {certified}{boxes}; {share} of {summary.num_checked} pieces checked are inside{_margins(summary)}"
+
+
+def _margins(summary: MapSummary) -> str:
+    """Return the safety margins of the objects; containment without a margin proves little."""
+    margins = [row.containment.margin_m for row in summary.objects if row.containment]
+    if not margins:
+        return ""
+    ends = dict.fromkeys((min(margins), max(margins)))
+    return f", with a margin of {' to '.join(f'{margin:g}' for margin in ends)} m"

@@ -1,0 +1,141 @@
+"""The label of each pixel of a recorded keyframe: mask, rejected mask (and why), structure, or none.
+
+The journal keeps masks at full resolution, depth and structure at a reduced one. In older journals, which have no
+depth, the label structure comes from the keyframe's structure voxels of 5 cm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.perception.coarse import enlarged_cells
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.map_folder.history.recorded import RecordedKeyframe
+    from hickory_stream.records import CoarseFrame, Observation
+
+Where = Literal["mask", "rejected mask", "structure", "no depth", "too near", "too far", "no mask"]
+
+NO_MASK, STRUCTURE, NO_DEPTH, TOO_NEAR, TOO_FAR = 0, -1, -2, -3, -4
+_WHERE: dict[int, Where] = {
+    NO_MASK: "no mask",
+    STRUCTURE: "structure",
+    NO_DEPTH: "no depth",
+    TOO_NEAR: "too near",
+    TOO_FAR: "too far",
+}
+LEAST_CODE = TOO_FAR
+# A point within this distance of a structure voxel lies on it; it covers the depth noise.
+_SLACK_M = 0.015
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Range:
+    """The range of depths, in metres, from which observations are made."""
+
+    nearest_m: float
+    farthest_m: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SeenAs:
+    """A keyframe by pixel: `codes` (H, W) int32.
+
+    1 to `num_masks` are the observations in their order, then come the rejected masks; the others are constants here.
+    """
+
+    codes: NDArray[np.int32]
+    num_masks: int
+
+    def __post_init__(self) -> None:
+        freeze(self, "codes", np.int32, (None, None))
+
+    def where(self, code: int) -> Where:
+        """Return the label that a code stands for."""
+        return where_of(code, self.num_masks)
+
+
+def where_of(code: int, num_masks: int) -> Where:
+    """Return the label that a code stands for in a keyframe with this number of observations."""
+    if code > num_masks:
+        return "rejected mask"
+    return "mask" if code > 0 else _WHERE[code]
+
+
+def range_of(config: MapperConfig) -> Range:
+    """Return the range of depths from which observations are made."""
+    return Range(nearest_m=config.perception.observe.min_depth_m, farthest_m=config.perception.observe.max_depth_m)
+
+
+def seen_as(keyframe: RecordedKeyframe, reach: Range) -> SeenAs:
+    """Return the label of each pixel of a keyframe; without coarse depth, pixels outside all masks have `NO_MASK`."""
+    observed, camera = keyframe.observed, keyframe.camera
+    size = (camera.width, camera.height)
+    codes = np.zeros((camera.height, camera.width), dtype=np.int32)
+    if observed.coarse is not None:
+        codes = enlarged_cells(_codes_of_cells(observed.coarse, reach), observed.coarse.stride_px, size).copy()
+    count = len(observed.observations)
+    for i, rejected in reversed(list(enumerate(observed.rejected))):
+        x0, y0, x1, y1 = rejected.box_px
+        window = codes[y0:y1, x0:x1]
+        if rejected.mask is not None:
+            window[rejected.mask] = count + 1 + i
+    for i, observation in enumerate(observed.observations):
+        x0, y0, x1, y1 = observation.box_px
+        codes[y0:y1, x0:x1][observation.mask] = i + 1
+    return SeenAs(codes=codes, num_masks=count)
+
+
+def code_at(keyframe: RecordedKeyframe, pixel: tuple[float, float], reach: Range) -> int:
+    """Return the code of one pixel (column, row) of a keyframe, the same as in `seen_as`."""
+    observed = keyframe.observed
+    column, row = round(pixel[0]), round(pixel[1])
+    masks = [(o.box_px, o.mask) for o in observed.observations] + [(r.box_px, r.mask) for r in observed.rejected]
+    for i, ((x0, y0, x1, y1), mask) in enumerate(masks):
+        if mask is not None and x0 <= column < x1 and y0 <= row < y1 and mask[row - y0, column - x0]:
+            return i + 1
+    if observed.coarse is None:
+        return NO_MASK
+    cells, stride = _codes_of_cells(observed.coarse, reach), observed.coarse.stride_px
+    return int(cells[min(row // stride, len(cells) - 1), min(column // stride, cells.shape[1] - 1)])
+
+
+def _codes_of_cells(coarse: CoarseFrame, reach: Range) -> NDArray[np.int32]:
+    cells = np.where(coarse.structure, STRUCTURE, NO_MASK).astype(np.int32)
+    depth_m = coarse.depth_mm / 1000.0
+    cells[coarse.depth_mm == 0] = NO_DEPTH
+    cells[(depth_m < reach.nearest_m) & (coarse.depth_mm > 0)] = TOO_NEAR
+    cells[depth_m > reach.farthest_m] = TOO_FAR
+    return cells
+
+
+def on_structure(keyframe: RecordedKeyframe, points_odometry: NDArray[np.float64], voxel_m: float) -> NDArray[np.bool_]:
+    """Return which of (N, 3) points lie in structure voxels of the keyframe, or within the depth noise of one."""
+    keys = keyframe.observed.space.structure_keys
+    found = contains(keys, keys_of_points(points_odometry, voxel_m))
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            step = np.zeros(3)
+            step[axis] = sign * _SLACK_M
+            found |= contains(keys, keys_of_points(points_odometry + step, voxel_m))
+    return np.asarray(found)
+
+
+def rays_of(camera: Camera, pixels: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the rays (N, 3) of (N, 2) pixels, as points of depth 1 in the camera's frame."""
+    x, y = np.asarray(pixels, dtype=np.float64).T
+    return np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones(len(x))], axis=1)
+
+
+def area_px(observation: Observation) -> int:
+    """Return how many pixels a mask has."""
+    return int(np.count_nonzero(observation.mask))

@@ -1,0 +1,180 @@
+"""The history of the point that one pixel of a frame shows.
+
+The point is found from the mask at the pixel, from the depth that the journal keeps, or, if the journal has no depth of
+this frame, from the log.
+
+The 3D point that a pixel of a frame shows: from its mask, from recorded depth or structure, or from the log.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import InputError
+from hickory_stream.geometry.camera import project
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.geometry.voxels import contains, keys_of_points
+from hickory_stream.inspection.keyframe_labels import code_at, range_of, rays_of
+from hickory_stream.inspection.point_history import AskedPixel, PlaceStory, story_of_point
+from hickory_stream.inspection.point_sighting import meaning_of_code
+from hickory_stream.map_folder.history.recorded import final_snapshot, frame_indices, frame_pose, recorded_steps
+from hickory_stream.map_folder.history.recorded_config import told_config
+from hickory_stream.map_folder.history.track_histories import TrackHistories
+from hickory_stream.perception.coarse import cells_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.map_folder.history.recorded import RecordedKeyframe
+
+
+# Step length along a ray, short enough to enter every voxel of structure on it, and the length of the ray.
+_MARCH_M, _MARCH_TO_M = 0.025, 10.0
+
+
+def place_in_keyframe(
+    keyframe: RecordedKeyframe, pixel: tuple[float, float], code: int, voxel_m: float
+) -> NDArray[np.float64] | None:
+    """Return the point (3,) in the map that a pixel of a keyframe shows, None if the journal does not determine it."""
+    observed, camera = keyframe.observed, keyframe.camera
+    map_from_camera = keyframe.map_from_odometry @ observed.world_from_camera
+    if 0 < code <= len(observed.observations):
+        points = observed.observations[code - 1].points_world.astype(np.float64)
+        in_image = project(apply(invert(observed.world_from_camera), points), camera)
+        nearest = points[int(np.nanargmin(np.linalg.norm(in_image - np.array(pixel), axis=1)))]
+        return np.asarray(apply(keyframe.map_from_odometry, nearest[None])[0])
+    if observed.coarse is not None:
+        depth_m = float(cells_of(observed.coarse, np.array([pixel]).round())[0][0])
+    else:
+        depth_m = _depth_of_structure(keyframe, pixel, voxel_m)
+    if not np.isfinite(depth_m):
+        return None
+    return np.asarray(apply(map_from_camera, rays_of(camera, np.array([pixel])) * depth_m)[0])
+
+
+def place_by_depth(
+    depth_m: NDArray[np.float32], pixel: tuple[float, float], camera: Camera, map_from_camera: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Return the point (3,) in the map that a pixel of a frame with (H, W) depth shows, None if it has no depth."""
+    depth = float(depth_m[round(pixel[1]), round(pixel[0])])
+    if not (np.isfinite(depth) and depth > 0):
+        return None
+    return np.asarray(apply(map_from_camera, rays_of(camera, np.array([pixel])) * depth)[0])
+
+
+def check_pixel(pixel: tuple[float, float], camera: Camera) -> None:
+    """Check that a pixel is in the image.
+
+    Raises:
+        InputError: it is not.
+    """
+    if not (0 <= pixel[0] <= camera.width - 1 and 0 <= pixel[1] <= camera.height - 1):
+        raise InputError(
+            f"found the pixel {pixel[0]:g},{pixel[1]:g}, expected a column of 0 to {camera.width - 1} and a row of 0 "
+            f"to {camera.height - 1}"
+        )
+
+
+def _depth_of_structure(keyframe: RecordedKeyframe, pixel: tuple[float, float], voxel_m: float) -> float:
+    """Return the depth at which a pixel's ray meets the structure voxels of the keyframe, NaN if it meets none."""
+    depths_m = np.arange(_MARCH_M, _MARCH_TO_M, _MARCH_M)
+    ray = rays_of(keyframe.camera, np.array([pixel]))
+    points = apply(keyframe.observed.world_from_camera, ray * depths_m[:, None])
+    met = contains(keyframe.observed.space.structure_keys, keys_of_points(points, voxel_m))
+    return float(depths_m[np.argmax(met)]) if met.any() else float("nan")
+
+
+def story_of_pixel(
+    path: Path,
+    frame: int,
+    pixel: tuple[float, float],
+    depth_of: Callable[[int], NDArray[np.float32]] | None = None,
+) -> PlaceStory:
+    """Return the history of the point that a pixel shows.
+
+    Args:
+        path: the map folder.
+        frame: the index of the frame, as the viewer's timeline `frame` has it.
+        pixel: column and row.
+        depth_of: returns the (H, W) depth of the log's frame of a stamp; None where there is no log.
+
+    Raises:
+        InputError: there is no such frame or pixel, or the point can only be found from the log.
+        MapFolderError: there is no map or no journal, or it is damaged or of another version.
+    """
+    keyframes, frames = frame_indices(path)
+    if frame not in frames:
+        span = f"{frames[0]} to {frames[-1]}" if len(frames) else "none: its run ended before the first keyframe"
+        raise InputError(f"found frame {frame}, expected one of the {len(frames)} frames of {path}: {span}")
+    if frame in keyframes:
+        return _story_of_keyframe_pixel(path, frame, pixel, depth_of)
+    if depth_of is None:
+        before, after = keyframes[keyframes < frame][-1:].tolist(), keyframes[keyframes > frame][:1].tolist()
+        near = " or ".join(str(i) for i in (*before, *after))
+        raise InputError(
+            f"frame {frame} of {path} is no keyframe, so that no objects were detected in it; ask for the keyframe "
+            f"{near}, or give --log LOG, to take the place from this frame's depth"
+        )
+    camera, pose = frame_pose(path, frame)
+    check_pixel(pixel, camera)
+    map_from_camera = _map_from_odometry(path, frame) @ pose.world_from_camera
+    point = place_by_depth(depth_of(pose.stamp_ns), pixel, camera, map_from_camera)
+    source = "the log has no depth there" if point is None else "the place is from the log's depth"
+    text = f"the frame is no keyframe: {source}"
+    return _followed(path, point, AskedPixel(frame=frame, pixel=pixel, text=text))
+
+
+def _story_of_keyframe_pixel(
+    path: Path, frame: int, pixel: tuple[float, float], depth_of: Callable[[int], NDArray[np.float32]] | None
+) -> PlaceStory:
+    final, config = final_snapshot(path), told_config(path)
+    book = TrackHistories()
+    # Of a frame that was played several times, the last playback counts.
+    keyframe: RecordedKeyframe | None = None
+    for step in recorded_steps(path, final):
+        seen = step.keyframe
+        book.add(None if seen is None else seen.observed.frame_index, step.decisions)
+        if seen is not None and seen.observed.frame_index == frame:
+            keyframe = seen
+    assert keyframe is not None
+    check_pixel(pixel, keyframe.camera)
+    code = code_at(keyframe, pixel, range_of(config))
+    _, _, text = meaning_of_code(keyframe, code, book)
+    asked = AskedPixel(frame=frame, pixel=pixel, text=text)
+    point = place_in_keyframe(keyframe, pixel, code, config.mapping.lattice.space_m)
+    if point is None and depth_of is not None:
+        map_from_camera = keyframe.map_from_odometry @ keyframe.observed.world_from_camera
+        point = place_by_depth(depth_of(keyframe.observed.stamp_ns), pixel, keyframe.camera, map_from_camera)
+    return _followed(path, point, asked)
+
+
+def _map_from_odometry(path: Path, frame: int) -> NDArray[np.float64]:
+    """Return the transform (4, 4) of the submap that was open when a frame arrived."""
+    found = np.eye(4)
+    for step in recorded_steps(path, final_snapshot(path)):
+        if step.keyframe is not None and step.keyframe.observed.frame_index <= frame:
+            found = step.keyframe.map_from_odometry
+    return found
+
+
+def _followed(path: Path, point: NDArray[np.float64] | None, asked: AskedPixel) -> PlaceStory:
+    """Return the history of the point of a pixel, or, if the pixel has none, what this frame alone says of it."""
+    if point is not None:
+        return story_of_point(path, point, asked)
+    return PlaceStory(
+        point_m=None,
+        asked=asked,
+        verdict=f"{asked.text}; without depth the pixel has no place that could be followed: ask for one beside it",
+        objects=(),
+        num_keyframes=len(frame_indices(path)[0]),
+        num_looking=0,
+        tracks=(),
+        stretches=(),
+        sightings=(),
+    )

@@ -1,0 +1,170 @@
+"""The state of the core as a checkpoint stores it: the reliable part of a track's cloud as a mask over its points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.geometry.arrays import freeze, frozen_array
+from hickory_stream.mapping.entities.cloud import Cloud, without
+from hickory_stream.mapping.entities.observed_space import SpaceState
+from hickory_stream.mapping.entities.submap_surface import SubmapSurface
+from hickory_stream.mapping.entities.submaps import SubmapState
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.rules.merging import VoteBook
+from hickory_stream.mapping.rules.splitting import SplitCandidate
+from hickory_stream.records import Submap, SurveyedSubmap, TrackedObject
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PackedTrack:
+    """A track whose `solid` is stored as a mask over its cloud: half of what a checkpoint would take.
+
+    `num_solid`: how many points that are; None in older journals.
+    """
+
+    track: Track
+    is_solid: NDArray[np.bool_]
+    num_solid: int | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "is_solid", "?", (len(self.track.cloud.keys),))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TablePage:
+    """A part of a table by ids, with those of one block of ids: most pages are the same in one state and the next."""
+
+    keys: tuple[int, ...]
+    values: tuple[Any, ...]
+
+
+_PAGE = 32
+_TABLES = {"tracks", "elsewhere", "absorbed", "split_candidates"}
+KEPT_RECORDS = (
+    *(PackedTrack, SplitCandidate, SpaceState, Submap, SubmapState, SubmapSurface, SurveyedSubmap, TablePage),
+    *(Track, TrackedObject),
+)
+"""The records that a checkpoint takes from the one before it where they are the same: there are many, few change."""
+
+
+class Packer:
+    """Packs states one after another; of a track that did not change the same packed track is given again.
+
+    So that who writes records by their identity writes it once. `stored`: tracks that are written already, and are
+    given as they are.
+    """
+
+    def __init__(self, stored: Iterable[Track] = ()) -> None:
+        self._marks: dict[int, _Marks] = {}
+        self._packed: dict[int, tuple[Track, Track | PackedTrack]] = {id(track): (track, track) for track in stored}
+        self._pages: dict[tuple[str, int], tuple[list[int], list[Any], TablePage]] = {}
+
+    def packed(self, state: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a state of the core with its tracks packed, where that loses nothing."""
+        marks, self._marks = self._marks, {}
+        before, self._packed = self._packed, {}
+
+        def pack(track: Track) -> Track | PackedTrack:
+            known = before.get(id(track))
+            own = marks.get(id(track.solid))
+            if own is not None and own.cloud is track.cloud:
+                self._marks[id(track.solid)] = own
+            if known is None:
+                if own is None or own.cloud is not track.cloud:
+                    own = _Marks(cloud=track.cloud, solid=track.solid, is_solid=_solid_marks(track.cloud, track.solid))
+                    self._marks[id(track.solid)] = own
+                known = (track, track)
+                if own.is_solid is not None:
+                    whole = replace(track, solid=track.cloud)
+                    known = (track, PackedTrack(track=whole, is_solid=own.is_solid, num_solid=len(track.solid)))
+            self._packed[id(track)] = known
+            return known[1]
+
+        pages, self._pages = self._pages, {}
+
+        def paged(name: str, table: Mapping[int, Any]) -> tuple[TablePage, ...]:
+            blocks: dict[int, list[int]] = {}
+            for key in sorted(table):
+                blocks.setdefault(key // _PAGE, []).append(key)
+            return tuple(page(name, block, keys, table) for block, keys in blocks.items())
+
+        def page(name: str, block: int, keys: list[int], table: Mapping[int, Any]) -> TablePage:
+            values = [table[key] for key in keys]
+            known = pages.get((name, block))
+            if known is None or known[0] != keys or any(a is not b for a, b in zip(known[1], values, strict=True)):
+                own = tuple(pack(value) if isinstance(value, Track) else value for value in values)
+                known = (keys, values, TablePage(keys=tuple(keys), values=own))
+            else:
+                for value in values:
+                    if isinstance(value, Track):
+                        pack(value)
+            self._pages[name, block] = known
+            return known[2]
+
+        parts = dict(state)
+        for name in _TABLES & parts.keys():
+            parts[name] = paged(name, parts[name])
+        if isinstance(votes := parts.get("votes"), VoteBook):
+            parts["votes"] = paged("votes", votes.rows)
+        return parts
+
+
+def unpacked(state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the state that was packed.
+
+    Raises:
+        ValueError: a page has another number of keys than of values.
+    """
+    parts = dict(state)
+    for name in _TABLES & parts.keys():
+        parts[name] = _table(parts[name])
+    if isinstance(parts.get("votes"), tuple):
+        parts["votes"] = VoteBook(rows=_table(parts["votes"]))
+    return parts
+
+
+def _table(pages: tuple[TablePage, ...]) -> dict[int, Any]:
+    return {
+        key: _unpacked(value) if isinstance(value, PackedTrack) else value
+        for page in pages
+        for key, value in zip(page.keys, page.values, strict=True)
+    }
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Marks:
+    """Which of a cloud's points are its solid part; None where that is the whole, none, or more than a choice of them.
+
+    It holds both clouds, whose identities then are nobody else's.
+    """
+
+    cloud: Cloud
+    solid: Cloud
+    is_solid: NDArray[np.bool_] | None
+
+
+def _solid_marks(cloud: Cloud, solid: Cloud) -> NDArray[np.bool_] | None:
+    if solid is cloud or len(solid.keys) == 0:
+        return None
+    # Keys are sorted.
+    places = np.minimum(np.searchsorted(solid.keys, cloud.keys), len(solid.keys) - 1)
+    marked = solid.keys[places] == cloud.keys
+    return frozen_array(marked, "?", (None,), "marks") if _is_same(without(cloud, ~marked), solid) else None
+
+
+def _unpacked(packed_track: PackedTrack) -> Track:
+    track = packed_track.track
+    return replace(track, solid=without(track.cloud, ~packed_track.is_solid))
+
+
+def _is_same(a: Cloud, b: Cloud) -> bool:
+    pairs = ((a.keys, b.keys), (a.points, b.points), (a.colors, b.colors), (a.hits, b.hits))
+    return all(x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes() for x, y in pairs)

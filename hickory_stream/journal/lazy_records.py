@@ -1,0 +1,136 @@
+"""Records of a checkpoint whose arrays are read when somebody looks at them: most of a large map nobody looks at.
+
+What is read then is what was written, to the byte; damage to it is told there.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.errors import MapFolderError
+from hickory_stream.geometry.lazy_arrays import read_later
+from hickory_stream.journal.checkpoints import PackedTrack
+from hickory_stream.journal.field_types import checked_record
+from hickory_stream.mapping.entities.cloud import NAMES, Cloud, array_of, leave_unread
+from hickory_stream.mapping.entities.observed_space import SpaceState
+from hickory_stream.mapping.entities.submap_surface import SubmapSurface
+from hickory_stream.mapping.entities.track import Track
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.journal.record_codec import PartPlace
+
+_ARRAYS: Mapping[type, tuple[str, ...]] = {
+    Cloud: NAMES,
+    PackedTrack: ("is_solid",),
+    SpaceState: ("free", "hidden_free", "surface", "hits", "misses", "room"),
+    SubmapSurface: ("keys", "points", "normals", "hits"),
+}
+
+
+class UnreadRecords:
+    """Makes records of which some arrays are left unread; `read` gives an array of the journal by its place."""
+
+    def __init__(self, read: Callable[[PartPlace], NDArray[Any]], journal: Path) -> None:
+        self._read = read
+        self._journal = journal
+
+    def arrays_of(self, kind: type) -> tuple[str, ...]:
+        """Return the names of the arrays of a kind of record that may be left unread."""
+        return _ARRAYS.get(kind, ())
+
+    def record(
+        self,
+        kind: type,
+        values: Mapping[str, Any],
+        places: Mapping[str, PartPlace],
+        checks: Mapping[str, Callable[[Any], bool]],
+    ) -> Any:
+        """Return a record with some `values`, the arrays of the others left where they are.
+
+        Raises:
+            TypeError: as `checked_record`.
+        """
+        later = {name: partial(self._read, place) for name, place in places.items()}
+        if kind is PackedTrack:
+            return self._unpacked(values, later, checks)
+        if not later or {field.name for field in fields(kind)} != values.keys() | later.keys():
+            return checked_record(kind, {**values, **{name: read() for name, read in later.items()}}, checks)
+        record: Any = object.__new__(kind)
+        for name, value in values.items():
+            if not checks[name](value):
+                raise TypeError(f"{kind.__name__}.{name} is of {type(value).__name__}")
+            object.__setattr__(record, name, value)
+        if kind is Cloud:
+            at_hand = {name: values[name] for name in NAMES if name in values}
+            count = len(at_hand["keys"]) if "keys" in at_hand else places["keys"].length
+            leave_unread(record, count, lambda name: at_hand[name] if name in at_hand else later[name]())
+        else:
+            read_later(record, lambda: self._whole(kind, values, later, checks), *_ARRAYS[kind])
+        return record
+
+    def _whole(
+        self,
+        kind: type,
+        values: Mapping[str, Any],
+        later: Mapping[str, Callable[[], NDArray[Any]]],
+        checks: Mapping[str, Callable[[Any], bool]],
+    ) -> dict[str, NDArray[Any]]:
+        with self._told():
+            record = checked_record(kind, {**values, **{name: read() for name, read in later.items()}}, checks)
+        return {name: getattr(record, name) for name in _ARRAYS[kind]}
+
+    def _unpacked(
+        self,
+        values: Mapping[str, Any],
+        later: Mapping[str, Callable[[], NDArray[Any]]],
+        checks: Mapping[str, Callable[[Any], bool]],
+    ) -> Track:
+        """Return the track that was packed, its solid part chosen from its cloud when it is looked at."""
+        track, marks, num_solid = (values.get(name) for name in ("track", "is_solid", "num_solid"))
+        known = (values.keys() | later.keys()) - {"num_solid"}
+        if known != {"track", "is_solid"} or not isinstance(track, Track) or not checks["num_solid"](num_solid):
+            raise TypeError(f"a packed track of {sorted(values)}")
+        cloud = track.cloud
+
+        def chosen(name: str) -> NDArray[Any]:
+            with self._told():
+                is_solid = later["is_solid"]() if marks is None else marks
+                array = array_of(cloud, name)
+                if not isinstance(is_solid, np.ndarray) or is_solid.dtype != bool or is_solid.shape != array.shape[:1]:
+                    raise ValueError(f"marks of {len(array)} points that are none")
+                kept: NDArray[Any] = array[is_solid]
+                if num_solid is not None and len(kept) != num_solid:
+                    raise ValueError(f"marks of {len(kept)} points that are said to be {num_solid}")
+                return kept
+
+        solid = object.__new__(Cloud)
+        leave_unread(solid, num_solid, chosen)
+        return replace(track, solid=solid)
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except (ValueError, TypeError) as error:
+            raise MapFolderError(f"{self._journal} is damaged or of another version: {error}") from error
+
+
+def as_array(value: Any, length: int | None) -> NDArray[Any]:
+    """Return an array that was decoded, and is said to have a length.
+
+    Raises:
+        ValueError: it is none, or has another length.
+    """
+    if not isinstance(value, np.ndarray) or (length is not None and value.shape[:1] != (length,)):
+        raise ValueError(f"found a {type(value).__name__}, expected an array of length {length}")
+    return value

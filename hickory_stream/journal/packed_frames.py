@@ -1,0 +1,177 @@
+"""What was observed in a keyframe as the journal stores it: the returns of each mask instead of its points.
+
+Points are means of returns over voxels. Three returns in whole millimetres, each told from its neighbours in the image,
+take less than the point that they make, which is told from nothing; and the points come out again to the byte.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import zstandard
+
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.codecs.color_code import packed_colors, unpacked_colors
+from hickory_stream.geometry.codecs.depth_code import packed_depths, unpacked_depths
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.perception.observe import checksum_of, points_of_returns
+from hickory_stream.records import Returns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.events import FrameObserved
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.records import Observation
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PackedPoints:
+    """What is left of the `Returns` of the observation at `place`: its depth is with that of the others."""
+
+    place: int
+    voxel_m: float
+    checksum: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PackedFrame:
+    """An event of which the observations in `packed` have neither points nor colours nor returns.
+
+    `is_used` (P,) tells of the pixels of their masks, one mask after another, which have returns; `depths` are these
+    as `packed_depths` gives them, `colors` what `packed_colors` leaves of each, (3, N). Both are frames of zstd: beside
+    numbers of other kinds the compressor would learn other frequencies.
+    """
+
+    event: FrameObserved
+    packed: tuple[PackedPoints, ...]
+    is_used: NDArray[np.bool_]
+    depths: bytes
+    colors: bytes
+
+    def __post_init__(self) -> None:
+        freeze(self, "is_used", np.bool_, (None,))
+
+
+# Masks do not overlap, but their boxes do.
+_MOST_IMAGES = 64
+# There is next to nothing in them that repeats: higher levels take longer, and find it where it is none.
+_LEVEL = 1
+_NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
+
+
+def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
+    """Return an event as it is stored: with its points, without returns, where these cannot be made of those."""
+    # Returns are of use to the journal alone: what is stored with its points has none.
+    observations = [one if one.returns is None else replace(one, returns=None) for one in event.observations]
+    has_returns = any(one.returns is not None for one in event.observations)
+    plain = replace(event, observations=tuple(observations)) if has_returns else event
+    camera = None if event.coarse is None else event.coarse.camera
+    if camera is None or not _are_within(event.observations, camera):
+        return plain
+    packed: list[PackedPoints] = []
+    masks: list[NDArray[np.bool_]] = []
+    images: list[NDArray[np.uint16]] = []
+    colors: list[NDArray[np.uint8]] = []
+    for place, one in enumerate(event.observations):
+        # Whoever has given an observation other points, or the frame another pose, has made them of something else.
+        returns = one.returns
+        if returns is None or returns.checksum != checksum_of(one.points_world, event.world_from_camera):
+            continue
+        if returns.depth_mm.shape != one.mask.shape or returns.depth_mm[~one.mask].any():
+            continue
+        packed.append(PackedPoints(place=place, voxel_m=returns.voxel_m, checksum=returns.checksum))
+        masks.append(one.mask)
+        images.append(returns.depth_mm)
+        colors.append(packed_colors(keys_of_points(one.points_world, returns.voxel_m), one.colors))
+        observations[place] = replace(one, points_world=_NO_POINTS, colors=_NO_COLORS, returns=None)
+    if not packed:
+        return plain
+    return PackedFrame(
+        event=replace(event, observations=tuple(observations)),
+        packed=tuple(packed),
+        is_used=np.concatenate([image[mask] > 0 for image, mask in zip(images, masks, strict=True)]),
+        depths=zstandard.compress(packed_depths(images), _LEVEL),
+        colors=zstandard.compress(np.concatenate(colors, axis=1).tobytes(), _LEVEL),
+    )
+
+
+def unpacked_frame(frame: PackedFrame) -> FrameObserved:
+    """Return the event that was packed.
+
+    Raises:
+        ValueError: the parts do not belong together, or other points come out.
+    """
+    event = frame.event
+    if event.coarse is None or event.coarse.camera is None:
+        raise ValueError("returns of a frame without a camera")
+    places = [part.place for part in frame.packed]
+    if any(a >= b for a, b in pairwise([-1, *places, len(event.observations)])):
+        raise ValueError(f"returns of observations {places} of {len(event.observations)}")
+    if not _are_within([event.observations[place] for place in places], event.coarse.camera):
+        raise ValueError("returns of masks that do not lie in the image, or in more than it has room for")
+    observations = list(event.observations)
+    used = _used(frame, [event.observations[place].mask for place in places])
+    # A return takes a byte, or three; a point takes three bytes and comes of one return at least.
+    most_bytes = 3 * sum(int(np.count_nonzero(marks)) for marks in used)
+    images = unpacked_depths(_unpacked(frame.depths, most_bytes), used)
+    colors_left = np.frombuffer(_unpacked(frame.colors, most_bytes), np.uint8).reshape(3, -1)
+    at = 0
+    for part, image in zip(frame.packed, images, strict=True):
+        one = observations[part.place]
+        returns = Returns(depth_mm=image, voxel_m=part.voxel_m, checksum=part.checksum)
+        points = _points(returns, one, event.coarse.camera, event.world_from_camera)
+        own = colors_left[:, at : at + len(points)]
+        at += len(points)
+        if own.shape[1] != len(points):
+            raise ValueError(f"{colors_left.shape[1]} colours of more points")
+        colors = unpacked_colors(keys_of_points(points, part.voxel_m), own)
+        observations[part.place] = replace(one, points_world=points, colors=colors, returns=returns)
+    if at != colors_left.shape[1]:
+        raise ValueError(f"{colors_left.shape[1]} colours of {at} points")
+    return replace(event, observations=tuple(observations))
+
+
+def _are_within(observations: Sequence[Observation], camera: Camera) -> bool:
+    """Return whether all masks lie in the image, and memory for their boxes is that for so many images at most."""
+    boxes = [one.box_px for one in observations]
+    area_px = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes)
+    is_within = all(x0 >= 0 and y0 >= 0 and x1 <= camera.width and y1 <= camera.height for x0, y0, x1, y1 in boxes)
+    return is_within and area_px <= _MOST_IMAGES * camera.width * camera.height
+
+
+def _used(frame: PackedFrame, masks: Sequence[NDArray[np.bool_]]) -> list[NDArray[np.bool_]]:
+    """Return (h, w) for each mask which of its pixels have returns."""
+    ends = np.cumsum([0, *(np.count_nonzero(mask) for mask in masks)])
+    if ends[-1] != len(frame.is_used):
+        raise ValueError(f"marks of {len(frame.is_used)} pixels, of {ends[-1]} in masks")
+    used = [np.zeros(mask.shape, dtype=bool) for mask in masks]
+    for (start, end), mask, marks in zip(pairwise(ends), masks, used, strict=True):
+        marks[mask] = frame.is_used[start:end]
+    return used
+
+
+def _unpacked(data: bytes, most_bytes: int) -> bytes:
+    """Return what a frame of zstd holds; raises ValueError where it claims more bytes, for memory is taken for them."""
+    try:
+        if not 0 <= zstandard.frame_content_size(data) <= most_bytes:
+            raise ValueError(f"a frame of more than {most_bytes} bytes")
+        return zstandard.decompress(data)
+    except zstandard.ZstdError as error:
+        raise ValueError(f"returns that cannot be unpacked: {error}") from error
+
+
+def _points(
+    returns: Returns, observation: Observation, camera: Camera, world_from_camera: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    if not returns.voxel_m > 0:
+        raise ValueError(f"voxels of {returns.voxel_m} m")
+    points = points_of_returns(returns, observation.box_px, camera, world_from_camera)
+    if checksum_of(points, world_from_camera) != returns.checksum:
+        raise ValueError("other points come of the returns than were seen")
+    return points

@@ -1,0 +1,406 @@
+"""Any record of the mapper as CBOR (RFC 8949), and back, exactly: what the journal is made of.
+
+A record is a map of its fields under a tag with its name; only records of our own packages are ever made from it, by
+their constructors, and only where every field holds what it is declared to hold (`field_types`): who wrote the bytes is
+not known. Arrays are stored so that they compress: keys of voxels as blocks of bits or as differences, colours as
+differences from those before them and from their green, points at multiples of a step as differences, mean colours
+as sums and their numbers, images of depth as differences from what is beside (older journals have neither), other
+numbers byte by byte.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import math
+import pkgutil
+import types
+from enum import Enum
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import cbor2
+import numpy as np
+
+from hickory_stream.geometry.codecs.color_code import packed_means, unpacked_means
+from hickory_stream.geometry.codecs.depth_code import packed_depths, unpacked_depths
+from hickory_stream.geometry.codecs.packing import array_of, color_planes, colors_of, planes_of
+from hickory_stream.geometry.codecs.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
+from hickory_stream.geometry.lattice import packed_points, points_of, unpacked_steps
+from hickory_stream.journal.field_types import checked_record, field_checks
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping
+
+    from numpy.typing import NDArray
+
+# Of the range that is free for everybody's use ("first come, first served", RFC 8949, 9.2).
+_RECORD, _ARRAY, _PART, _MAP, _SET, _ENUM = 39_100, 39_101, 39_102, 39_103, 39_104, 39_105
+_PART_BYTES = 1024
+_PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS, _STEPS, _DEPTHS, _MEANS = range(9)
+# A pose or less: dividing it into planes takes longer than all else of it, and leaves nothing to be found.
+_SMALL_BYTES = 192
+_BLOCK_BYTES = 16
+_MOST_DIMENSIONS = 8
+_LEAST, _MOST = int(np.iinfo(np.int64).min), int(np.iinfo(np.int64).max)
+_AS_THEY_ARE = {types.NoneType, bool, float, str, bytes}
+_DAMAGE = (
+    cbor2.CBORError,
+    TypeError,
+    ValueError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    MemoryError,
+)
+
+
+class PartStore(Protocol):
+    """Keeps large arrays and some records beside the document, so that what did not change is not written again."""
+
+    def put(self, part: object, encoded: Callable[[], bytes]) -> tuple[int, int]:
+        """Return where an array or a record is kept; `encoded()` gives its bytes if it is new."""
+        ...
+
+    def is_part(self, record: object) -> bool:
+        """Return whether a record is to be kept beside the document."""
+        ...
+
+
+class PartPlace(NamedTuple):
+    """Where an array lies, as a `PartStore` said, and how long it is; older journals do not say that."""
+
+    chunk: int
+    number: int
+    length: int | None = None
+
+
+class LateRecords(Protocol):
+    """Makes records of which some arrays, which lie beside the document, are read when somebody looks at them."""
+
+    def arrays_of(self, kind: type) -> tuple[str, ...]:
+        """Return the names of the arrays of a kind of record that may be left where they are."""
+        ...
+
+    def record(
+        self,
+        kind: type,
+        values: Mapping[str, Any],
+        places: Mapping[str, PartPlace],
+        checks: Mapping[str, Callable[[Any], bool]],
+    ) -> Any:
+        """Return a record of `values` and of arrays at `places`; raises TypeError where these are not its fields."""
+        ...
+
+
+def encode(value: Any, parts: PartStore | None = None) -> bytes:
+    """Return a value made of records, arrays, enums, tuples, dicts, sets, numbers and text; no other kind is taken.
+
+    Raises:
+        TypeError: it holds something else.
+    """
+    return cbor2.dumps(_plain(value, parts))
+
+
+def decode(data: bytes, part: Callable[[int, int], Any] | None = None, later: LateRecords | None = None) -> Any:
+    """Return what `encode` was given, lists as tuples; `part` gives what is where a `PartStore` has put it.
+
+    `later` makes the records that may leave arrays where they are; None: all are read.
+
+    Raises:
+        ValueError: the bytes are damaged, or hold a record that this version does not know.
+    """
+    try:
+        # Every item takes a byte at least, unless items are shared, which ours never are: a few bytes that expand
+        # to more items were crafted to exhaust memory.
+        return _Reader(part, later, most_items=len(data)).value(cbor2.loads(data))
+    except _DAMAGE as error:
+        raise ValueError(f"no record of this version: {error!r}") from error
+
+
+def part_references(data: bytes, later: LateRecords | None = None) -> list[tuple[int, int]]:
+    """Return where the parts are that an encoded value refers to, in the order in which it does.
+
+    `later`: without the arrays that it leaves where they are.
+
+    Raises:
+        ValueError: the bytes are damaged.
+    """
+    found: dict[int, tuple[int, int]] = {}
+
+    def note(tag: cbor2.CBORTag, _is_key: bool) -> _Reference | None:
+        if tag.tag == _PART:
+            place, number = tag.value[:2]
+            found[len(found)] = place, number
+            return _Reference(len(found) - 1)
+        if tag.tag == _RECORD and later is not None:
+            name, fields = tag.value
+            for late in later.arrays_of(_record_of(name)):
+                if isinstance(left := fields.get(late), _Reference):
+                    left_out.add(left.number)
+        return None
+
+    left_out: set[int] = set()
+    try:
+        cbor2.loads(data, tag_hook=note)
+    except _DAMAGE as error:
+        raise ValueError(f"no record of this version: {error!r}") from error
+    return [place for number, place in found.items() if number not in left_out]
+
+
+class _Reference(NamedTuple):
+    """The number of a reference among those of an encoded value."""
+
+    number: int
+
+
+def encode_array(array: NDArray[Any]) -> bytes:
+    """Return an array alone."""
+    return cbor2.dumps(_array_tag(array))
+
+
+# ---- writing --------------------------------------------------------------------------------------------------------
+
+
+def _plain(value: Any, parts: PartStore | None) -> Any:
+    kind: type = type(value)
+    if kind in _AS_THEY_ARE or kind is int:
+        return value
+    if isinstance(value, np.ndarray):
+        if parts is None or value.nbytes < _PART_BYTES:
+            return _array_tag(value)
+        # With its length, which many want to know who do not look at what is in it.
+        return cbor2.CBORTag(_PART, [*parts.put(value, lambda: encode_array(value)), len(value)])
+    if kind is tuple or kind is list:
+        return [_plain(item, parts) for item in value]
+    if _names_of(kind) is not None:
+        if parts is None or not parts.is_part(value):
+            return _record_tag(value, parts)
+        return cbor2.CBORTag(_PART, list(parts.put(value, lambda: cbor2.dumps(_record_tag(value, parts)))))
+    match value:
+        case Enum():
+            return cbor2.CBORTag(_ENUM, [kind.__name__, value.value])
+        case str():
+            return str(value)
+        case int() | np.integer():
+            return int(value)
+        case float() | np.floating():
+            return float(value)
+        case tuple() | list():
+            return [_plain(item, parts) for item in value]
+        case set() | frozenset():
+            return cbor2.CBORTag(_SET, [_plain(item, parts) for item in sorted(value)])
+        case _ if hasattr(value, "items"):
+            return cbor2.CBORTag(_MAP, [[_plain(key, parts), _plain(item, parts)] for key, item in value.items()])
+    raise TypeError(f"a journal holds no {kind.__name__}")
+
+
+def _record_tag(value: Any, parts: PartStore | None) -> cbor2.CBORTag:
+    kind: type = type(value)
+    fields = {name: _plain(getattr(value, name), parts) for name in _names_of(kind) or ()}
+    return cbor2.CBORTag(_RECORD, [kind.__name__, fields])
+
+
+@cache
+def _names_of(kind: type) -> tuple[str, ...] | None:
+    """Return the names of the fields of a kind of record, None of what is no record."""
+    if not dataclasses.is_dataclass(kind):
+        return None
+    assert record_classes().get(kind.__name__) is kind, f"{kind.__name__} is no record of the registry"
+    return tuple(field.name for field in dataclasses.fields(kind))
+
+
+def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
+    dtype, name = _little(array.dtype)
+    little = np.asarray(array, dtype=dtype, order="C")
+    method, data = _PLAIN, b""
+    if dtype.kind == "b":
+        method, data = _BITS, np.packbits(little).tobytes()
+    elif little.nbytes < _SMALL_BYTES:
+        data = little.tobytes()
+    elif little.dtype == np.uint8 and little.ndim == 2 and little.shape[1] == 3:
+        method, data = _COLORS, color_planes(little)
+    elif little.dtype.itemsize == 1:
+        data = little.tobytes()
+    elif little.dtype == np.float32 and little.shape[1:] == (3,) and (packed := packed_points(little)) is not None:
+        method, data = _STEPS, packed
+    elif little.dtype == np.float32 and little.shape[1:] == (3,) and (packed := packed_means(little)) is not None:
+        method, data = _MEANS, packed
+    elif little.dtype == np.int64 and little.ndim == 1 and is_denser(little):
+        heads, words = blocks_of(little)
+        method, data = _BLOCKS, planes_of(np.diff(heads, prepend=np.int64(0))) + planes_of(words)
+    elif little.dtype == np.int64 and little.ndim == 1:
+        method, data = _DIFFERENCES, planes_of(np.diff(little, prepend=np.int64(0)))
+    elif little.dtype == np.uint16 and little.ndim == 2:
+        method, data = _DEPTHS, np.packbits(little > 0).tobytes() + packed_depths([little])
+    else:
+        method, data = _PLANES, planes_of(little)
+    return cbor2.CBORTag(_ARRAY, [name, list(little.shape), method, data])
+
+
+@cache
+def _little(dtype: np.dtype[Any]) -> tuple[np.dtype[Any], str]:
+    """Return the type of numbers with the lowest byte first, and its name."""
+    little = dtype.newbyteorder("<")
+    return little, little.str
+
+
+# ---- reading --------------------------------------------------------------------------------------------------------
+
+
+class _Reader:
+    """Makes values of what CBOR gives; `most_items` are made before it is given up."""
+
+    def __init__(self, part: Callable[[int, int], Any] | None, later: LateRecords | None, most_items: int) -> None:
+        self._part = part
+        self._later = later
+        self._left = most_items
+
+    def value(self, item: Any) -> Any:
+        """Return a value; raises one of `_DAMAGE` where it is none."""
+        return self._values((item,))[0]
+
+    def _values(self, items: Collection[Any]) -> list[Any]:
+        self._left -= len(items)
+        if self._left < 0:
+            raise ValueError("more items than bytes")
+        return [item if type(item) in _AS_THEY_ARE else self._made(item) for item in items]
+
+    def _made(self, item: Any) -> Any:
+        if type(item) is int:
+            if not _LEAST <= item <= _MOST:
+                raise ValueError(f"a number of {item.bit_length()} bits")
+            return item
+        if isinstance(item, list | tuple):
+            return tuple(self._values(item))
+        if not isinstance(item, cbor2.CBORTag):
+            raise ValueError(f"a journal holds no {type(item).__name__}")
+        return self._tagged(item.tag, item.value)
+
+    def _tagged(self, tag: int, content: Any) -> Any:
+        if tag == _RECORD:
+            name, fields = content
+            kind = _record_of(name)
+            names = () if self._later is None else self._later.arrays_of(kind)
+            if self._later is None or not names:
+                values = dict(zip(fields, self._values(fields.values()), strict=True))
+                return checked_record(kind, values, _checks(kind))
+            places = {name: PartPlace(*fields[name].value) for name in names if _is_part(fields.get(name))}
+            values = {key: self.value(entry) for key, entry in fields.items() if key not in places}
+            return self._later.record(kind, values, places, _checks(kind))
+        if tag == _ARRAY:
+            return _array(*content)
+        if tag == _PART:
+            if self._part is None:
+                raise ValueError("the record refers to parts of another one")
+            return self._part(*content[:2])
+        if tag == _MAP:
+            return {self.value(key): self.value(entry) for key, entry in content}
+        if tag == _SET:
+            return set(self._values(content))
+        if tag == _ENUM:
+            name, text = content
+            return _record_of(name)(text)
+        raise ValueError(f"unknown tag {tag}")
+
+
+def _is_part(item: Any) -> bool:
+    return isinstance(item, cbor2.CBORTag) and item.tag == _PART
+
+
+def _record_of(name: object) -> Any:
+    kind = record_classes().get(name) if isinstance(name, str) else None
+    if kind is None:
+        raise ValueError(f"there is no record {name!r}")
+    return kind
+
+
+@cache
+def _checks(kind: type) -> dict[str, Callable[[Any], bool]]:
+    return field_checks(kind, record_classes())
+
+
+def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArray[Any]:
+    dtype, native = _dtypes(dtype_name)
+    if len(shape) > _MOST_DIMENSIONS or not all(type(length) is int and 0 <= length <= _MOST for length in shape):
+        raise ValueError(f"an array of shape {shape}")
+    count = math.prod(shape)
+    # What a shape claims must be there: memory is taken for it.
+    if method == _DEPTHS:
+        if len(shape) != 2 or dtype != np.uint16 or len(data) < -(-count // 8):
+            raise ValueError(f"depths of shape {shape} in {len(data)} bytes")
+    elif method not in (_BLOCKS, _MEANS) and len(data) != (
+        -(-count // 8) if method == _BITS else count * dtype.itemsize
+    ):
+        raise ValueError(f"an array of shape {shape} in {len(data)} bytes")
+    if method == _BLOCKS:
+        array = _keys(data, count).astype(dtype)
+    elif method == _COLORS and dtype == np.uint8 and tuple(shape[1:]) == (3,):
+        array = colors_of(data, shape[0])
+    elif method == _STEPS and dtype == np.float32 and tuple(shape[1:]) == (3,):
+        array = points_of(unpacked_steps(data, shape[0]))
+    elif method == _DEPTHS:
+        is_there = np.unpackbits(np.frombuffer(data, np.uint8, -(-count // 8)), count=count).astype(bool)
+        (array,) = unpacked_depths(data[-(-count // 8) :], [is_there.reshape(shape)])
+    elif method == _MEANS and dtype == np.float32 and tuple(shape[1:]) == (3,):
+        array = unpacked_means(data, shape[0])
+    elif method == _BITS:
+        array = np.unpackbits(np.frombuffer(data, np.uint8), count=count).astype(bool)
+    elif method == _PLAIN:
+        array = np.frombuffer(data, dtype)
+    elif method in (_DIFFERENCES, _PLANES):
+        array = array_of(data, dtype, tuple(shape))
+        if method == _DIFFERENCES:
+            array = np.cumsum(array, dtype=np.int64)
+    else:
+        raise ValueError(f"unknown storage {method} of an array")
+    array = array.reshape(shape).astype(native, copy=False)
+    array.flags.writeable = False
+    return array
+
+
+@lru_cache(64)
+def _dtypes(name: str) -> tuple[np.dtype[Any], np.dtype[Any]]:
+    """Return a type of numbers as it is stored, and as it is on this processor; raises ValueError for others."""
+    dtype = np.dtype(name)
+    if dtype.kind not in "biuf" or dtype.itemsize > 8:
+        raise ValueError(f"a journal holds no arrays of {dtype}")
+    return dtype, dtype.newbyteorder("=")
+
+
+def _keys(data: bytes, count: int) -> NDArray[np.int64]:
+    """Return the keys of blocks; raises ValueError where they are not as many as is claimed."""
+    half = len(data) // 2
+    # Each block has a key at least, and memory is taken for 64 of each.
+    if len(data) % _BLOCK_BYTES or half // 8 > count or count > MOST_KEYS:
+        raise ValueError(f"{count} keys in blocks of {len(data)} bytes")
+    heads, words = (
+        array_of(part, np.dtype(kind), (half // 8,)) for part, kind in ((data[:half], "<i8"), (data[half:], "<u8"))
+    )
+    if count_in(words) != count:
+        raise ValueError(f"{count} keys in blocks of {count_in(words)}")
+    return keys_of_blocks(np.cumsum(heads, dtype=np.int64), words)
+
+
+@cache
+def record_classes() -> dict[str, Any]:
+    """Return all dataclasses and enums that a journal may hold, by their names."""
+    import hickory_stream.geometry
+    import hickory_stream.mapping
+
+    names = ["hickory_stream.records", "hickory_stream.events"]
+    names += [f"hickory_stream.journal.{name}" for name in ("step", "checkpoints", "snapshot_records", "packed_frames")]
+    names += ["hickory_stream.graph.factors"]
+    for package in (hickory_stream.geometry, hickory_stream.mapping):
+        names += [module.name for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")]
+    found: dict[str, Any] = {}
+    for name in names:
+        for kind in vars(importlib.import_module(name)).values():
+            is_record = isinstance(kind, type) and (dataclasses.is_dataclass(kind) or issubclass(kind, Enum))
+            # Of a configuration the manifest holds the values; events have none.
+            if is_record and kind.__module__ == name and not kind.__name__.endswith("Config"):
+                assert kind.__name__ not in found, f"two records are called {kind.__name__}"
+                found[kind.__name__] = kind
+    return found

@@ -1,0 +1,145 @@
+"""The public records of the map after each step, but for points and space: looking back needs no replay for them.
+
+Of each record that has changed the journal gets a new one, of all others it knows where they are; views and shapes,
+which stay when their object changes, are parts of their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from hickory_stream.journal.record_codec import encode
+from hickory_stream.records import ObjectShape, Submap, TrackedObject, View
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from hickory_stream.records import MapSnapshot, PoseGraphRecord
+
+Place = tuple[int, int]
+"""A chunk of the journal, and the number of a message in it."""
+
+_WHOLE_EVERY = 16
+"""So many steps are read at most to know where everything is."""
+_NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
+_NO_KEYS = np.empty(0, np.int64)
+_Record = TypeVar("_Record", TrackedObject, Submap)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Known:
+    """Where the records of the map after a step are, by their ids; `graph` is that of the poses, if there is one.
+
+    Where it `is_whole` they are all, otherwise those that the step has changed: the others are where they were, but for
+    those that are gone. `revision` and `stamp_ns` are those of the map.
+    """
+
+    revision: int
+    stamp_ns: int
+    is_whole: bool
+    objects: Mapping[int, tuple[int, int]]
+    submaps: Mapping[int, tuple[int, int]]
+    graph: tuple[int, int] | None
+    gone_objects: tuple[int, ...] = ()
+    gone_submaps: tuple[int, ...] = ()
+
+
+def object_without_points(tracked: TrackedObject) -> TrackedObject:
+    """Return an object with no point."""
+    return replace(tracked, points_world=_NO_POINTS, colors=_NO_COLORS)
+
+
+def submap_without_space(submap: Submap) -> Submap:
+    """Return a submap in which nothing was seen."""
+    return replace(submap, observed_space=replace(submap.observed_space, free=_NO_KEYS, structure=_NO_KEYS))
+
+
+class KnownRecords:
+    """Makes the messages of one map after another: what has not changed is found by its identity."""
+
+    def __init__(self) -> None:
+        self._objects: dict[int, _Written] = {}
+        self._submaps: dict[int, _Written] = {}
+        self._graph: _Written | None = None
+        self._num_maps = 0
+
+    def messages(self, snapshot: MapSnapshot, chunk: int) -> list[bytes]:
+        """Return what a chunk of the journal is to hold of a map: where everything is, then what is new."""
+        new: list[bytes] = []
+        objects_before, submaps_before = self._objects, self._submaps
+        self._objects = _written(objects_before, snapshot.objects, object_without_points, chunk, new)
+        self._submaps = _written(submaps_before, snapshot.submaps, submap_without_space, chunk, new)
+        if snapshot.graph is None:
+            self._graph = None
+        elif self._graph is None or self._graph.record is not snapshot.graph:
+            new.append(encode(snapshot.graph))
+            self._graph = _Written(snapshot.graph, (chunk, len(new)))
+        is_whole = self._num_maps % _WHOLE_EVERY == 0
+        self._num_maps += 1
+        known = Known(
+            revision=snapshot.revision,
+            stamp_ns=snapshot.stamp_ns,
+            is_whole=is_whole,
+            objects=_places(self._objects, {} if is_whole else objects_before),
+            submaps=_places(self._submaps, {} if is_whole else submaps_before),
+            graph=None if self._graph is None else self._graph.place,
+            gone_objects=() if is_whole else tuple(sorted(objects_before.keys() - self._objects.keys())),
+            gone_submaps=() if is_whole else tuple(sorted(submaps_before.keys() - self._submaps.keys())),
+        )
+        return [encode(known), *new]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Written:
+    """A record that is in the journal, and its parts, each by its identity."""
+
+    record: TrackedObject | Submap | PoseGraphRecord
+    place: Place
+    parts: Mapping[int, tuple[object, Place]] = field(default_factory=dict)
+
+
+class _Parts:
+    """Where the parts of a record are (`record_codec.PartStore`): what it had before is not written again."""
+
+    def __init__(self, before: Mapping[int, tuple[object, Place]], chunk: int, new: list[bytes]) -> None:
+        self.used: dict[int, tuple[object, Place]] = {}
+        self._before = before
+        self._chunk = chunk
+        self._new = new
+
+    def is_part(self, record: object) -> bool:
+        return isinstance(record, View | ObjectShape)
+
+    def put(self, part: object, encoded: Callable[[], bytes]) -> Place:
+        known = self.used.get(id(part)) or self._before.get(id(part))
+        if known is None or known[0] is not part:
+            self._new.append(encoded())
+            known = (part, (self._chunk, len(self._new)))
+        self.used[id(part)] = known
+        return known[1]
+
+
+def _written(
+    before: Mapping[int, _Written],
+    records: Iterable[_Record],
+    without_arrays: Callable[[_Record], _Record],
+    chunk: int,
+    new: list[bytes],
+) -> dict[int, _Written]:
+    now = {}
+    for record in records:
+        written = before.get(record.id)
+        if written is None or written.record is not record:
+            parts = _Parts(written.parts if written is not None else {}, chunk, new)
+            new.append(encode(without_arrays(record), parts))
+            written = _Written(record, (chunk, len(new)), parts.used)
+        now[record.id] = written
+    return now
+
+
+def _places(now: Mapping[int, _Written], before: Mapping[int, _Written]) -> dict[int, Place]:
+    """Return where those records are that were not there before."""
+    return {key: written.place for key, written in now.items() if before.get(key) is not written}

@@ -1,0 +1,132 @@
+"""The binary files of a map: points and keys of voxels as the journal has arrays, compressed; no header is trusted.
+
+Maps of format 1 have points as PLY and keys as NPY.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import zstandard
+
+from hickory_stream.journal.record_codec import decode, encode
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_NPY_HEADER = re.compile(
+    rb"\x93NUMPY\x01\x00..\{'descr': '(?P<descr>[<|][a-z]\d)', 'fortran_order': False, "
+    rb"'shape': \((?P<shape>\d{1,15},(?: \d{1,15})?)\), \} *\n",
+    re.DOTALL,
+)
+# Of a large building; a few bytes that somebody made could claim all of the memory.
+_MOST_BYTES = 1 << 27
+# Files of objects in view are replaced with every save: the next levels save 1 % of bytes for 1.4 times the time.
+_LEVEL = 1
+_PLY_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
+_PLY_HEADER = (
+    "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
+    "property float x\nproperty float y\nproperty float z\n"
+    "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+)
+
+
+def ply_bytes(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> bytes:
+    """Return a binary little-endian PLY of (N, 3) points with (N, 3) colours, for other programs."""
+    vertices = np.empty(len(points), dtype=_PLY_VERTEX)
+    vertices["xyz"], vertices["rgb"] = points, colors
+    return _PLY_HEADER.format(count=len(points)).encode() + vertices.tobytes()
+
+
+def points_bytes(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> bytes:
+    """Return a file of (N, 3) points with (N, 3) colours: both as the journal has them, as a frame of zstd."""
+    return _packed((points, colors))
+
+
+def points_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Return the points (N, 3) and colours (N, 3) of a file that `points_bytes` wrote, or of a PLY of format 1.
+
+    Raises:
+        ValueError: it is another kind of file, or damaged.
+    """
+    if data.startswith(b"ply"):
+        return _ply_arrays(data)
+    arrays = _unpacked(data)
+    if not isinstance(arrays, tuple) or [_kind(array) for array in arrays] != ["float32, 2", "uint8, 2"]:
+        raise ValueError("not a file of points")
+    points, colors = arrays
+    if points.shape[1:] != (3,) or points.shape != colors.shape or not np.isfinite(points).all():
+        raise ValueError("not a file of points and their colours, or a point that is not finite")
+    return points, colors
+
+
+def _ply_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Return the points (N, 3) and colours (N, 3) of a PLY of format 1."""
+    header, end, body = data.partition(b"end_header\n")
+    count = len(body) // _PLY_VERTEX.itemsize
+    if header + end != _PLY_HEADER.format(count=count).encode() or len(body) != count * _PLY_VERTEX.itemsize:
+        raise ValueError("not a point file of this map format")
+    vertices = np.frombuffer(body, dtype=_PLY_VERTEX)
+    if not np.isfinite(vertices["xyz"]).all():
+        raise ValueError("a point that is not finite")
+    return vertices["xyz"].astype(np.float32), vertices["rgb"].astype(np.uint8)
+
+
+def keys_bytes(keys: NDArray[np.int64]) -> bytes:
+    """Return a file of (N,) sorted keys of voxels: an array as the journal has it, as a frame of zstd."""
+    return _packed(keys)
+
+
+def keys_array(data: bytes) -> NDArray[np.int64]:
+    """Return the keys (N,) of a file that `keys_bytes` wrote, or of a .npy file of format 1.
+
+    Raises:
+        ValueError: it is another kind of file, or damaged.
+    """
+    if _NPY_HEADER.match(data):
+        return npy_array(data)
+    keys = _unpacked(data)
+    if _kind(keys) != "int64, 1":
+        raise ValueError("not a file of voxels")
+    array: NDArray[np.int64] = keys
+    return array
+
+
+def _packed(value: Any) -> bytes:
+    return bytes(zstandard.compress(encode(value), _LEVEL))
+
+
+def _unpacked(data: bytes) -> Any:
+    """Return the value of a frame of zstd; raises ValueError."""
+    try:
+        if not 0 <= zstandard.frame_content_size(data) <= _MOST_BYTES:
+            raise ValueError("not a file of this map format, or larger than one")
+        return decode(zstandard.decompress(data))
+    except zstandard.ZstdError as error:
+        raise ValueError(f"not a file of this map format: {error}") from error
+
+
+def _kind(value: Any) -> str:
+    return f"{value.dtype}, {value.ndim}" if isinstance(value, np.ndarray) else ""
+
+
+def npy_array(data: bytes, descr: str = "<i8") -> NDArray[Any]:
+    """Return the (N,) or (N, n) array of a .npy file.
+
+    What the header claims must be there: `numpy.load` would take the memory first.
+
+    Raises:
+        ValueError: it is no such file, of numbers of another kind, or shorter or longer than it says.
+    """
+    header = _NPY_HEADER.match(data)
+    if header is None or header["descr"].decode() != descr:
+        raise ValueError(f"not an array of {descr} as `numpy.save` writes it")
+    shape = [int(length) for length in header["shape"].split(b",") if length.strip()]
+    dtype = np.dtype(descr)
+    if not 1 <= len(shape) <= 2 or math.prod(shape) * dtype.itemsize != len(data) - header.end():
+        raise ValueError(f"an array of shape {shape} in {len(data) - header.end()} bytes")
+    array = np.frombuffer(data, dtype, offset=header.end()).reshape(shape)
+    return array.astype(dtype.newbyteorder("="))

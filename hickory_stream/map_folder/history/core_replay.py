@@ -1,0 +1,154 @@
+"""Replay of a recorded run by the core alone, without perception, workers or a clock, to the same map.
+
+From the journal alone: the core is given its events, from the beginning or from the last checkpoint before the moment
+that is asked for.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hickory_stream.errors import MapFolderError
+from hickory_stream.events import (
+    CancelShape,
+    Effect,
+    Event,
+    Publish,
+    RequestShape,
+    ShapeFailed,
+    ShapeReady,
+)
+from hickory_stream.journal.step import OpenJob
+from hickory_stream.mapping.core import MapperCore
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from hickory_stream.journal.reader import Journal
+    from hickory_stream.journal.step import JournalEntry, Step
+    from hickory_stream.mapping.config import MappingConfig
+    from hickory_stream.records import MapSnapshot
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Replayed:
+    """A replayed step, and what the core published in it (None: it was no keyframe)."""
+
+    index: int
+    entry: JournalEntry
+    published: Publish | None
+
+
+# Errors of the core on events and states that are well-formed one by one but contradict one another.
+_NONSENSE = (ValueError, LookupError, TypeError, AttributeError, AssertionError, ArithmeticError, MemoryError)
+
+
+class Replay:
+    """The core of a recorded run after some step; `steps` advances it, `on_request` receives its shape jobs.
+
+    `reads_later`: of the map before that, arrays are read when they are looked at (`Journal.checkpoint_before`).
+    """
+
+    def __init__(
+        self,
+        journal: Journal,
+        config: MappingConfig,
+        on_request: Callable[[RequestShape], None] = lambda _: None,
+        *,
+        reads_later: bool = False,
+    ) -> None:
+        self._reads_later = reads_later
+        self._on_request = on_request
+        self._journal = journal
+        self._config = config
+        self.core = MapperCore(config)
+        self.open_jobs: dict[int, OpenJob] = {}
+        self.num_steps = 0
+
+    def seek(self, index: int) -> None:
+        """Bring the core to where it was after a step, from the last checkpoint before it.
+
+        Raises:
+            MapFolderError: the journal is damaged.
+        """
+        found = self._journal.checkpoint_before(index, reads_later=self._reads_later)
+        if found is not None:
+            after, checkpoint = found
+            try:
+                self.core = MapperCore.from_state(self._config, checkpoint.core)
+            except _NONSENSE:
+                pass  # a checkpoint of another version: the events are all that is needed
+            else:
+                self.open_jobs = {job.ticket: job for job in checkpoint.open_jobs}
+                self.num_steps = after + 1
+        for _ in self.steps(index + 1):
+            pass
+
+    def steps(self, end: int) -> Iterator[Replayed]:
+        """Go on to before the step `end`, step by step."""
+        while self.num_steps < end:
+            entry = self._journal.entry(self.num_steps)
+            self._go_back(entry.step)
+            published: Publish | None = None
+            for event in entry.events:
+                for effect in self._handle(event):
+                    if isinstance(effect, Publish):
+                        published = effect
+            self.num_steps += 1
+            yield Replayed(index=self.num_steps - 1, entry=entry, published=published)
+
+    def snapshot(self) -> MapSnapshot:
+        """Return the map as it is now.
+
+        Raises:
+            MapFolderError: the journal is damaged.
+        """
+        with self._sense():
+            return self.core.snapshot()
+
+    @contextmanager
+    def _sense(self) -> Iterator[None]:
+        """Report what the core cannot process as damage of the journal."""
+        try:
+            yield
+        except _NONSENSE as error:
+            raise MapFolderError(
+                f"{self._journal.path} is damaged or does not fit this version: {error!r}; play the log again"
+            ) from error
+
+    def _go_back(self, step: Step) -> None:
+        """Restore the state to which the run was rewound in this step, if it was."""
+        if step.goes_back_to is None:
+            return
+        then = Replay(self._journal, self._config, reads_later=self._reads_later)
+        if step.goes_back_to > 0:
+            then.seek(step.goes_back_to - 1)
+        with self._sense():
+            self.core = then.core.going_on_after(self.core, step.lost_views)
+        self.open_jobs = then.open_jobs
+
+    def _handle(self, event: Event) -> list[Effect]:
+        with self._sense():
+            effects = self.core.handle(event)
+        if isinstance(event, ShapeReady | ShapeFailed):
+            self.open_jobs.pop(event.ticket, None)
+        for effect in effects:
+            if isinstance(effect, RequestShape):
+                self._on_request(effect)
+                job = OpenJob(ticket=effect.ticket, object_id=effect.object_id, due_ns=effect.due_ns)
+                self.open_jobs[effect.ticket] = job
+            elif isinstance(effect, CancelShape):
+                self.open_jobs.pop(effect.ticket, None)
+        return effects
+
+
+def mesh_names(journal: Journal) -> set[str]:
+    """Return the meshes that the map had at some moment."""
+    names = set()
+    for index in range(len(journal)):
+        for event in journal.events(index, "ShapeReady"):
+            assert isinstance(event, ShapeReady)
+            names.add(event.shape.mesh_name)
+    return names

@@ -1,0 +1,116 @@
+"""The map after a step as the journal's records have it: each is read when somebody looks at it, points and all.
+
+Points and space are in no record: who looks at some has the core given the events since the last checkpoint, once for
+all of the map. What it then says of an object must be what the record says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from functools import partial
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.errors import MapFolderError
+from hickory_stream.geometry.lazy_arrays import read_parts
+from hickory_stream.journal.record_codec import encode
+from hickory_stream.journal.snapshot_records import object_without_points, submap_without_space
+from hickory_stream.map_folder.history.core_replay import Replay
+from hickory_stream.records import MapSnapshot, PoseGraphRecord, Submap, TrackedObject
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from hickory_stream.journal.reader import Journal
+    from hickory_stream.journal.snapshot_records import Place
+    from hickory_stream.mapping.config import MappingConfig
+    from hickory_stream.records import ObservedSpace
+
+_POINTS, _SPACE = ("points_world", "colors"), ("free", "structure")
+_REST = tuple(f.name for f in fields(TrackedObject) if f.name not in ("id", *_POINTS))
+
+
+def known_map(journal: Journal, index: int, config: Callable[[], MappingConfig]) -> MapSnapshot | None:
+    """Return the map after a step; None where the journal, an older one, has no records of it.
+
+    `config` is asked for when the core is to be given the events.
+
+    Raises:
+        MapFolderError: the journal is damaged; also from whatever of the map is looked at later.
+    """
+    known = journal.known(index)
+    if known is None:
+        return None
+    records = _Records(journal, index, config)
+    return MapSnapshot(
+        revision=known.revision,
+        stamp_ns=known.stamp_ns,
+        submaps=tuple(records.submap(submap_id, place) for submap_id, place in sorted(known.submaps.items())),
+        objects=tuple(records.tracked(object_id, place) for object_id, place in sorted(known.objects.items())),
+        graph=None if known.graph is None else journal.known_record(known.graph, PoseGraphRecord),
+    )
+
+
+class _Records:
+    """Reads the records of the map after one step."""
+
+    def __init__(self, journal: Journal, index: int, config: Callable[[], MappingConfig]) -> None:
+        self._journal = journal
+        self._index = index
+        self._config = config
+        self._lock = Lock()
+        self._replayed: MapSnapshot | None = None
+
+    def tracked(self, object_id: int, place: Place) -> TrackedObject:
+        """Return an object of which nothing but its id was read."""
+        tracked = object.__new__(TrackedObject)
+        object.__setattr__(tracked, "id", object_id)
+        read_parts(tracked, partial(self._of_object, object_id, place), *_REST, *_POINTS)
+        return tracked
+
+    def submap(self, submap_id: int, place: Place) -> Submap:
+        """Return a submap whose space was not read."""
+        submap = self._read_submap(submap_id, place)
+        read_parts(submap.observed_space, partial(self._of_space, submap_id, place), *_SPACE)
+        return submap
+
+    def _of_object(self, object_id: int, place: Place, name: str) -> Mapping[str, Any]:
+        read: TrackedObject = self._journal.known_record(place, TrackedObject)
+        self._check(read.id == object_id, "object", object_id)
+        if name not in _POINTS:
+            return {each: getattr(read, each) for each in _REST}
+        found = next((one for one in self._replay().objects if one.id == object_id), None)
+        is_same = found is not None and encode(object_without_points(found)) == encode(read)
+        self._check(is_same, "object", object_id)
+        return {each: getattr(found, each) for each in _POINTS}
+
+    def _read_submap(self, submap_id: int, place: Place) -> Submap:
+        submap: Submap = self._journal.known_record(place, Submap)
+        self._check(submap.id == submap_id, "submap", submap_id)
+        return submap
+
+    def _of_space(self, submap_id: int, place: Place, _: str) -> Mapping[str, Any]:
+        found = next((one for one in self._replay().submaps if one.id == submap_id), None)
+        is_same = found is not None and encode(submap_without_space(found)) == encode(
+            self._read_submap(submap_id, place)
+        )
+        self._check(is_same, "submap", submap_id)
+        assert found is not None
+        space: ObservedSpace = found.observed_space
+        return {each: getattr(space, each) for each in _SPACE}
+
+    def _replay(self) -> MapSnapshot:
+        """Return the map as the core makes it of the events."""
+        with self._lock:
+            if self._replayed is None:
+                replay = Replay(self._journal, self._config(), reads_later=True)
+                replay.seek(self._index)
+                self._replayed = replay.snapshot()
+            return self._replayed
+
+    def _check(self, is_same: bool, kind: str, number: int) -> None:
+        if not is_same:
+            raise MapFolderError(
+                f"{self._journal.path} is damaged or of another version: "
+                f"its record of {kind} {number} is not what its events make; play the log again"
+            )

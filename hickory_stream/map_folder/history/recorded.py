@@ -1,0 +1,154 @@
+"""What a run saw and decided, keyframe by keyframe, from its journal.
+
+The decisions are those of the journal; where an older one has none, the core is given its events again, and what is
+told from there on is what this version decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.events import FrameObserved
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.step import StepKind, Told
+from hickory_stream.map_folder.history.core_replay import Replay
+from hickory_stream.map_folder.history.recorded_config import told_config
+from hickory_stream.map_folder.saved_map import open_map
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.journal.step import FramePose, JournalEntry
+    from hickory_stream.mapping.config import MappingConfig
+    from hickory_stream.records import Decision, MapSnapshot
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RecordedKeyframe:
+    """A keyframe as the core was told of it; `number` counts keyframes from 0.
+
+    What it saw is where the odometry had it; `map_from_odometry` (4, 4) takes it to where the finished map has it.
+    """
+
+    number: int
+    camera: Camera
+    observed: FrameObserved
+    map_from_odometry: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        freeze(self, "map_from_odometry", np.float64, (4, 4))
+
+    @property
+    def odometry_from_map(self) -> NDArray[np.float64]:
+        """The inverse (4, 4)."""
+        return invert(self.map_from_odometry)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RecordedStep:
+    """A step of a run: its keyframe, None at the end of the run, and what was decided."""
+
+    keyframe: RecordedKeyframe | None
+    decisions: tuple[Decision, ...]
+
+
+def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
+    """Yield the steps of the run of a map folder; `final` is where its submaps lie in the end.
+
+    Raises:
+        MapFolderError: there is no journal, or it is damaged or of another version.
+    """
+    places = {submap.id: submap.world_from_submap for submap in final.submaps}
+    with Journal(path) as journal:
+        for entry, told in _told(journal, told_config(path).mapping):
+            observed = next((event for event in entry.events if isinstance(event, FrameObserved)), None)
+            keyframe: RecordedKeyframe | None = None
+            if observed is not None and entry.step.kind is StepKind.KEYFRAME:
+                keyframe = RecordedKeyframe(
+                    number=entry.step.num_keyframes - 1,
+                    camera=entry.step.camera,
+                    observed=observed,
+                    map_from_odometry=places.get(told.submap_id, np.eye(4)),
+                )
+            yield RecordedStep(keyframe=keyframe, decisions=told.decisions)
+
+
+def final_snapshot(path: Path) -> MapSnapshot:
+    """Return the map of a folder; of a run that did not end, what its journal makes of it.
+
+    Raises:
+        MapFolderError: there is no map, or it is damaged or of another version.
+    """
+    saved = open_map(path, warns=False)
+    if saved.manifest.finished_cleanly:
+        return saved.snapshot
+    with Journal(path) as journal:
+        if len(journal) == 0:
+            return saved.snapshot
+        replay = Replay(journal, told_config(path).mapping)
+        replay.seek(len(journal) - 1)
+        return replay.snapshot()
+
+
+def frame_indices(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the indices of the keyframes, and of all frames, both sorted.
+
+    Raises:
+        MapFolderError: there is no journal, or it is damaged or of another version.
+    """
+    keyframes: set[int] = set()
+    frames: set[int] = set()
+    with Journal(path) as journal:
+        for index in range(len(journal)):
+            step = journal.step(index)
+            frames |= {frame.index for frame in step.frames}
+            if step.kind is StepKind.KEYFRAME and step.frames:
+                keyframes.add(step.frames[-1].index)
+    return np.array(sorted(keyframes), dtype=np.int64), np.array(sorted(frames), dtype=np.int64)
+
+
+def frame_pose(path: Path, frame: int) -> tuple[Camera, FramePose]:
+    """Return the camera of a frame, and its stamp and pose, as the odometry had it.
+
+    Raises:
+        LookupError: the run has no such frame.
+        MapFolderError: there is no journal, or it is damaged or of another version.
+    """
+    with Journal(path) as journal:
+        for index in range(len(journal) - 1, -1, -1):
+            step = journal.step(index)
+            for pose in step.frames:
+                if pose.index == frame:
+                    return step.camera, pose
+    raise LookupError(f"no frame {frame}")
+
+
+def _told(journal: Journal, config: MappingConfig) -> Iterator[tuple[JournalEntry, Told]]:
+    """Yield the steps and the decisions of each; from the first step that has none, those of a replay of its events."""
+    first = 0
+    for entry in journal.entries():
+        if entry.told is None and entry.step.kind is StepKind.KEYFRAME:
+            break
+        yield entry, entry.told or Told(decisions=(), submap_id=0)
+        first += 1
+    if first == len(journal):
+        return
+    replay = Replay(journal, config)
+    if first > 0:
+        replay.seek(first - 1)
+    for replayed in replay.steps(len(journal)):
+        published = replayed.published
+        decisions = published.decisions if published is not None else ()
+        yield (
+            replayed.entry,
+            Told(decisions=decisions, submap_id=0 if published is None else published.snapshot.submaps[-1].id),
+        )

@@ -1,0 +1,66 @@
+"""The configuration that a map was made with: as it is read, repeated, or taken over by a run that goes on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from hickory_stream.base.config_text import from_dict
+from hickory_stream.config import MapperConfig, as_far_as_known
+from hickory_stream.errors import ConfigError, MapFolderError
+from hickory_stream.map_folder.manifest import read_manifest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.config import RunConfig
+
+# Which program is run and which address connected to is never taken from a map, which may come from anybody.
+MACHINE_KEYS = ("worker_python", "cluster", "generator")
+
+
+def recorded_config(path: Path) -> MapperConfig:
+    """Return the configuration that a map was made with.
+
+    Raises:
+        MapFolderError: there is no map, or its configuration is that of another version.
+    """
+    manifest = read_manifest(path)
+    try:
+        return from_dict(MapperConfig, dict(manifest.config))
+    except ConfigError as error:
+        raise MapFolderError(
+            f"{path} was made by hickory-stream {manifest.software_version}: {error}; play the log again"
+        ) from error
+
+
+def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False) -> MapperConfig:
+    """Return the configuration to continue a map with: its own, but the programs and addresses are those of `own`.
+
+    `ignores_recorded`: that the map was made with other workers is no reason to refuse.
+
+    Raises:
+        MapFolderError: there is no map, or its configuration is that of another version.
+        ConfigError: the map was made with an interpreter or a cluster that `own` does not name.
+    """
+    recorded = recorded_config(path)
+    for key in MACHINE_KEYS:
+        was, now = getattr(recorded.run, key), getattr(own, key)
+        if was and was != now and not ignores_recorded:
+            raise ConfigError(
+                f"{path} was made with run.{key} = {was!r}, here it is {now!r}; what a map names is never run or "
+                f"connected to: give --set mapper.run.{key}=... if you know it, or --own-workers to go on with yours"
+            )
+    machine = {key: getattr(own, key) for key in (*MACHINE_KEYS, "cluster_gpus", "i_accept")}
+    return replace(recorded, run=replace(recorded.run, **machine))
+
+
+def told_config(path: Path) -> MapperConfig:
+    """Return the configuration that a map was made with, as far as this version knows it.
+
+    What is told needs little of it, unlike what is to be continued or repeated: `recorded_config` refuses.
+
+    Raises:
+        MapFolderError: there is no map.
+    """
+    return as_far_as_known(MapperConfig, read_manifest(path).config)

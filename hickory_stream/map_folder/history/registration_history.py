@@ -1,0 +1,144 @@
+"""What the registration of keyframes knew after a step of a run: from the journal alone.
+
+What the registration of keyframes came to in a run, in numbers and in one line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.errors import MapFolderError
+from hickory_stream.events import FrameObserved, KeyframeRegistered
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.rigid import rotation_angle_rad
+from hickory_stream.journal.reader import Journal
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.records import CoarseFrame
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RegisteredKeyframe:
+    """A keyframe that later ones may be registered to: `number` counts those that were registered, from 0."""
+
+    event: KeyframeRegistered
+    coarse: CoarseFrame
+    camera: Camera
+    number: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RegistrationHistory:
+    """The last of the keyframes that were registered, how many these were, and those that are remembered, in order."""
+
+    last: KeyframeRegistered
+    num_placed: int
+    remembered: tuple[RegisteredKeyframe, ...]
+
+
+def registration_history(journal: Journal, num_steps: int, *, num_recent: int) -> RegistrationHistory | None:
+    """Return what was known after the first `num_steps` steps of a run; None if no keyframe was registered by then.
+
+    `num_recent` keyframes are remembered beside the anchors.
+
+    Raises:
+        MapFolderError: the journal is damaged.
+    """
+    found: list[tuple[int, KeyframeRegistered]] = []
+    for index in _way_to(journal, num_steps):
+        for event in journal.events(index, "KeyframeRegistered"):
+            assert isinstance(event, KeyframeRegistered)
+            found.append((index, event))
+    if not found:
+        return None
+    begun = max(i for i, (_, event) in enumerate(found) if event.how in ("first", "begun anew") or i == 0)
+    remembered = []
+    for number, (index, event) in enumerate(found):
+        if number < begun or not (event.is_anchor or number >= len(found) - num_recent):
+            continue
+        for observed in journal.events(index, "FrameObserved", has_points=False):
+            assert isinstance(observed, FrameObserved)
+            if observed.frame_index == event.frame_index and observed.coarse is not None:
+                camera = journal.step(index).camera
+                remembered.append(RegisteredKeyframe(event=event, coarse=observed.coarse, camera=camera, number=number))
+    return RegistrationHistory(last=found[-1][1], num_placed=len(found), remembered=tuple(remembered))
+
+
+def _way_to(journal: Journal, num_steps: int) -> list[int]:
+    """Return the steps that led to the state after `num_steps`, without those that somebody went back from."""
+    way = []
+    index = num_steps - 1
+    while index >= 0:
+        way.append(index)
+        goes_back_to = journal.step(index).goes_back_to
+        index = index - 1 if goes_back_to is None else goes_back_to - 1
+    return way[::-1]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RegistrationSummary:
+    """Of the keyframes of a run, how many were mapped elsewhere than the odometry has them, and were kept out.
+
+    `carried_away`: how often the robot was found elsewhere than its odometry says. `moved_m`, `turned_deg`: how far the
+    last keyframe is mapped from where the odometry has it.
+    """
+
+    keyframes: int
+    corrected: int
+    kept_out: int
+    carried_away: int
+    moved_m: float
+    turned_deg: float
+
+    def text(self) -> str:
+        """Return it as one line, "" where every keyframe is mapped where the odometry has it."""
+        if not self.corrected and not self.kept_out:
+            return ""
+        told = (
+            f"odometry: {self.corrected} of {self.keyframes} keyframes were registered to the map, in the end by "
+            f"{self.moved_m:.3f} m and {self.turned_deg:.2f} degrees"
+        )
+        if self.kept_out:
+            told += f"; {self.kept_out} did not fit and were kept out"
+        if self.carried_away:
+            told += (
+                f"; {self.carried_away} time(s) the robot was elsewhere than its odometry says: a submap begins there"
+            )
+        return told
+
+
+def registration_summary(path: Path, ledger: Mapping[str, Any]) -> RegistrationSummary | None:
+    """Return what registration came to in a run with this `ledger`; None where its journal tells of none."""
+    frames = ledger.get("frames", {})
+    last = _last_registered(path)
+    if last is None:
+        return None
+    odometry, placed = last.odometry_from_camera, last.map_from_camera
+    turn = portable.matmul(placed[:3, :3], odometry[:3, :3].T)
+    return RegistrationSummary(
+        keyframes=frames.get("keyframes", 0),
+        corrected=frames.get("keyframes_corrected", 0),
+        kept_out=frames.get("keyframes_kept_out", 0),
+        carried_away=frames.get("carried_away", 0),
+        moved_m=portable.norm(placed[:3, 3] - odometry[:3, 3]),
+        turned_deg=float(np.degrees(rotation_angle_rad(turn))),
+    )
+
+
+def _last_registered(path: Path) -> KeyframeRegistered | None:
+    try:
+        with Journal(path) as journal:
+            for index in range(len(journal) - 1, -1, -1):
+                for event in journal.events(index, "KeyframeRegistered"):
+                    assert isinstance(event, KeyframeRegistered)
+                    return event
+    except MapFolderError:
+        return None
+    return None

@@ -1,0 +1,78 @@
+"""Rewind of a playback: the core's state at an earlier stamp, restored from the run's own journal.
+
+The steps after that stamp stay in the journal for inspection; the next step records from which one the core continues.
+Ids of objects and of jobs are not reused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hickory_stream.events import ShapeFailed, ShapeReady
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.history.core_replay import Replay
+from hickory_stream.map_folder.history.registration_history import registration_history
+from hickory_stream.map_folder.history.time_travel import step_at
+
+if TYPE_CHECKING:
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.journal.step import OpenJob
+    from hickory_stream.map_folder.history.registration_history import RegistrationHistory
+    from hickory_stream.map_folder.writer import MapFolder
+    from hickory_stream.mapping.core import MapperCore
+
+Answer = ShapeReady | ShapeFailed
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Rewound:
+    """The restored core.
+
+    `num_steps`: the number of journal steps in its state. `open_jobs`: shape jobs that were pending then; `answers`:
+    those of their results that have arrived since, by ticket. `lost_views`: views of that state whose pixels have been
+    deleted since, so that the core is without them. `unused_views`: views that only later steps had kept.
+    `registration`: what the registration of keyframes knew then, None where none had been registered.
+    """
+
+    core: MapperCore
+    num_steps: int
+    open_jobs: tuple[OpenJob, ...]
+    answers: dict[int, Answer]
+    lost_views: tuple[str, ...]
+    unused_views: tuple[str, ...]
+    registration: RegistrationHistory | None = None
+
+
+def rewound_to(folder: MapFolder, config: MapperConfig, stamp_ns: int, now: MapperCore) -> Rewound:
+    """Return the core as it was before a stamp; the next ids that it assigns are those of the core `now`.
+
+    Raises:
+        MapFolderError: the journal is damaged.
+    """
+    with Journal(folder.path) as journal:
+        index = step_at(journal.stamps_ns, stamp_ns - 1)
+        replay = Replay(journal, config.mapping)
+        if index is not None:
+            replay.seek(index)
+        wanted = set(replay.open_jobs)
+        answers = {}
+        for later in range(replay.num_steps, len(journal)):
+            for kind in ("ShapeReady", "ShapeFailed") if wanted else ():
+                for event in journal.events(later, kind):
+                    assert isinstance(event, ShapeReady | ShapeFailed)
+                    if event.ticket in wanted:
+                        answers[event.ticket] = event
+        recent = config.registration.num_recent
+        registration = registration_history(journal, replay.num_steps, num_recent=recent)
+    names = replay.core.view_names()
+    lost = folder.keep_views(names)
+    return Rewound(
+        core=replay.core.going_on_after(now, lost),
+        num_steps=replay.num_steps,
+        open_jobs=tuple(replay.open_jobs.values()),
+        answers=answers,
+        lost_views=tuple(sorted(lost)),
+        unused_views=tuple(sorted(now.view_names() - names)),
+        registration=registration,
+    )

@@ -1,0 +1,200 @@
+"""The state of the map at any moment of its run, from the journal, and the changes between two moments.
+
+Moments are stamps of the log (nanoseconds), or seconds of the map's own clock: 0 at the first keyframe, and running on
+through a jump of the stamps, so that each moment of a looped log has one number. Where a stamp came up more than once,
+the last time counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hickory_stream.errors import InputError
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.history.core_replay import Replay
+from hickory_stream.map_folder.history.known_map import known_map
+from hickory_stream.map_folder.manifest import read_manifest
+from hickory_stream.records import MapSnapshot, PoseGraphRecord
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.config import MapperConfig
+    from hickory_stream.records import TrackedObject
+
+ChangeKind = Literal["appeared", "new", "merged", "dropped", "gone", "moved", "better view", "shape changed"]
+
+_MOVED_M = 0.05
+_NS = "ns"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Change:
+    """A change of one object between two moments; `text` gives the numbers.
+
+    What appeared may have been there all the time, and what was dropped may still be there, as a part of another object
+    or of the room; "new" and "gone" are told by `changes.within_run`, with their probability. `was` is the
+    object of the earlier map that moved to where this one is.
+    """
+
+    kind: ChangeKind
+    object_id: int
+    text: str
+    probability: float | None = None
+    was: int | None = None
+
+
+def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
+    """Return the map exactly as the core held it at a stamp; an empty one before the first keyframe.
+
+    Each object is read when somebody looks at it (`known_map`).
+
+    Raises:
+        MapFolderError: there is no map or no journal, or it is damaged or of another version; also from what of the map
+            is looked at later.
+    """
+    # It stays open for whoever looks at the map later, and is closed with it.
+    journal = Journal(path)
+    index = step_at(journal.stamps_ns, stamp_ns)
+    if index is None:
+        return MapSnapshot(revision=0, stamp_ns=stamp_ns, submaps=(), objects=())
+    read_manifest(path)
+    known = known_map(journal, index, lambda: _config_of(path).mapping)
+    if known is not None:
+        return known
+    replay = Replay(journal, _config_of(path).mapping, reads_later=True)
+    replay.seek(index)
+    return replay.snapshot()
+
+
+def seen_by(final: MapSnapshot, stamp_ns: int) -> MapSnapshot:
+    """Return the finished map, restricted to objects that had been seen by a stamp and to views taken by then.
+
+    An object that had been seen then keeps its final shape and points; one whose views are all later has none left.
+    """
+    objects = [_with_views_until(o, stamp_ns) for o in final.objects if o.first_seen_ns <= stamp_ns]
+    graph = None if final.graph is None else _graph_until(final.graph, stamp_ns)
+    return replace(final, stamp_ns=min(final.stamp_ns, stamp_ns), objects=tuple(objects), graph=graph)
+
+
+def changes(before: MapSnapshot, after: MapSnapshot) -> tuple[Change, ...]:
+    """Return what happened to the objects between two moments, in the order of their ids."""
+    old = {o.id: o for o in before.objects}
+    new = {o.id: o for o in after.objects}
+    became = {gone: o.id for o in after.objects for gone in o.merged_ids}
+    found: list[Change] = []
+    for object_id in sorted(old.keys() | new.keys()):
+        a, b = old.get(object_id), new.get(object_id)
+        if a is None and b is not None:
+            found.append(Change(kind="appeared", object_id=object_id, text=f"at {_place(b)}"))
+        elif a is not None and b is None and object_id in became:
+            found.append(Change(kind="merged", object_id=object_id, text=f"is now a part of #{became[object_id]}"))
+        elif a is not None and b is None:
+            found.append(Change(kind="dropped", object_id=object_id, text="was found to be no object"))
+        elif a is not None and b is not None:
+            found += _changes_of(a, b)
+    return tuple(found)
+
+
+def stamp_of(path: Path, text: str) -> int:
+    """Return the stamp that a text names: seconds of the map's own clock ("12.5"), or a stamp ("17...ns").
+
+    Raises:
+        InputError: it is neither, or outside of the run.
+        MapFolderError: there is no journal.
+    """
+    with Journal(path) as journal:
+        stamps_ns = journal.stamps_ns
+    if len(stamps_ns) == 0:
+        raise InputError(f"{path} knows nothing yet: its run ended before the first keyframe")
+    clock_s = own_clock_s(stamps_ns, _config_of(path).run.time_jump_s)
+    expected = f"seconds from 0 to {clock_s[-1]:.3f}, or a stamp with {_NS}, up to {stamps_ns.max()}{_NS}"
+    try:
+        value = int(text.removesuffix(_NS)) if text.endswith(_NS) else float(text)
+    except ValueError as error:
+        raise InputError(f"found the time {text}, expected {expected}") from error
+    if text.endswith(_NS):
+        if not stamps_ns.min() <= value <= stamps_ns.max():
+            raise InputError(f"found the time {text}, expected {expected}")
+        return int(value)
+    if not 0 <= value <= clock_s[-1] + 0.0005:
+        raise InputError(f"found the time {text}, expected {expected}")
+    return int(stamps_ns[int(np.searchsorted(clock_s, value + 0.0005, side="right")) - 1])
+
+
+def _config_of(path: Path) -> MapperConfig:
+    # The configuration takes in perception and shapes: importing these takes longer than reading what was known.
+    from hickory_stream.map_folder.history.recorded_config import recorded_config
+
+    return recorded_config(path)
+
+
+def own_clock_s(stamps_ns: NDArray[np.int64], time_jump_s: float) -> NDArray[np.float64]:
+    """Return the seconds of the map's own clock at every step: jumps of the stamps take no time."""
+    gaps_ns = np.diff(stamps_ns, prepend=stamps_ns[:1])
+    gaps_ns[(gaps_ns < 0) | (gaps_ns > time_jump_s * 1e9)] = 0
+    return np.cumsum(gaps_ns) / 1e9
+
+
+def step_at(stamps_ns: NDArray[np.int64], stamp_ns: int) -> int | None:
+    """Return the last step that had come by a stamp.
+
+    Of a log that was played in rounds that is one of the last round in which the stamp came up.
+    """
+    at = np.flatnonzero(stamps_ns <= stamp_ns)
+    if len(at) == 0:
+        return None
+    if stamp_ns >= stamps_ns.max():
+        return len(stamps_ns) - 1
+    # The last time that the clock went over this stamp.
+    later = np.flatnonzero((stamps_ns[:-1] <= stamp_ns) & (stamps_ns[1:] > stamp_ns))
+    return int(later[-1]) if len(later) else int(at[-1])
+
+
+def _graph_until(graph: PoseGraphRecord, stamp_ns: int) -> PoseGraphRecord:
+    return PoseGraphRecord(
+        nodes=tuple(node for node in graph.nodes if node.stamp_ns <= stamp_ns),
+        # No edge is older than the nodes that it joins.
+        edges=tuple(edge for edge in graph.edges if edge.stamp_ns <= stamp_ns),
+    )
+
+
+def _with_views_until(tracked: TrackedObject, stamp_ns: int) -> TrackedObject:
+    views = tuple(view for view in tracked.views if view.stamp_ns <= stamp_ns)
+    best = tracked.best_view if tracked.best_view in views else None
+    return replace(
+        tracked,
+        views=views,
+        best_view=best,
+        last_seen_ns=max(tracked.first_seen_ns, min(tracked.last_seen_ns, stamp_ns)),
+    )
+
+
+def _changes_of(a: TrackedObject, b: TrackedObject) -> list[Change]:
+    found: list[Change] = []
+    moved_m = float(np.linalg.norm(b.box.center - a.box.center))
+    if moved_m > _MOVED_M:
+        found.append(Change(kind="moved", object_id=b.id, text=f"by {moved_m:.2f} m, to {_place(b)}"))
+    best_a, best_b = a.best_view, b.best_view
+    if best_b is not None and (best_a is None or best_a.name != best_b.name):
+        scores = f"{_score(best_a.score) if best_a else 'none'} -> {_score(best_b.score)}"
+        found.append(Change(kind="better view", object_id=b.id, text=f"frame {best_b.frame_index}, score {scores}"))
+    if b.shape is not None and (a.shape is None or a.shape.mesh_sha256 != b.shape.mesh_sha256):
+        count = f"{len(a.shape.fitted)}" if a.shape is not None else "none"
+        text = f"superquadrics {count} -> {len(b.shape.fitted)}"
+        found.append(Change(kind="shape changed", object_id=b.id, text=text))
+    return found
+
+
+def _score(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.3f}"
+
+
+def _place(tracked: TrackedObject) -> str:
+    x, y, z = tracked.box.center
+    return f"({x:.2f}, {y:.2f}, {z:.2f}) m"

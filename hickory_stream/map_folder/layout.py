@@ -1,0 +1,172 @@
+"""What a map folder holds, and where one may be made.
+
+    MAP/
+      manifest.json   format, software, config, source, `finished_cleanly`, and the digest once it is finished
+      objects.json    the last saved snapshot; names the files in points/ and space/ by the hash of their content
+      points/         layer 1 of each object, compressed
+      space/          observed voxels of each submap, compressed keys
+      views/          the pixels of the kept views: NAME.color.png, NAME.depth.png, NAME.json;
+                      of lossy ones NAME.color.jpg or .webp, and NAME.mask.png
+      shapes/         layer 2 of each object, compressed
+      jobs/           what shape workers are given and give back
+      journal.mcap    all events, step by step, and the state of the core now and then
+      failed/         the input of shape jobs that failed for good
+      ledger.json     what became of every message and frame
+      timings.json    seconds; in no digest
+
+`objects.json` is replaced last and what it no longer names is removed after that: whenever a run is killed, its
+folder opens as of its last complete save. No pickle is written or read.
+
+One process writes a map folder: a lock that ends with its process, however that ends, and says who holds it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import weakref
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, disk_errors, outside_errors
+from hickory_stream.base.confined import refuse_links
+from hickory_stream.errors import MapFolderError
+from hickory_stream.journal.format import JOURNAL
+from hickory_stream.map_folder.codec import POINTS, SPACE
+from hickory_stream.map_folder.manifest import MANIFEST, is_map_folder
+from hickory_stream.map_folder.views import crop_files
+from hickory_stream.records import MapSnapshot
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hickory_stream.records import TrackedObject
+
+
+LOCK = ".lock"
+
+
+class FolderLock:
+    """Holds a folder from construction until `release`, or the end of the process.
+
+    Raises:
+        MapFolderError: another process holds it.
+        OSError: the disk refused.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / LOCK
+        while True:
+            # A link in its place, which somebody's folder may hold, is not followed: the file is emptied below.
+            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+            if not _take(descriptor):
+                holder = os.read(descriptor, 32).decode(errors="replace").strip() or "unknown"
+                os.close(descriptor)
+                raise MapFolderError(
+                    f"{folder} is being written by process {holder}; wait for it, end it, or choose another folder"
+                )
+            # Whoever held it may have removed the file between our opening and our locking it.
+            if self._path.exists() and self._path.stat().st_ino == os.fstat(descriptor).st_ino:
+                break
+            os.close(descriptor)
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f"{os.getpid()}\n".encode())
+        # A folder that is forgotten is not held on to.
+        self._release = weakref.finalize(self, _let_go, self._path, descriptor)
+
+    def release(self) -> None:
+        """Let others write the folder."""
+        self._release()
+
+
+def check_unlocked(folder: Path) -> None:
+    """Refuse a folder that another process writes.
+
+    Raises:
+        MapFolderError: naming the process.
+    """
+    if (folder / LOCK).exists() and os.access(folder / LOCK, os.W_OK):
+        FolderLock(folder).release()
+
+
+def _let_go(path: Path, descriptor: int) -> None:
+    with suppress(OSError):
+        path.unlink()
+    os.close(descriptor)
+
+
+def _take(descriptor: int) -> bool:
+    """Lock an open file; return whether nobody else has."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+OBJECTS, LEDGER, TIMINGS = "objects.json", "ledger.json", "timings.json"
+VIEWS, SHAPES, JOBS = "views", "shapes", "jobs"
+FILES = (OBJECTS, LEDGER, TIMINGS, JOURNAL)
+FOLDERS = (POINTS, SPACE, VIEWS, SHAPES, JOBS, "failed")
+EMPTY = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
+
+
+def check_links(path: Path) -> None:
+    """Refuse a map of which a part lies elsewhere: it would be read there, and by `resume` written there."""
+    with outside_errors():
+        refuse_links(path, (*FOLDERS, *FILES, MANIFEST, LOCK))
+
+
+def check_place(path: Path, overwrite: bool) -> None:
+    """Refuse a place that is taken.
+
+    Raises:
+        MapFolderError: naming what is there and what to do.
+    """
+    with disk_errors(path):
+        if not path.exists():
+            return
+        if not path.is_dir():
+            raise MapFolderError(f"{path} is a file; choose another --out")
+        found = sorted(entry.name for entry in path.iterdir())
+    if not found:
+        return
+    check_unlocked(path)
+    is_map = is_map_folder(path)
+    foreign = [name for name in found if not _is_ours(name)] if is_map else found
+    if is_map and not overwrite:
+        raise MapFolderError(f"{path} holds a map already; choose another --out, or --overwrite to replace it")
+    if foreign:
+        shown = ", ".join(foreign[:5]) + (f" and {len(foreign) - 5} more" if len(foreign) > 5 else "")
+        raise MapFolderError(f"{path} holds files that are no map: {shown}; choose another --out")
+
+
+def _is_ours(name: str) -> bool:
+    return name in (MANIFEST, LOCK) or name in FILES or name in FOLDERS or name.endswith(PARTIAL_SUFFIX)
+
+
+def remove_map(path: Path) -> None:
+    """Remove what a map folder holds beside its manifest, what it opens as first, and its journal."""
+    for name in FILES:
+        if name != JOURNAL:
+            (path / name).unlink(missing_ok=True)
+    for name in FOLDERS:
+        if (path / name).exists():
+            shutil.rmtree(path / name)
+
+
+def named_by(tracked: TrackedObject) -> frozenset[str]:
+    """Return the views and the mesh that an object refers to, as names below the map folder."""
+    names = frozenset(f"{VIEWS}/{view.name}" for view in tracked.views)
+    return names if tracked.shape is None else names | {f"{SHAPES}/{tracked.shape.mesh_name}"}
+
+
+def files_of_name(path: Path, name: str) -> tuple[Path, ...]:
+    """Return the files of a view or a mesh, by its name below the map folder."""
+    folder, _, plain = name.partition("/")
+    return crop_files(path / VIEWS, plain) if folder == VIEWS else (path / folder / plain,)

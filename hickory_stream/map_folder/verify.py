@@ -1,0 +1,241 @@
+"""Does what a map says of itself hold? Everything is proven anew: from the files, the journal and the meshes.
+
+The digest tells of accidents and of edits by hand; it is no signature, and who alters a map on purpose can compute it
+anew. So the journal is gone through again, and layer 4 of each object is proven from its mesh and from the points that
+its job was given. What cannot be known, for lack of a journal or of an end, is told apart from what does not hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import MapFolderError
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.journal.format import JOURNAL
+from hickory_stream.journal.reader import Journal
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.core_replay import Replay, mesh_names
+from hickory_stream.map_folder.history.recorded_config import recorded_config
+from hickory_stream.map_folder.history.replay import replay
+from hickory_stream.map_folder.manifest import read_manifest
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.views import read_crop
+from hickory_stream.map_folder.writer import rewrite_objects
+from hickory_stream.mapping.entities.rigid_motion import moved_shape
+from hickory_stream.shapes.certify import proven_anew
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.events import RequestShape
+    from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.records import ObjectShape, TrackedObject
+    from hickory_stream.shapes.certify import Certificate
+
+# Layer 1 goes on growing after layer 4 was made, but not by this share.
+_MOST_OUTSIDE = 0.5
+
+
+class State(StrEnum):
+    """What came of a check."""
+
+    HOLDS = "holds"
+    FAILS = "fails"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Finding:
+    """What came of one check: of the "digest", the "journal", the "views" or the "layer 4" of an object."""
+
+    check: str
+    state: State
+    text: str
+    object_id: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Verdict:
+    """What a map is worth: all findings, those of the whole map first, then by object."""
+
+    digest: str
+    recorded_digest: str | None
+    num_objects: int
+    findings: tuple[Finding, ...]
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether nothing was found that does not hold."""
+        return all(finding.state is not State.FAILS for finding in self.findings)
+
+    @property
+    def num_proven(self) -> int:
+        """How many objects have a layer 4 that was proven anew."""
+        return sum(finding.check == "layer 4" and finding.state is State.HOLDS for finding in self.findings)
+
+
+def verify(path: Path, progress: Callable[[str], None] = lambda _: None) -> Verdict:
+    """Return what holds of the map in a folder; nothing is written.
+
+    Raises:
+        MapFolderError: there is no map, or it cannot be read.
+    """
+    saved = open_map(path, warns=False, is_whole=True)
+    progress("journal")
+    points: dict[int, NDArray[np.float32]] = {}
+    journal = _journal(saved, points)
+    configured_m = _configured_margin_m(saved) if _has_journal(path) else None
+    objects = []
+    for tracked in saved.snapshot.objects:
+        progress(f"object {tracked.id}")
+        objects += [*_views(saved, tracked), *_layer_four(saved, tracked, points, configured_m)]
+    return Verdict(
+        digest=saved.digest,
+        recorded_digest=saved.manifest.digest,
+        num_objects=len(saved.snapshot.objects),
+        findings=(_digest(saved), journal, *objects),
+    )
+
+
+def mend(path: Path) -> str:
+    """Write the objects of a map anew from its journal, where that makes the map of the manifest; return the digest.
+
+    Raises:
+        MapFolderError: the journal is damaged, or makes another map, or the disk refused; nothing was changed.
+    """
+    manifest = read_manifest(path)
+    snapshot = replay(path)
+    if map_digest(snapshot) != manifest.digest:
+        raise MapFolderError(f"{path} cannot be mended: its {JOURNAL} makes another map than that of its manifest")
+    with Journal(path) as journal:
+        kept = mesh_names(journal)
+    return rewrite_objects(path, snapshot, kept)
+
+
+def _has_journal(path: Path) -> bool:
+    return (path / JOURNAL).exists()
+
+
+def _digest(saved: SavedMap) -> Finding:
+    if saved.is_altered:
+        return Finding(check="digest", state=State.FAILS, text=saved.doubt)
+    if saved.doubt:
+        return Finding(check="digest", state=State.UNKNOWN, text=saved.doubt)
+    return Finding(
+        check="digest", state=State.HOLDS, text=f"the objects are those that were saved: {saved.digest[:16]}"
+    )
+
+
+def _journal(saved: SavedMap, points: dict[int, NDArray[np.float32]]) -> Finding:
+    """Go through the run again; `points` takes what the jobs of the map's shapes were given, by ticket."""
+    if not _has_journal(saved.folder):
+        merged = saved.manifest.source.get("kind") == "merge"
+        text = "a merged map has none" if merged else f"there is no {JOURNAL}: how the map came about is not known"
+        return Finding(check="journal", state=State.UNKNOWN if merged else State.FAILS, text=text)
+    tickets = {tracked.shape.revision for tracked in saved.snapshot.objects if tracked.shape is not None}
+
+    def note(request: RequestShape) -> None:
+        if request.ticket in tickets:
+            points[request.ticket] = request.points_world
+
+    wanted = saved.snapshot.revision
+    digests: set[str] = set()
+    try:
+        config = recorded_config(saved.folder)
+        with Journal(saved.folder) as journal:
+            again = Replay(journal, config.mapping, note)
+            for _ in again.steps(len(journal)):
+                # Of a run that was killed the folder holds some earlier step.
+                if not saved.manifest.finished_cleanly and (now := again.snapshot()).revision == wanted:
+                    digests.add(map_digest(now))
+            last = again.snapshot()
+    except MapFolderError as error:
+        return Finding(check="journal", state=State.FAILS, text=str(error))
+    if map_digest(last) == saved.digest or saved.digest in digests:
+        return Finding(check="journal", state=State.HOLDS, text=f"{again.num_steps} steps make the same map")
+    if last.revision < wanted and not saved.manifest.finished_cleanly:
+        text = f"it ends at revision {last.revision}, before the {wanted} of what was saved"
+        return Finding(check="journal", state=State.UNKNOWN, text=text)
+    return Finding(check="journal", state=State.FAILS, text=f"its {again.num_steps} steps make another map")
+
+
+def _views(saved: SavedMap, tracked: TrackedObject) -> Iterator[Finding]:
+    for view in tracked.views:
+        try:
+            read_crop(saved.views, view.name)
+        except MapFolderError as error:
+            yield Finding(check="views", state=State.FAILS, text=str(error), object_id=tracked.id)
+
+
+def _layer_four(
+    saved: SavedMap, tracked: TrackedObject, points: dict[int, NDArray[np.float32]], configured_m: float | None
+) -> Iterator[Finding]:
+    """Prove layer 4 of an object, which may have none, with the margin that the map was made with, if that is known."""
+    shape = tracked.shape
+    if shape is None:
+        return
+
+    def found(state: State, text: str) -> Finding:
+        return Finding(check="layer 4", state=state, text=text, object_id=tracked.id)
+
+    given = points.get(shape.revision)
+    try:
+        mesh = saved.mesh(shape)
+        certificates: list[Certificate] = []
+        for placed, around in _where_it_was_made(saved, tracked, shape, given):
+            certificates.append(proven_anew(placed, mesh, around))
+            if not _num_uncovered(certificates[-1]):
+                break  # a proof in one world is one
+    except (MapFolderError, ValueError) as error:
+        yield found(State.FAILS, str(error))
+        return
+    best = min(certificates, key=_num_uncovered)
+    margin_m = shape.containment.margin_m
+    if configured_m is not None and margin_m < configured_m:
+        yield found(State.FAILS, f"its margin is {margin_m:g} m, the map was made with {configured_m:g} m")
+    elif not shape.containment.is_certified:
+        yield found(State.UNKNOWN, "it was not certified when it was made")
+    elif best.uncovered_triangles or best.uncovered_cells or (given is not None and best.uncovered_points):
+        text = f"{best.uncovered_triangles} triangles, {best.uncovered_cells} cells of the inside"
+        yield found(State.FAILS, f"{text} and {best.uncovered_points} points lie outside of it")
+    elif best.uncovered_points > _MOST_OUTSIDE * max(best.num_points, 1):
+        yield found(State.FAILS, f"{best.uncovered_points} of {best.num_points} points of layer 1 lie outside of it")
+    else:
+        later = f"; {best.uncovered_points} later points lie outside" if best.uncovered_points else ""
+        yield found(State.HOLDS, f"proven anew with a margin of {margin_m:g} m{later}")
+
+
+def _num_uncovered(certificate: Certificate) -> int:
+    return certificate.uncovered_triangles + certificate.uncovered_cells + certificate.uncovered_points
+
+
+def _where_it_was_made(
+    saved: SavedMap, tracked: TrackedObject, shape: ObjectShape, given: NDArray[np.float32] | None
+) -> list[tuple[ObjectShape, NDArray[np.float32]]]:
+    """Return the shape and the points (N, 3) it has to hold, in the worlds where it may have been made.
+
+    The cells of the inside stand along the axes of that world: of a map that was moved since, the submap's own. A
+    proof in either is one.
+    """
+    poses = {submap.id: submap.world_from_submap for submap in saved.snapshot.submaps}
+    submap_from_world = invert(poses.get(tracked.submap_id, np.eye(4)))
+    unmoved = moved_shape(shape, submap_from_world)
+    if given is not None:
+        return [(unmoved, given)]
+    here = (shape, tracked.points_world)
+    return [here, (unmoved, np.asarray(apply(submap_from_world, tracked.points_world)))]
+
+
+def _configured_margin_m(saved: SavedMap) -> float | None:
+    """Return the margin that the map was made with; None where nobody can say."""
+    try:
+        return recorded_config(saved.folder).shapes.inflate.r_safe_m
+    except MapFolderError:
+        return None

@@ -1,0 +1,328 @@
+"""The layer-1 cloud of a track: one mean point per voxel of the world's lattice, with the number of its sightings.
+
+The lattice is anchored at the world's origin, so that two clouds of one surface fall into the same cells whichever
+track saw it first, and a cloud is bounded by its surface, not by the number of frames.
+
+Clouds that nobody looks at are kept compressed: a fifth to a half of their memory, and the same to the byte.
+
+A cloud whose arrays were packed stays the same object; whoever reads one of its arrays gets it as it was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from threading import RLock
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry.bounds import extent_of
+from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
+from hickory_stream.geometry.lazy_arrays import compressed, in_memory, restored
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.voxels import are_near, coarse_keys, contains, keys_of_points, places, sorted_unique
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.lazy_arrays import Keep
+
+
+NAMES = ("keys", "points", "colors", "hits")
+
+_lock = RLock()
+_cold: WeakKeyDictionary[Any, _Packed] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, slots=True)
+class _Packed:
+    """How many points a cloud has (None: its keys say), and what gives each of its arrays back."""
+
+    count: int | None
+    array: Callable[[str], NDArray[Any]]
+
+
+def pack(cloud: Any, keep: Keep = in_memory) -> None:
+    """Compress the arrays of a cloud, and have them kept; those of one that was packed before are let go again."""
+    with _lock:
+        if cloud in _cold:
+            _let_go(cloud)
+        elif len(cloud.keys):
+            packed = {name: compressed(getattr(cloud, name), keep) for name in NAMES}
+            _keep(cloud, _Packed(len(cloud.keys), lambda name: restored(packed[name])))
+
+
+def pack_part(part: Any, whole: Any, keep: Keep = in_memory) -> None:
+    """Let go of the arrays of a cloud that are some of another one's, which is packed as well.
+
+    Where they are not some of those the part is compressed by itself.
+    """
+    with _lock:
+        if part in _cold or part is whole:
+            pack(part, keep)
+            return pack(whole, keep)
+        marks = np.isin(whole.keys, part.keys, assume_unique=True)
+        chosen = {name: getattr(whole, name)[marks] for name in NAMES}
+        if all(np.array_equal(chosen[name], getattr(part, name)) for name in NAMES):
+            bits, count = np.packbits(marks), len(marks)
+
+            def chosen_of(name: str) -> NDArray[Any]:
+                kept: NDArray[Any] = array_of(whole, name)[np.unpackbits(bits, count=count).astype(bool)]
+                return kept
+
+            _keep(part, _Packed(len(part.keys), chosen_of))
+        else:
+            pack(part, keep)
+        return pack(whole, keep)
+
+
+def leave_unread(cloud: Any, count: int | None, array: Callable[[str], NDArray[Any]]) -> None:
+    """Make a cloud of `count` points of which nothing is there.
+
+    `array` gives each of its arrays by its name, when one is looked at.
+    """
+    with _lock:
+        _cold[cloud] = _Packed(count, array)
+
+
+def unpacked(cloud: Any, name: str) -> NDArray[Any]:
+    """Return an array of a cloud that was packed, which has all of them again.
+
+    Raises:
+        AttributeError: it is no array of a cloud.
+    """
+    if name not in NAMES:
+        raise AttributeError(name)
+    with _lock:
+        if is_packed(cloud):
+            arrays = {each: _cold[cloud].array(each) for each in NAMES}
+            for each, array in arrays.items():
+                object.__setattr__(cloud, each, array)
+        there: NDArray[Any] = object.__getattribute__(cloud, name)
+    return there
+
+
+def count_of(cloud: Any) -> int:
+    """Return the number of points of a cloud, without unpacking it."""
+    packed = _cold.get(cloud)
+    return len(cloud.keys) if packed is None or packed.count is None else packed.count
+
+
+def is_packed(cloud: Any) -> bool:
+    """Return whether arrays of a cloud are compressed, and not at hand."""
+    return cloud in _cold and not all(_is_at_hand(cloud, name) for name in NAMES)
+
+
+def array_of(cloud: Any, name: str) -> NDArray[Any]:
+    """Return an array of a cloud, which stays packed if it is."""
+    packed = _cold.get(cloud)
+    return getattr(cloud, name) if packed is None or _is_at_hand(cloud, name) else packed.array(name)
+
+
+def _is_at_hand(cloud: Any, name: str) -> bool:
+    try:
+        object.__getattribute__(cloud, name)
+    except AttributeError:
+        return False
+    return True
+
+
+def _keep(cloud: Any, packed: _Packed) -> None:
+    _cold[cloud] = packed
+    _let_go(cloud)
+
+
+def _let_go(cloud: Any) -> None:
+    for name in NAMES:
+        try:
+            object.__delattr__(cloud, name)
+        except AttributeError:
+            pass  # let go before
+
+
+_SETTLED_SIGHTINGS = 8
+_MOST_TAIL, _MUCH_SMALLER = 0.35, 0.4
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
+class Cloud:
+    """Sorted voxel `keys` (N,), mean `points` and `colors` (N, 3) as float32, and `hits` (N,): frames per voxel.
+
+    Points are at multiples of the step of `geometry.lattice` where those that they are the means of are.
+
+    Of a cloud that nobody looks at the arrays may be kept compressed (`cold_clouds`), until one is read again.
+    """
+
+    keys: NDArray[np.int64]
+    points: NDArray[np.float32]
+    colors: NDArray[np.float32]
+    hits: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return count_of(self)
+
+    def __getattr__(self, name: str) -> Any:
+        # Python asks here only for what is not at hand.
+        return unpacked(self, name)
+
+
+def cloud_of(points: NDArray[np.float32], colors: NDArray[np.uint8], voxel_m: float) -> Cloud:
+    """Return the cloud of one frame's points."""
+    keys = keys_of_points(points, voxel_m)
+    if (keys[1:] > keys[:-1]).all():  # lifted masks are voxel means: they have one point per voxel already
+        hits = np.ones(len(keys), dtype=np.int32)
+        return Cloud(keys=keys, points=points.astype(np.float32), colors=colors.astype(np.float32), hits=hits)
+    order = np.argsort(keys, kind="stable")
+    unique, starts = np.unique(keys[order], return_index=True)
+    counts = np.diff(np.append(starts, len(keys)))[:, None]
+    return Cloud(
+        keys=unique,
+        points=on_steps((np.add.reduceat(points[order].astype(np.float64), starts) / counts).astype(np.float32)),
+        colors=(np.add.reduceat(colors[order].astype(np.float64), starts) / counts).astype(np.float32),
+        hits=np.ones(len(unique), dtype=np.int32),
+    )
+
+
+def fuse(a: Cloud, b: Cloud) -> Cloud:
+    """Return the union of two clouds: means weighted by hits."""
+    keys, points, colors, hits = _fused(a.keys, a.points, a.colors, a.hits, b.keys, b.points, b.colors, b.hits)
+    return Cloud(keys=keys, points=points, colors=colors, hits=hits)
+
+
+def moved_cloud(cloud: Cloud, new_from_old: NDArray[np.float64], voxel_m: float) -> Cloud:
+    """Return the cloud in another frame, on the lattice there: points that fall into one voxel become one mean."""
+    points = on_steps(apply(new_from_old, cloud.points))
+    keys = keys_of_points(points, voxel_m)
+    order = np.argsort(keys, kind="stable")
+    unique, starts = np.unique(keys[order], return_index=True)
+    weights = cloud.hits[order].astype(np.float64)[:, None]
+    totals = np.add.reduceat(weights, starts)
+    return Cloud(
+        keys=unique,
+        points=on_steps((np.add.reduceat(points[order] * weights, starts) / totals).astype(np.float32)),
+        colors=(np.add.reduceat(cloud.colors[order] * weights, starts) / totals).astype(np.float32),
+        hits=np.maximum.reduceat(cloud.hits[order], starts),
+    )
+
+
+def grown_since(now: Cloud, then: Cloud, voxel_m: float) -> Cloud:
+    """Return what a cloud has more than it had `then`: voxels that were hit since, with the means of these hits."""
+    known = contains(then.keys, now.keys)
+    at = places(then.keys, now.keys[known])
+    before = np.zeros(len(now.keys), dtype=np.int64)
+    before[known] = then.hits[at]
+    means = np.concatenate([now.points, now.colors], axis=1).astype(np.float64)
+    sums = means * now.hits[:, None]
+    sums[known] -= np.concatenate([then.points, then.colors], axis=1)[at].astype(np.float64) * before[known][:, None]
+    gained = now.hits - before
+    is_new = gained > 0
+    values = (sums[is_new] / gained[is_new][:, None]).astype(np.float32)
+    values[:, :3] = on_steps(values[:, :3])
+    keys = now.keys[is_new]
+    # A mean that rounding, or a cloud that was trimmed in between, has taken out of its voxel is none.
+    is_off = keys_of_points(np.ascontiguousarray(values[:, :3]), voxel_m) != keys
+    values[is_off] = means[is_new][is_off]
+    return Cloud(
+        keys=keys,
+        points=np.ascontiguousarray(values[:, :3]),
+        colors=np.ascontiguousarray(np.clip(values[:, 3:], 0, 255)),
+        hits=gained[is_new].astype(np.int32),
+    )
+
+
+def without(cloud: Cloud, drop: NDArray[np.bool_]) -> Cloud:
+    """Return the cloud without the marked voxels."""
+    keys, points, colors, hits = _without(cloud.keys, cloud.points, cloud.colors, cloud.hits, drop)
+    return Cloud(keys=keys, points=points, colors=colors, hits=hits)
+
+
+def solid_part(cloud: Cloud, sightings: int) -> Cloud:
+    """Return the voxels that were seen in more than one frame: a voxel seen only once is likely to be noise.
+
+    Where this would remove more than half of the voxels, the cloud is new or far away, and few voxels are hit twice.
+    Then only an outlying tail is removed, e.g. a piece of a neighbour that one frame included by mistake: cells of
+    eight voxels of which none was seen again, if the cloud is much smaller without them.
+    """
+    if sightings < 4:
+        return cloud
+    once = cloud.hits < (2 if sightings < 12 else 3)
+    if once.mean() <= 0.5:
+        return without(cloud, once)
+    if sightings < _SETTLED_SIGHTINGS:
+        return cloud
+    cells = coarse_keys(cloud.keys, 3)
+    alone = ~contains(sorted_unique(cells[~once]), cells)
+    is_tail = 0 < alone.mean() <= _MOST_TAIL and _volume(cloud.points[~alone]) < _MUCH_SMALLER * _volume(cloud.points)
+    return without(cloud, alone) if is_tail else cloud
+
+
+def _volume(points: NDArray[np.float32]) -> float:
+    return float(np.prod(extent_of(points)))
+
+
+def is_near(keys: NDArray[np.int64], cloud: Cloud) -> NDArray[np.bool_]:
+    """Return (N,) for each voxel key whether the voxel or one of its 26 neighbours is in the cloud."""
+    return are_near(cloud.keys, keys)
+
+
+def share_near(keys: NDArray[np.int64], cloud: Cloud, sample: int = 400) -> float:
+    """Return the share of voxels that lie on a cloud, estimated from an even sample of about `sample` voxels."""
+    if len(keys) == 0:
+        return 0.0
+    return float(is_near(keys[:: max(1, len(keys) // sample)], cloud).mean())
+
+
+@kernel
+def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hits):
+    """Merge two clouds with sorted keys in one pass."""
+    size = len(a_keys) + len(b_keys)
+    keys = np.empty(size, dtype=np.int64)
+    points = np.empty((size, 3), dtype=np.float32)
+    colors = np.empty((size, 3), dtype=np.float32)
+    hits = np.empty(size, dtype=np.int32)
+    i, j, n = 0, 0, 0
+    while i < len(a_keys) or j < len(b_keys):
+        takes_a = j == len(b_keys) or (i < len(a_keys) and a_keys[i] <= b_keys[j])
+        takes_b = i == len(a_keys) or (j < len(b_keys) and b_keys[j] <= a_keys[i])
+        if takes_a and takes_b:
+            total = np.float64(a_hits[i]) + np.float64(b_hits[j])
+            for k in range(3):
+                point = np.float64(a_points[i, k]) * a_hits[i] + np.float64(b_points[j, k]) * b_hits[j]
+                color = np.float64(a_colors[i, k]) * a_hits[i] + np.float64(b_colors[j, k]) * b_hits[j]
+                points[n, k] = (np.rint(point / total * STEPS_PER_M) + 0.0) / STEPS_PER_M
+                colors[n, k] = color / total
+            keys[n], hits[n] = a_keys[i], a_hits[i] + b_hits[j]
+        elif takes_a:
+            keys[n], hits[n] = a_keys[i], a_hits[i]
+            for k in range(3):  # several times as fast as assigning whole rows
+                points[n, k], colors[n, k] = a_points[i, k], a_colors[i, k]
+        else:
+            keys[n], hits[n] = b_keys[j], b_hits[j]
+            for k in range(3):
+                points[n, k], colors[n, k] = b_points[j, k], b_colors[j, k]
+        i += takes_a
+        j += takes_b
+        n += 1
+    return keys[:n].copy(), points[:n].copy(), colors[:n].copy(), hits[:n].copy()
+
+
+@kernel
+def _without(keys, points, colors, hits, drop):
+    """Copy the voxels that are kept, in one pass over all four arrays."""
+    count = 0
+    for i in range(len(drop)):
+        count += not drop[i]
+    kept_keys, kept_hits = np.empty(count, dtype=keys.dtype), np.empty(count, dtype=hits.dtype)
+    kept_points, kept_colors = np.empty((count, 3), dtype=points.dtype), np.empty((count, 3), dtype=colors.dtype)
+    n = 0
+    for i in range(len(drop)):
+        if not drop[i]:
+            kept_keys[n], kept_hits[n] = keys[i], hits[i]
+            for k in range(3):
+                kept_points[n, k], kept_colors[n, k] = points[i, k], colors[i, k]
+            n += 1
+    return kept_keys, kept_points, kept_colors, kept_hits

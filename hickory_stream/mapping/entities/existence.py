@@ -1,0 +1,115 @@
+"""Evidence for the existence of an object; the unit is one more sighting from the same viewpoint.
+
+Errors of a segmenter are correlated between nearby viewpoints, so that sightings from there add little; a sighting
+from a new viewpoint is independent evidence. A small or incomplete mask is weaker evidence, and a keyframe that sees
+through the place is evidence against the object. Independent evidence adds up as log-odds do
+(as in occupancy grids: Moravec and Elfes, ICRA 1985).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry import portable
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import Observation
+
+# Maximum number of stored viewpoints: an object seen from this many was confirmed long ago.
+_MOST_PLACES = 12
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExistenceConfig(Ranged):
+    """How much evidence one sighting contributes.
+
+    Attributes:
+        apart_rad: viewing directions that differ by this angle are independent; smaller angles count in proportion.
+        apart_ratio: viewing distances with this ratio are independent, too.
+        fresh: evidence of a sighting from an independent viewpoint.
+        again: evidence of one more sighting from the same viewpoint.
+        full_sr: sightings of objects that subtend less than this solid angle are weaker evidence, in proportion ...
+        least: ... down to this share of the full evidence.
+    """
+
+    apart_rad: float = number(0.6, 0.001, 3.15, "rad")
+    apart_ratio: float = number(2.0, 1.001, 1000, "ratio")
+    fresh: float = number(2.0, 0, 1000, "sightings")
+    again: float = number(0.7, 0, 1000, "sightings")
+    full_sr: float = number(0.004, 0, 12.6, "sr")
+    least: float = number(0.5, 0, 1, "share")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Existence:
+    """The `evidence` for an object, and the independent `places` (N, 3) of the camera from which it was seen."""
+
+    evidence: float
+    places: NDArray[np.float64]
+
+
+def no_evidence() -> Existence:
+    """Return the existence of an object without sightings."""
+    return Existence(evidence=0.0, places=np.zeros((0, 3)))
+
+
+def sighted(known: Existence, seen: Observation, camera: NDArray[np.float64], config: ExistenceConfig) -> Existence:
+    """Return the existence after one more sighting from a camera at (3,), in the world."""
+    way = seen.box.center - camera
+    novelty = _novelty(known.places, seen.box.center, camera, config)
+    worth = config.again + (config.fresh - config.again) * novelty
+    is_place = novelty >= 1.0 and len(known.places) < _MOST_PLACES
+    return Existence(
+        evidence=known.evidence + worth * _sharpness(seen, portable.norm(way), config),
+        places=np.concatenate([known.places, camera[None]]) if is_place else known.places,
+    )
+
+
+def united(a: Existence, b: Existence) -> Existence:
+    """Return the existence of a merged track: that of the two with more evidence."""
+    return a if a.evidence >= b.evidence else b
+
+
+def plus_since(known: Existence, now: Existence, then: Existence) -> Existence:
+    """Return the existence of a track with what another one, that had `then`, has gained since."""
+    gained = max(now.evidence - then.evidence, 0.0)
+    places = np.concatenate([known.places, now.places[len(then.places) :]])[:_MOST_PLACES]
+    return Existence(evidence=known.evidence + gained, places=places)
+
+
+def doubted(known: Existence) -> Existence:
+    """Return the existence after a keyframe saw through the place."""
+    return Existence(evidence=max(known.evidence - 1.0, 0.0), places=known.places)
+
+
+def _novelty(
+    places: NDArray[np.float64], middle: NDArray[np.float64], camera: NDArray[np.float64], config: ExistenceConfig
+) -> float:
+    """Return how independent a viewpoint is of the stored ones: 0 for the same, 1 for an independent one."""
+    way = middle - camera
+    reach_m = max(portable.norm(way), 1e-6)
+    novelty = 1.0
+    for place in places:
+        other = middle - place
+        other_m = max(portable.norm(other), 1e-6)
+        cosine = min(max(portable.dot(way, other) / (reach_m * other_m), -1.0), 1.0)
+        # The chord between two unit directions: approximately the angle where that is small.
+        turned = float(np.sqrt(2.0 - 2.0 * cosine)) / config.apart_rad
+        nearer = (max(reach_m, other_m) / min(reach_m, other_m) - 1.0) / (config.apart_ratio - 1.0)
+        novelty = min(novelty, max(turned, nearer))
+    return novelty
+
+
+def _sharpness(seen: Observation, distance_m: float, config: ExistenceConfig) -> float:
+    """Return the weight of a sighting: by the object's solid angle and the share of its mask with reliable depth."""
+    x, y, z = (float(side) for side in 2 * seen.box.half_extents_m)
+    # The visible area is approximated by the mean area of the faces of the observed box.
+    solid_angle = (x * y + y * z + z * x) / 3 / max(distance_m * distance_m, 1e-6)
+    share = min(solid_angle / config.full_sr, 1.0) if config.full_sr > 0 else 1.0
+    return max(share * seen.r_depth, config.least)

@@ -1,0 +1,535 @@
+"""The observed space: free voxels and voxels of structure, as sorted keys.
+
+Columns of voxels, and which of them belong to walls: a wall continues above the height of the floor.
+
+The floor model of the core (`observed_space`) and the notes on a map's floor (`floor_notes`) both exclude the columns
+of walls by this rule.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.arrays import check_array
+from hickory_stream.geometry.lazy_arrays import GivesUpArrays, read_briefly
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.geometry.voxels import (
+    cells_of_keys,
+    centers_of_keys,
+    contains,
+    difference,
+    exchanged,
+    first_not_below,
+    key_of_point,
+    keys_of_cells,
+    rows_of_keys,
+    sorted_unique,
+    union,
+)
+from hickory_stream.records import ObservedSpace
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.boxes import OrientedBox
+    from hickory_stream.records import SpaceObservation
+
+
+WALL_M = 0.6
+"""The height above a level up to which a column is examined."""
+
+# Minimum share of that height along which a column of a wall has structure: the rest may be unobserved.
+_WALL_SHARE = 0.5
+
+
+def column_starts(cells: NDArray[Any]) -> NDArray[np.int64]:
+    """Return the index at which each column begins in (N, 3) voxels that are sorted by x, y, z, like keys."""
+    if len(cells) == 0:
+        return np.empty(0, dtype=np.int64)
+    return np.flatnonzero(np.append(True, (cells[1:, :2] != cells[:-1, :2]).any(axis=1)))
+
+
+def column_sizes(starts: NDArray[np.int64], num_voxels: int) -> NDArray[np.int64]:
+    """Return the number of voxels in each column."""
+    return np.diff(np.append(starts, num_voxels))
+
+
+def is_wall_column(num_structure: NDArray[np.int64], voxel_m: float) -> NDArray[np.bool_]:
+    """Return which columns belong to a wall, from their numbers of structure voxels within `WALL_M` above a level."""
+    return num_structure * voxel_m >= _WALL_SHARE * WALL_M
+
+
+_SURE_HITS = 2
+# The value of `structure_hits` in voxels of tracks that are part of the room: more than any count of keyframes.
+_HELD = 255
+# When a count reaches this, both counts of the voxel are halved, so that later keyframes can still outvote it.
+_MOST_VOTES = 240
+# A surface that lies this much lower is not a step of the floor: the presumed floor was a table, unless it is as large
+# as this area.
+_NO_STEP_M, _NO_TABLE_M2 = 0.3, 6.0
+_STOREY_M = 2.4
+# The range of voxel indices.
+_FAR = 1 << 20
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FlushConfig(Ranged):
+    """When a flat object is a part of the wall around it: by sizes and by the share of its border that is in a wall.
+
+    Structure counts if it lies from half of `reach_m` to `reach_m` beyond the border (nearer structure may be a wall
+    that meets the object at an edge), and in the object's own plane: the middle of the structure may be off the middle
+    of the object by `max_offset` of half its thickness. Structure up to `foot_m` above the floor does not count, since
+    every object stands on the floor. An upright strip that is thinner than `edge_width_m`, taller than `edge_height_m`
+    and has structure within `edge_reach_m` along most of its height is the edge of a wall or the frame of a door.
+    """
+
+    thickness_m: float = number(0.12, 0, 100, "m")
+    min_size_m: float = number(0.2, 0, 100, "m")
+    reach_m: float = number(0.2, 0, 100, "m")
+    border_share: float = number(0.25, 0, 1, "share")
+    max_offset: float = number(0.8, 0, 100, "ratio")
+    foot_m: float = number(0.1, 0, 100, "m")
+    edge_width_m: float = number(0.1, 0, 100, "m")
+    edge_height_m: float = number(0.38, 0, 100, "m")
+    edge_reach_m: float = number(0.1, 0, 100, "m")
+    edge_share: float = number(0.8, 0, 1, "share")
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A part of the world, of all heights: the cells of voxels from `low` to below `high`, along x and y."""
+
+    low: tuple[int, int]
+    high: tuple[int, int]
+
+    def holds(self, other: Window) -> bool:
+        """Return whether another window lies within this one."""
+        return all(a <= b and d <= c for a, b, c, d in zip(self.low, other.low, self.high, other.high, strict=True))
+
+    def meets(self, other: Window) -> bool:
+        """Return whether the two have cells in common."""
+        return all(a < d and b < c for a, b, c, d in zip(self.low, other.low, self.high, other.high, strict=True))
+
+    def wider(self, cells: int) -> Window:
+        """Return the window that reaches so many cells further on each side."""
+        (x0, y0), (x1, y1) = self.low, self.high
+        return Window((x0 - cells, y0 - cells), (x1 + cells, y1 + cells))
+
+    def part_of(self, keys: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return where in sorted keys those lie that are within the window."""
+        columns = _columns_between(keys, self.low[0], self.high[0])
+        y = rows_of_keys(keys[columns])
+        return columns.start + np.flatnonzero((y >= self.low[1]) & (y < self.high[1]))
+
+
+def window_of(*sorted_keys: NDArray[np.int64]) -> Window | None:
+    """Return the least window that holds all voxels of these sorted keys; None where there are none."""
+    some = [keys for keys in sorted_keys if len(keys)]
+    if not some:
+        return None
+    ends = np.concatenate([cells_of_keys(keys[[0, -1]])[:, 0] for keys in some])
+    rows = np.concatenate([_ends(rows_of_keys(keys)) for keys in some])
+    return Window((int(ends.min()), int(rows.min())), (int(ends.max()) + 1, int(rows.max()) + 1))
+
+
+def _ends(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.array([values.min(), values.max()])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
+class SpaceState(GivesUpArrays):
+    """The voxels with an observed surface, and the free voxels, as sorted keys; far away they are kept compressed.
+
+    `hits` counts the keyframes that showed a voxel of `surface` as structure (without the map prior), `misses` those
+    that showed it as something else. A voxel is structure if it has at least two hits, and more hits than misses.
+    Structure voxels are never in `free`; those that rays had also traversed are in `hidden_free`. `room` are the voxels
+    of tracks that are part of the room: queries treat them as structure, but they do not count as votes of keyframes.
+    """
+
+    voxel_m: float
+    free: NDArray[np.int64]
+    hidden_free: NDArray[np.int64]
+    surface: NDArray[np.int64]
+    hits: NDArray[np.uint8]
+    misses: NDArray[np.uint8]
+    room: NDArray[np.int64]
+    floor_z_m: float | None = None
+
+    def __post_init__(self) -> None:
+        # Looked at, not copied: a keyframe makes many of them. Kernels walk the votes beside the surface.
+        for name in ("free", "hidden_free", "surface", "room"):
+            check_array(self, name, np.int64, (None,))
+        for name in ("hits", "misses"):
+            check_array(self, name, np.uint8, (len(self.surface),))
+
+    @property
+    def is_structure(self) -> NDArray[np.bool_]:
+        """Return which voxels of `surface` are structure."""
+        return _is_structure(self.hits, self.misses)
+
+
+def _is_structure(hits: NDArray[np.uint8], misses: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    return (hits >= _SURE_HITS) & (hits > misses)
+
+
+def empty_space(voxel_m: float) -> SpaceState:
+    """Return an empty observed space."""
+    none, no_votes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
+    return SpaceState(
+        voxel_m=voxel_m, free=none, hidden_free=none, surface=none, hits=no_votes, misses=no_votes, room=none
+    )
+
+
+def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
+    """Return the space after one more keyframe, if it is all that is known.
+
+    The floor height is filtered over keyframes, but a drop, or a change of storey, takes effect at once. If a floor
+    appears below the presumed one, structure at the presumed height is withdrawn (`false_floor`).
+    """
+    return added(state, seen, false_floor(state, seen.floor_z_m))
+
+
+def added(state: SpaceState, seen: SpaceObservation, false_m: float | None) -> SpaceState:
+    """Return the space, a part of what is known, after one more keyframe; `false_m`: a floor that turned out false."""
+    if false_m is not None:
+        state = without_level(state, false_m)
+    voters = union(seen.structure_keys, seen.surface_keys)
+    surface, hits, misses, change = _voted(state.surface, state.hits, state.misses, voters, seen.structure_keys)
+    gained, lost = voters[change > 0], voters[change < 0]
+    state = replace(state, surface=surface, hits=hits, misses=misses, floor_z_m=_floor(state.floor_z_m, seen.floor_z_m))
+    is_hidden = _structure_at(state, seen.free_keys)
+    # Voxels that have just become structure are no longer free, and rays that graze structure do not make it free.
+    bared = lost[contains(state.hidden_free, lost)]
+    hidden = union(gained[contains(state.free, gained)], seen.free_keys[is_hidden])
+    free = exchanged(state.free, gained, union(seen.free_keys[~is_hidden], bared))
+    # Read-only, so that the records of the map share it: it is the largest thing in a map.
+    free.flags.writeable = False
+    return replace(state, free=free, hidden_free=exchanged(state.hidden_free, lost, hidden))
+
+
+def joined(spaces: Sequence[SpaceState]) -> SpaceState:
+    """Return the union of spaces (at least one) on one lattice: votes add up, the floor is that of the last one."""
+    if len(spaces) == 1:
+        return spaces[0]
+    keys, at = np.unique(np.concatenate([space.surface for space in spaces]), return_inverse=True)
+    all_hits, all_misses = np.zeros(len(keys), np.int64), np.zeros(len(keys), np.int64)
+    np.add.at(all_hits, at, np.concatenate([space.hits for space in spaces]))
+    np.add.at(all_misses, at, np.concatenate([space.misses for space in spaces]))
+    share = np.maximum((np.maximum(all_hits, all_misses) + _MOST_VOTES) // (_MOST_VOTES + 1), 1)
+    hits, misses = (all_hits // share).astype(np.uint8), (all_misses // share).astype(np.uint8)
+    structure = keys[_is_structure(hits, misses)]
+    passed = sorted_unique(np.concatenate([part for space in spaces for part in (space.free, space.hidden_free)]))
+    is_hidden = contains(structure, passed)
+    free = passed[~is_hidden]
+    free.flags.writeable = False
+    return SpaceState(
+        voxel_m=spaces[-1].voxel_m,
+        free=free,
+        hidden_free=passed[is_hidden],
+        surface=keys,
+        hits=hits,
+        misses=misses,
+        room=sorted_unique(np.concatenate([space.room for space in spaces])),
+        floor_z_m=spaces[-1].floor_z_m,
+    )
+
+
+def extent(state: SpaceState) -> Window | None:
+    """Return the least window that holds a space, None if it is empty; remembered, since old spaces stay the same."""
+    if state not in _EXTENTS:
+        with read_briefly(state):
+            _EXTENTS[state] = window_of(state.free, state.surface, state.room)
+    return _EXTENTS[state]
+
+
+_EXTENTS: WeakKeyDictionary[SpaceState, Window | None] = WeakKeyDictionary()
+
+
+def cut(state: SpaceState, window: Window) -> SpaceState:
+    """Return the part of a space within a window."""
+    voters = window.part_of(state.surface)
+    return replace(
+        state,
+        free=state.free[window.part_of(state.free)],
+        hidden_free=state.hidden_free[window.part_of(state.hidden_free)],
+        surface=state.surface[voters],
+        hits=state.hits[voters],
+        misses=state.misses[voters],
+        room=state.room[window.part_of(state.room)],
+    )
+
+
+def false_floor(state: SpaceState, seen_m: float | None) -> float | None:
+    """Return the height of the presumed floor if the floor now seen refutes it, else None.
+
+    It is refuted if a floor `seen_m` is seen too far below it for a step, but not as far as another storey, and its
+    area is no larger than a table's: a second floor level of a room is larger.
+    """
+    known_m = state.floor_z_m
+    if known_m is None or seen_m is None or not _NO_STEP_M < known_m - seen_m < _STOREY_M:
+        return None
+    level = state.surface[_is_level_at(state, known_m) & state.is_structure]
+    columns = np.unique(cells_of_keys(level)[:, :2], axis=0)
+    return known_m if len(columns) * state.voxel_m * state.voxel_m < _NO_TABLE_M2 else None
+
+
+def floor_change(state: SpaceState, seen_m: float | None, false_m: float | None) -> str | None:
+    """Return a message if a floor seen at `seen_m` replaces the known floor, None if the floor stays the same.
+
+    `false_m` is the height of the known floor if it is none (`false_floor`).
+    """
+    known_m = state.floor_z_m
+    if known_m is None or seen_m is None:
+        return None
+    if false_m is not None:
+        return (
+            f"a floor is seen at {seen_m:.2f} m: what was taken for it, at {false_m:.2f} m, is a table or the like, "
+            "and what was concluded from it is withdrawn"
+        )
+    if is_another_storey(state, seen_m):
+        return f"the floor is now at {seen_m:.2f} m, before at {known_m:.2f} m: another storey"
+    return None
+
+
+def is_another_storey(state: SpaceState, seen_m: float | None) -> bool:
+    """Return whether the floor seen at `seen_m` is that of another storey."""
+    known_m = state.floor_z_m
+    return known_m is not None and seen_m is not None and abs(seen_m - known_m) > _STOREY_M / 2
+
+
+def without_floor(state: SpaceState, false_m: float, seen_m: float | None) -> SpaceState:
+    """Return the space without a floor that turned out to be a table; the one seen below it takes its place."""
+    was_taken = state.floor_z_m is not None and abs(state.floor_z_m - false_m) < _NO_STEP_M
+    return replace(without_level(state, false_m), floor_z_m=seen_m if was_taken else state.floor_z_m)
+
+
+def without_level(state: SpaceState, z_m: float) -> SpaceState:
+    """Return the space without structure votes for horizontal surfaces at a height, to be decided again."""
+    at = _is_level_at(state, z_m)
+    lost = state.surface[at & state.is_structure]
+    bared = lost[contains(state.hidden_free, lost)]
+    return replace(
+        state,
+        free=union(state.free, bared),
+        hidden_free=difference(state.hidden_free, bared),
+        hits=np.where(at, 0, state.hits).astype(np.uint8),
+        misses=np.where(at, 0, state.misses).astype(np.uint8),
+    )
+
+
+def _is_level_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
+    """Return which voxels of `surface` are within one voxel of a height, except in columns of walls."""
+    cells = cells_of_keys(state.surface)
+    above_m = (cells[:, 2] + 0.5) * state.voxel_m - z_m
+    near = np.flatnonzero((above_m > -1.5 * state.voxel_m) & (above_m < WALL_M))
+    if len(near) == 0:
+        return np.zeros(len(cells), dtype=bool)
+    starts = column_starts(cells[near])
+    heights = np.add.reduceat(state.is_structure[near].astype(np.int64), starts)
+    is_wall = np.repeat(is_wall_column(heights, state.voxel_m), column_sizes(starts, len(near)))
+    out = np.zeros(len(cells), dtype=bool)
+    out[near] = ~is_wall & (above_m[near] < 1.5 * state.voxel_m)
+    return out
+
+
+@kernel
+def _voted(surface, hits, misses, voters, structure):
+    """Return surface, hits and misses with one vote more for each of the voters, all sorted, in one walk.
+
+    Those that are in `structure` are hit, the others missed; new voxels have no votes yet. Also returned: 1 for each
+    voter that has become structure, -1 for one that is it no more.
+    """
+    most = len(surface) + len(voters)
+    keys, change = np.empty(most, dtype=np.int64), np.zeros(len(voters), dtype=np.int8)
+    all_hits, all_misses = np.empty(most, dtype=np.uint8), np.empty(most, dtype=np.uint8)
+    i, n, at = 0, 0, 0
+    for j in range(len(voters)):
+        place = first_not_below(surface, voters[j], i)
+        for k in range(place - i):
+            keys[n + k], all_hits[n + k], all_misses[n + k] = surface[i + k], hits[i + k], misses[i + k]
+        n += place - i
+        i = place
+        is_known = i < len(surface) and surface[i] == voters[j]
+        num_hits, num_misses = (np.int64(hits[i]), np.int64(misses[i])) if is_known else (np.int64(0), np.int64(0))
+        i += is_known
+        before = num_hits >= _SURE_HITS and num_hits > num_misses
+        at = first_not_below(structure, voters[j], at)
+        if at < len(structure) and structure[at] == voters[j]:
+            num_hits += 1
+        else:
+            num_misses += 1
+        if max(num_hits, num_misses) >= _MOST_VOTES:
+            num_hits, num_misses = num_hits // 2, num_misses // 2
+        now = num_hits >= _SURE_HITS and num_hits > num_misses
+        change[j] = np.int8(now) - np.int8(before)
+        keys[n], all_hits[n], all_misses[n] = voters[j], num_hits, num_misses
+        n += 1
+    for k in range(len(surface) - i):
+        keys[n + k], all_hits[n + k], all_misses[n + k] = surface[i + k], hits[i + k], misses[i + k]
+    n += len(surface) - i
+    return keys[:n].copy(), all_hits[:n].copy(), all_misses[:n].copy(), change
+
+
+def with_room(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:
+    """Return the space in which exactly these sorted voxels are those of tracks that are part of the room."""
+    return state if np.array_equal(state.room, keys) else replace(state, room=keys)
+
+
+def without_room(state: SpaceState) -> SpaceState:
+    """Return the space from keyframes alone, without the tracks that were set aside as part of the room."""
+    return with_room(state, np.zeros(0, dtype=np.int64))
+
+
+def structure_hits(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return (N,) how many keyframes saw each voxel as structure; 0 where the misses outnumber the hits.
+
+    Voxels of tracks that are part of the room have 255.
+    """
+    return np.where(contains(state.room, keys), np.uint8(_HELD), _votes_at(state, keys))
+
+
+def _structure_at(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return (N,) which voxels are structure by the votes of keyframes."""
+    return _votes_at(state, keys) >= _SURE_HITS
+
+
+def _votes_at(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
+    out: NDArray[np.uint8] = _hits_at(state.surface, state.hits, state.misses, keys)
+    return out
+
+
+@kernel
+def _hits_at(surface, hits, misses, keys):
+    out = np.zeros(len(keys), dtype=np.uint8)
+    at = 0
+    for i in range(len(keys)):
+        at = first_not_below(surface, keys[i], at)
+        if at < len(surface) and surface[at] == keys[i] and hits[at] > misses[at]:
+            out[i] = hits[at]
+    return out
+
+
+def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: float) -> float:
+    """Return the share of (N, 3) points in voxels of sorted keys, from a sample of about 200."""
+    return float(_share_in(keys, points, max(1, len(points) // 200), voxel_m))
+
+
+@kernel
+def _share_in(sorted_keys, points, step, voxel_m):
+    """Return the share of (N, 3) points, N >= 1, in voxels of sorted keys, from every `step`-th point."""
+    count, num_in, at = 0, 0, 0
+    for i in range(0, len(points), step):
+        key = key_of_point(points[i, 0], points[i, 1], points[i, 2], voxel_m)
+        at = first_not_below(sorted_keys, key, at)
+        num_in += at < len(sorted_keys) and sorted_keys[at] == key
+        count += 1
+    return num_in / count
+
+
+def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
+    """Return whether a flat object is coplanar with structure around it: a part of the same wall."""
+    half = box.half_extents_m
+    thin = int(np.argmin(half))
+    wide = np.delete(half, thin)
+    if 2 * half[thin] > config.thickness_m or 2 * wide.min() < config.min_size_m:
+        return False
+    centers = _structure_around(state, box, config.reach_m)
+    if state.floor_z_m is not None:
+        centers = centers[centers[:, 2] > state.floor_z_m + config.foot_m]
+    local = apply(invert(box.world_from_box), centers)
+    offset, in_plane = local[:, thin], np.delete(local, thin, axis=1)
+    beyond = (np.abs(in_plane) - wide).max(axis=1)
+    around = (
+        (beyond > config.reach_m / 2) & (beyond < config.reach_m) & (np.abs(offset) < half[thin] + state.voxel_m / 2)
+    )
+    if not around.any() or abs(float(np.median(offset[around]))) > config.max_offset * half[thin] + state.voxel_m / 4:
+        return False
+    # Each cell of the border counts once, however many structure voxels lie behind it.
+    border = np.unique(np.floor(np.clip(in_plane[around], -wide, wide) / state.voxel_m), axis=0)
+    return len(border) * state.voxel_m > config.border_share * 4 * float(wide.sum())
+
+
+def is_edge(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
+    """Return whether an object is a slender upright strip along structure: the edge of a wall, the frame of a door."""
+    *widths, height = 2 * box.half_extents_m
+    if max(widths) > config.edge_width_m or height < config.edge_height_m:
+        return False
+    steps = np.linspace(-height / 2, height / 2, int(height / state.voxel_m) + 1)
+    axis = box.center + steps[:, None] * np.array([0.0, 0.0, 1.0])
+    centers = _structure_around(state, box, config.edge_reach_m)
+    distances_m = np.linalg.norm(axis[:, None] - centers[None], axis=2).min(axis=1, initial=np.inf)
+    return float((distances_m < config.edge_reach_m).mean()) > config.edge_share
+
+
+def sees_structure(state: SpaceState, box: OrientedBox, points: NDArray[np.float32], reach_m: float) -> bool:
+    """Return whether structure lies within `reach_m` of at least a tenth of an object's (N, 3) points."""
+    centers = _structure_around(state, box, reach_m)
+    if len(centers) == 0:
+        return False
+    distances_m, _ = cKDTree(centers).query(points[:: max(1, len(points) // 400)], distance_upper_bound=reach_m)
+    return float(np.isfinite(distances_m).mean()) > 0.1
+
+
+def _structure_around(state: SpaceState, box: OrientedBox, reach_m: float) -> NDArray[np.float32]:
+    """Return the (N, 3) centres of structure voxels around a box.
+
+    Only votes of keyframes count: a track that was set aside as part of the room must not cause its neighbour to be.
+    """
+    x = box.corners_world()[:, 0]
+    low = int(np.floor((x.min() - reach_m) / state.voxel_m))
+    high = int(np.floor((x.max() + reach_m) / state.voxel_m)) + 1
+    near = _columns_between(state.surface, low, high)
+    is_structure = _is_structure(state.hits[near], state.misses[near])
+    return centers_of_keys(state.surface[near][is_structure], state.voxel_m)
+
+
+def _columns_between(keys: NDArray[np.int64], low: int, high: int) -> slice:
+    """Return where the sorted keys lie whose cells have an x from `low` to below `high`: they are ordered by x."""
+    ends = np.array([[low, -_FAR, -_FAR], [high, -_FAR, -_FAR]])
+    first, last = np.searchsorted(keys, keys_of_cells(np.clip(ends, -_FAR, _FAR - 1)))
+    return slice(int(first), int(last))
+
+
+def as_record(state: SpaceState) -> ObservedSpace:
+    """Return the public record: structure, including tracks that are part of the room, and free space outside it."""
+    return ObservedSpace(
+        voxel_m=state.voxel_m,
+        free=difference(state.free, state.room) if len(state.room) else state.free,
+        structure=structure_of(state),
+        floor_z_m=state.floor_z_m,
+    )
+
+
+def structure_of(state: SpaceState) -> NDArray[np.int64]:
+    """Return the sorted voxels of structure, including those of tracks that are part of the room."""
+    structure = state.surface[state.is_structure]
+    return union(structure, state.room) if len(state.room) else structure
+
+
+def known_space(record: ObservedSpace) -> SpaceState:
+    """Return the space of a public record; it has no votes, so that its structure counts as certain."""
+    structure = record.structure
+    return replace(
+        empty_space(record.voxel_m),
+        free=record.free,
+        surface=structure,
+        hits=np.full(len(structure), _SURE_HITS, dtype=np.uint8),
+        misses=np.zeros(len(structure), dtype=np.uint8),
+        floor_z_m=record.floor_z_m,
+    )
+
+
+def _floor(known_m: float | None, seen_m: float | None) -> float | None:
+    if known_m is None or seen_m is None:
+        return known_m if seen_m is None else seen_m
+    is_another = seen_m < known_m - 0.06 or seen_m > known_m + _STOREY_M / 2
+    return seen_m if is_another else 0.8 * known_m + 0.2 * seen_m

@@ -1,0 +1,622 @@
+"""Submaps: parts of the map that can be moved rigidly, each with its share of the observed space.
+
+An object, like a voxel, belongs to the submap in which it was first seen. All data stay in the odometry frame: a
+correction only sets the pose of each submap, which is applied when the map is published. So no shape is recomputed,
+and without corrections the published data are the original ones, to the byte.
+
+A submap ends when the odometry may have drifted by a few centimetres in it, when the floor becomes that of another
+storey, or when the odometry jumps. An end by drift only changes which submap owns new objects and voxels: checks
+against the observed space use everything seen since the last jump, as far as it was not moved against the open submap.
+
+All frames of submaps are the frame of the odometry, that of the open one as well: frames go on in it, whatever is
+corrected. A submap is *rigid with the open one* if both have the same pose; what belongs to others does not lie where
+the odometry has it any more.
+
+How far a camera went, and turned, along directions in which nothing was seen that could tell: in a corridor, say.
+
+The lengths of a way add up to a matrix (6, 6), turns (rad) first, then shifts (m), along the axes of the map: for each
+step that of its unit directions, times how far it went. Its product with a direction is the length along that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.lazy_arrays import compress, give_up, in_memory, read_briefly
+from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad, turned_directions
+from hickory_stream.geometry.voxels import contains, difference, exchanged, places, union
+from hickory_stream.mapping.entities import observed_space
+from hickory_stream.mapping.entities.observed_space import (
+    SpaceState,
+    Window,
+    added,
+    as_record,
+    cut,
+    empty_space,
+    extent,
+    is_another_storey,
+    window_of,
+    without_floor,
+)
+from hickory_stream.mapping.entities.submap_surface import SubmapSurface, no_surface, surface_points, with_points
+from hickory_stream.records import SpaceObservation, Submap, SurveyedSubmap
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.events import FrameObserved, KeyframeRegistered
+    from hickory_stream.geometry.lazy_arrays import Keep
+    from hickory_stream.mapping.entities.submap_surface import SurfacePoints
+
+
+def longer(
+    lengths: NDArray[np.float64] | None,
+    directions: NDArray[np.float64],
+    before: NDArray[np.float64] | None,
+    now: NDArray[np.float64],
+) -> NDArray[np.float64] | None:
+    """Return the lengths after a step from one pose of the camera (4, 4) to the next, blind along (K, 6) directions.
+
+    None is a way of no length; so is a step from no pose, and one that was seen in every direction.
+    """
+    if before is None or not len(directions):
+        return lengths
+    way_m = portable.norm(now[:3, 3] - before[:3, 3])
+    turn_rad = rotation_angle_rad(portable.matmul(before[:3, :3].T, now[:3, :3]))
+    root = np.sqrt([turn_rad] * 3 + [way_m] * 3) * directions
+    step = portable.matmul(root.T, root)
+    return step if lengths is None else lengths + step
+
+
+_SURE_HITS, _SURE_NORMAL = 2, 0.8
+_NO_POINTS, _NO_KEYS = np.empty((0, 3), np.float32), np.empty(0, np.int64)
+# The window reaches at least so far around what a keyframe sees: further than any check of a track looks, and than the
+# next keyframe may look beside it. Where it is moved it reaches further by the second length.
+LEAST_BESIDE_M = 4.0
+_MOST_BESIDE_M = 8.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SubmapConfig(Ranged):
+    """When a submap ends, besides jumps of the odometry.
+
+    Attributes:
+        travel_m: after this length of the camera's path.
+        drift_m, drift_share, drift_per_rad_m: when the odometry may have drifted by `drift_m` in it: by a share of the
+            path, and by a length for each radian that the camera turned.
+        surface_m: the voxel size of its surface, in which loops are searched.
+        surface_range_m: depth beyond this is no part of its surface.
+        searches_loops: whether a submap that has ended is searched in those before it.
+        loop_latency_s: what a search found takes effect at the first keyframe so long after the submap's end.
+    """
+
+    travel_m: float = number(15.0, 0.01, 1e6, "m")
+    drift_m: float = number(0.06, 0.001, 1e6, "m")
+    drift_share: float = number(0.01, 0, 1, "share")
+    drift_per_rad_m: float = number(0.005, 0, 10, "m")
+    surface_m: float = number(0.08, 0.01, 1, "m")
+    surface_range_m: float = number(5.0, 0.5, 100, "m")
+    searches_loops: bool = True
+    loop_latency_s: float = number(3.0, 0, 3600, "s")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
+class SubmapState:
+    """A submap: `space` is the part of the observed space that it owns; `world_from_submap` is its corrected pose.
+
+    A voxel belongs to the submap that saw it first, also when others see it again. That is so only while odometry is
+    believed: `seen` is what was seen in this submap itself, and what it shows once a correction has moved any, without
+    `outdated`: the sorted voxels of which a later submap says otherwise (`space_agreement`); None without a correction.
+
+    The frame of a submap is the odometry frame: `world_from_submap` is the identity until it is corrected. `began_ns`
+    and `anchor` (4, 4) are the stamp and the camera's pose, in that frame, of its first keyframe; None before it.
+    `way_m` and `turn_rad` are how far the camera moved and turned in it, `after_jump` whether the odometry jumped
+    before it. `surface` is all surface that was seen in it. `registered` (6, 6) is the covariance of the least sure of
+    its keyframes, along the axes of the odometry's frame; None where `is_loose`: one lies where the odometry has it.
+    `blind` and `unfixed` (6, 6) are the lengths of its way (`blind_ways`) along which the odometry, and the
+    registration of keyframes, saw nothing.
+    """
+
+    id: int
+    world_from_submap: NDArray[np.float64]
+    space: SpaceState
+    seen: SpaceState
+    began_ns: int | None = None
+    anchor: NDArray[np.float64] | None = None
+    way_m: float = 0.0
+    turn_rad: float = 0.0
+    after_jump: bool = False
+    registered: NDArray[np.float64] | None = None
+    is_loose: bool = False
+    blind: NDArray[np.float64] | None = None
+    unfixed: NDArray[np.float64] | None = None
+    surface: SubmapSurface = field(default_factory=no_surface)
+    outdated: NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "world_from_submap", np.float64, (4, 4))
+        if self.outdated is not None:
+            freeze(self, "outdated", np.int64, (None,))
+        if self.anchor is not None:
+            freeze(self, "anchor", np.float64, (4, 4))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Submaps:
+    """All submaps, the last of which is open, and the `space` against which tracks are checked.
+
+    That is the space of the submaps from `first` on: of those since the last jump of the odometry, which came before
+    submap `since_jump`, the last ones that are rigid with the open one. `owned` (N,) are the sorted keys of the voxels
+    of the closed ones of them, `owners` (N,) the id of the submap that owns each. Of all this it is what lies within
+    the `window` around what is seen now; None: everything. `last_pose` (4, 4) is the camera's at the last keyframe;
+    None before the first one and after a jump.
+    """
+
+    states: tuple[SubmapState, ...]
+    space: SpaceState
+    first: int = 0
+    since_jump: int = 0
+    owned: NDArray[np.int64]
+    owners: NDArray[np.int32]
+    window: Window | None = None
+    last_pose: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "owned", np.int64, (None,))
+        freeze(self, "owners", np.int32, (len(self.owned),))
+        if self.last_pose is not None:
+            freeze(self, "last_pose", np.float64, (4, 4))
+
+    @property
+    def open_id(self) -> int:
+        """The id of the open submap, which owns new objects."""
+        return len(self.states) - 1
+
+    def world_from(self, submap_id: int) -> NDArray[np.float64]:
+        """Return the pose of a submap: world_from_submap (4, 4)."""
+        return self.states[submap_id].world_from_submap
+
+    def is_rigid_with_open(self, submap_id: int) -> bool:
+        """Return whether a submap has the pose of the open one: its data lie where the odometry has them."""
+        return _is_same_place(self.states[submap_id], self.states[-1])
+
+    def open_from(self, submap_id: int) -> NDArray[np.float64]:
+        """Return where a submap lies in the frame of the open one, which is that of the frames to come: (4, 4)."""
+        return self.between(self.open_id, submap_id)
+
+    def between(self, a: int, b: int) -> NDArray[np.float64]:
+        """Return where a submap lies in the frame of another one, as both are placed: a_from_b (4, 4)."""
+        a_place, b_place = self.states[a].world_from_submap, self.states[b].world_from_submap
+        return np.eye(4) if a_place is b_place else compose(invert(a_place), b_place)
+
+
+def first_submap(voxel_m: float) -> Submaps:
+    """Return one open, empty submap."""
+    space = empty_space(voxel_m)
+    state = SubmapState(id=0, world_from_submap=np.eye(4), space=space, seen=space)
+    return Submaps(states=(state,), space=space, owned=np.empty(0, np.int64), owners=np.empty(0, np.int32))
+
+
+def with_keyframe(submaps: Submaps, event: FrameObserved, config: SubmapConfig) -> Submaps:
+    """Return the submaps after the camera has moved to a keyframe, with its surface on that of the open one."""
+    pose = event.world_from_camera
+    blind = longer(submaps.states[-1].blind, turned_directions(pose, event.degenerate), submaps.last_pose, pose)
+    submaps = travelled(_with_open(submaps, blind=blind), pose, event.stamp_ns, config)
+    if event.coarse is None:
+        return submaps
+    return with_surface(submaps, surface_points(event.coarse, pose, config.surface_range_m), config)
+
+
+def travelled(submaps: Submaps, pose: NDArray[np.float64], stamp_ns: int, config: SubmapConfig) -> Submaps:
+    """Return the submaps after the camera has moved to a pose (4, 4); a new one is opened where the old one ends."""
+    last, current = submaps.last_pose, submaps.states[-1]
+    if last is not None:
+        way_m = current.way_m + portable.norm(pose[:3, 3] - last[:3, 3])
+        turn_rad = current.turn_rad + rotation_angle_rad(portable.matmul(last[:3, :3].T, pose[:3, :3]))
+        current = replace(current, way_m=way_m, turn_rad=turn_rad)
+        submaps = replace(submaps, states=(*submaps.states[:-1], current), last_pose=pose)
+        drift_m = config.drift_share * way_m + config.drift_per_rad_m * turn_rad
+        if way_m >= config.travel_m or drift_m >= config.drift_m:
+            submaps = _opened(_closed(submaps))
+    current = submaps.states[-1]
+    if current.anchor is None:
+        current = replace(current, anchor=pose, began_ns=stamp_ns)
+    return replace(submaps, states=(*submaps.states[:-1], current), last_pose=pose)
+
+
+def with_surface(submaps: Submaps, seen: SurfacePoints, config: SubmapConfig) -> Submaps:
+    """Return the submaps with a keyframe's surfaces, in the odometry's frame, on the open one's."""
+    current = submaps.states[-1]
+    current = replace(current, surface=with_points(current.surface, seen, config.surface_m))
+    return replace(submaps, states=(*submaps.states[:-1], current))
+
+
+def with_registration(submaps: Submaps, event: KeyframeRegistered) -> Submaps:
+    """Return the submaps after a keyframe was registered, or has been left where odometry has it."""
+    current = submaps.states[-1]
+    if current.is_loose:
+        return submaps
+    if not event.corrects:
+        return _with_open(submaps, registered=None, unfixed=None, is_loose=True)
+    least = event.covariance
+    if current.registered is not None and current.registered.diagonal()[3:].sum() >= least.diagonal()[3:].sum():
+        least = current.registered
+    unfixed = longer(current.unfixed, event.degenerate, submaps.last_pose, event.map_from_camera)
+    return _with_open(submaps, registered=least, unfixed=unfixed)
+
+
+def interrupted(submaps: Submaps) -> Submaps:
+    """Return the submaps after a jump of the stamps: the way to the next camera position does not count as path."""
+    return replace(submaps, last_pose=None)
+
+
+def torn(submaps: Submaps) -> Submaps:
+    """Return the submaps after a jump of the odometry: a new one is opened, and the observed space starts empty.
+
+    If the open submap has no keyframe yet, it stays open instead.
+    """
+    if submaps.states[-1].anchor is None:
+        return submaps
+    empty = empty_space(submaps.space.voxel_m)
+    after = submaps.open_id + 1
+    alone = replace(
+        submaps,
+        space=empty,
+        window=None,
+        first=after,
+        since_jump=after,
+        owned=np.empty(0, np.int64),
+        owners=np.empty(0, np.int32),
+        last_pose=None,
+    )
+    opened = _opened(alone)
+    return replace(opened, states=(*opened.states[:-1], replace(opened.states[-1], after_jump=True)))
+
+
+def looking_at(submaps: Submaps, seen: SpaceObservation, keep: Keep = in_memory) -> Submaps:
+    """Return the submaps with their space, and the owners of its voxels, of a window around what a keyframe sees.
+
+    Where the window moves, what lies outside is compressed, and `keep` has it.
+    """
+    sight = window_of(seen.free_keys, seen.structure_keys, seen.surface_keys)
+    if submaps.first == submaps.open_id or sight is None:
+        return submaps
+    voxel_m = submaps.space.voxel_m
+    least = sight.wider(round(LEAST_BESIDE_M / voxel_m))
+    if submaps.window is not None and submaps.window.holds(least):
+        return submaps
+    moved = _within(submaps, least.wider(round(_MOST_BESIDE_M / voxel_m)))
+    put_far_away(moved, keep)
+    return moved
+
+
+def space_around(submaps: Submaps, bounds: NDArray[np.float32], reach_m: float) -> SpaceState:
+    """Return a space that has everything within `reach_m` of bounds (2, 3), be they in the window or far away."""
+    if submaps.window is None:
+        return submaps.space
+    voxel_m = submaps.space.voxel_m
+    low, high = np.floor((bounds[:, :2] + [[-reach_m], [reach_m]]) / voxel_m).astype(np.int64)
+    around = Window((int(low[0]), int(low[1])), (int(high[0]) + 1, int(high[1]) + 1))
+    return submaps.space if submaps.window.holds(around) else _space_within(submaps, around)
+
+
+def false_floor(submaps: Submaps, seen_m: float | None) -> float | None:
+    """Return the height of the presumed floor if the floor now seen refutes it, else None, wherever it was seen."""
+    false_m = observed_space.false_floor(submaps.space, seen_m)
+    if false_m is None or submaps.window is None:
+        return false_m
+    # In the window there is a table's worth of it: how much is there elsewhere?
+    everywhere = observed_space.joined([state.space for state in submaps.states[submaps.first :]])
+    return observed_space.false_floor(replace(everywhere, floor_z_m=submaps.space.floor_z_m), seen_m)
+
+
+def with_seen(submaps: Submaps, seen: SpaceObservation, keep: Keep = in_memory) -> Submaps:
+    """Return the submaps after one more keyframe; a new one is opened on another storey, since each has one floor."""
+    false_m = false_floor(submaps, seen.floor_z_m)
+    if false_m is None and is_another_storey(submaps.space, seen.floor_z_m):
+        submaps = looking_at(_opened(_closed(submaps)), seen, keep)
+    last = submaps.states[-1]
+    if submaps.first == submaps.open_id:
+        space = added(submaps.space, seen, false_m)
+        own = space if last.space is last.seen else added(last.space, seen, false_m)
+        return _alone(submaps, space, own)
+    if false_m is not None:
+        # What was concluded from the false floor is withdrawn in all submaps that are judged together.
+        kept, judged = submaps.states[: submaps.first], submaps.states[submaps.first :]
+        without = tuple(
+            replace(
+                state,
+                space=without_floor(state.space, false_m, seen.floor_z_m),
+                seen=without_floor(state.seen, false_m, seen.floor_z_m),
+            )
+            for state in judged
+        )
+        submaps = replace(submaps, states=(*kept, *without))
+    space = added(submaps.space, seen, false_m)
+    free, structure = _by_owner(submaps, seen.free_keys), _by_owner(submaps, seen.structure_keys)
+    surface = _by_owner(submaps, seen.surface_keys)
+    none = np.empty(0, np.int64)
+    changed = {
+        i: added(
+            submaps.states[i].space,
+            SpaceObservation(
+                free_keys=free.get(i, none),
+                structure_keys=structure.get(i, none),
+                surface_keys=surface.get(i, none),
+                floor_z_m=None,
+            ),
+            None,
+        )
+        for i in sorted(free.keys() | structure.keys() | surface.keys())
+    }
+    submaps = _with_spaces(submaps, space, changed)
+    last = submaps.states[-1]
+    own = replace(added(last.seen, replace(seen, floor_z_m=None), None), floor_z_m=space.floor_z_m)
+    return replace(submaps, states=(*submaps.states[:-1], replace(last, seen=own)))
+
+
+def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
+    """Return the submaps where these sorted voxels belong to tracks that are part of the room (since the last jump)."""
+    if submaps.window is None and np.array_equal(submaps.space.room, keys):
+        return submaps
+    shown = keys if submaps.window is None else keys[submaps.window.part_of(keys)]
+    space = observed_space.with_room(submaps.space, shown)
+    if submaps.first == submaps.open_id:
+        last = submaps.states[-1]
+        own = space if last.space is last.seen else observed_space.with_room(last.space, keys)
+        return _alone(submaps, space, own)
+    owners = _owners(submaps, keys)
+    spaces = {
+        i: observed_space.with_room(submaps.states[i].space, keys[owners == i])
+        for i in range(submaps.first, submaps.open_id + 1)
+    }
+    return _with_spaces(submaps, space, {i: own for i, own in spaces.items() if own is not submaps.states[i].space})
+
+
+def with_room_changed(submaps: Submaps, gone: NDArray[np.int64], new: NDArray[np.int64]) -> Submaps:
+    """Return the submaps where sorted voxels `gone` are no longer those of tracks that are part of the room, `new` are.
+
+    They may lie outside the window.
+    """
+    if len(gone) + len(new) == 0:
+        return submaps
+    window = submaps.window
+    shown_gone, shown_new = (keys if window is None else keys[window.part_of(keys)] for keys in (gone, new))
+    space = observed_space.with_room(submaps.space, exchanged(submaps.space.room, shown_gone, shown_new))
+    if submaps.first == submaps.open_id:
+        last = submaps.states[-1]
+        own = space if last.space is last.seen else observed_space.with_room(last.space, space.room)
+        return _alone(submaps, space, own)
+    gone_of, new_of = _by_owner(submaps, gone), _by_owner(submaps, new)
+    none = np.empty(0, np.int64)
+    changed = {}
+    for i in sorted(gone_of.keys() | new_of.keys()):
+        own = submaps.states[i].space
+        changed[i] = observed_space.with_room(own, exchanged(own.room, gone_of.get(i, none), new_of.get(i, none)))
+    return _with_spaces(submaps, space, changed)
+
+
+def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float64]]) -> Submaps:
+    """Return the submaps with some of their poses corrected, and the space of those that are now rigid with the open.
+
+    Raises:
+        ValueError: there is no such submap.
+    """
+    unknown = sorted(world_from_submap.keys() - {state.id for state in submaps.states})
+    if unknown:
+        raise ValueError(f"there is no submap {unknown[0]}; the map has 0 to {submaps.open_id}")
+    states = tuple(
+        replace(state, world_from_submap=world_from_submap[state.id]) if state.id in world_from_submap else state
+        for state in submaps.states
+    )
+    is_corrected = any(not _is_same_place(state, states[-1]) for state in states)
+    outdated = np.empty(0, np.int64) if is_corrected else None
+    states = tuple(replace(state, outdated=outdated) for state in states)
+    return _judged_by_rigid_ones(replace(submaps, states=states))
+
+
+def surveyed(state: SubmapState) -> SurveyedSubmap:
+    """Return a submap as a search for loops has it: surface that was seen twice, with a normal that is certain.
+
+    It is the same record while the submap is, and its arrays are made when they are read: few are candidates.
+    """
+    if state not in _SURVEYED:
+        assert state.anchor is not None
+        _SURVEYED[state] = SurveyedSubmap(
+            id=state.id,
+            world_from_submap=state.world_from_submap,
+            anchor=state.anchor,
+            way_m=state.way_m,
+            turn_rad=state.turn_rad,
+            after_jump=state.after_jump,
+            registered=state.registered,
+            blind=state.blind,
+            unfixed=state.unfixed,
+            points=_NO_POINTS,
+            normals=_NO_POINTS,
+            free=_NO_KEYS,
+            voxel_m=state.space.voxel_m,
+        )
+        surface, space = state.surface, state.space
+        give_up(_SURVEYED[state], lambda name: _survey(surface, space, name), "points", "normals", "free")
+    return _SURVEYED[state]
+
+
+_SURVEYED: WeakKeyDictionary[SubmapState, SurveyedSubmap] = WeakKeyDictionary()
+
+
+def _survey(surface: SubmapSurface, space: SpaceState, name: str) -> NDArray[Any]:
+    if name == "free":
+        return space.free.view()
+    normals = surface.normals
+    length = np.sqrt((normals * normals).sum(axis=1))
+    is_sure = (surface.hits >= _SURE_HITS) & (length > _SURE_NORMAL)
+    array: NDArray[Any]
+    array = surface.points[is_sure] if name == "points" else normals[is_sure] / length[is_sure][:, None]
+    return array
+
+
+def put_far_away(submaps: Submaps, keep: Keep) -> None:
+    """Compress the spaces and surfaces of the submaps that are not judged, or that the window does not reach."""
+    window = submaps.window
+    for state in submaps.states[:-1]:
+        reach = extent(state.space)
+        if state.id < submaps.first or (window is not None and reach is not None and not window.meets(reach)):
+            for space in (state.space, state.seen):
+                compress(space, "free", "hidden_free", "surface", "hits", "misses", "room", keep=keep)
+            compress(state.surface, "keys", "points", "normals", "hits", keep=keep)
+
+
+def own_space(state: SubmapState) -> SpaceState:
+    """Return the space that was seen in a submap itself, with the tracks there that are part of the room."""
+    return observed_space.with_room(state.seen, state.space.room)
+
+
+def _shown_space(state: SubmapState) -> SpaceState:
+    """Return the space that counts: what a submap owns, or, once a correction has moved any, what was seen in it."""
+    return state.space if state.outdated is None else own_space(state)
+
+
+def record_of(state: SubmapState) -> Submap:
+    """Return the public record of a submap."""
+    space = as_record(_shown_space(state))
+    if state.outdated is not None:
+        free, structure = difference(space.free, state.outdated), difference(space.structure, state.outdated)
+        space = replace(space, free=free, structure=structure)
+    return Submap(id=state.id, world_from_submap=state.world_from_submap, observed_space=space)
+
+
+def _is_same_place(a: SubmapState, b: SubmapState) -> bool:
+    """Return whether two submaps have the same pose."""
+    place = a.world_from_submap
+    return place is b.world_from_submap or np.array_equal(place, b.world_from_submap)
+
+
+# ---- the steps ------------------------------------------------------------------------------------------------------
+
+
+def _judged_by_rigid_ones(submaps: Submaps) -> Submaps:
+    """Return the submaps with the space of the last ones that are rigid with the open one."""
+    first = submaps.open_id
+    while first > submaps.since_jump and submaps.is_rigid_with_open(first - 1):
+        first -= 1
+    return submaps if first == submaps.first else _within(replace(submaps, first=first), submaps.window)
+
+
+def _within(submaps: Submaps, window: Window | None) -> Submaps:
+    """Return the submaps with the space, and the owners of its voxels, of another window; None: of everything."""
+    keys = [np.empty(0, np.int64)]
+    ids = [np.empty(0, np.int32)]
+    for state in _reaching(submaps, window):
+        if state.id != submaps.open_id:
+            with read_briefly(state.space):
+                keys.append(_voxels(state.space if window is None else cut(state.space, window)))
+            ids.append(np.full(len(keys[-1]), state.id, np.int32))
+    owned, owners = np.concatenate(keys), np.concatenate(ids)
+    # Of submaps that were moved apart for a while both may have a voxel: it is the earlier one's again.
+    owned, at = np.unique(owned, return_index=True)
+    space = _space_within(submaps, window)
+    return replace(submaps, space=space, owned=owned, owners=owners[at], window=window)
+
+
+def _space_within(submaps: Submaps, window: Window | None) -> SpaceState:
+    """Return the space of a window; None: of everything."""
+    last = submaps.states[-1].space
+    some = []
+    for state in _reaching(submaps, window):
+        with read_briefly(state.space, state.seen):
+            some.append(_shown_space(state) if window is None else cut(_shown_space(state), window))
+    space = observed_space.joined(some or [empty_space(last.voxel_m)])
+    return replace(space, floor_z_m=last.floor_z_m if window is None else submaps.space.floor_z_m)
+
+
+def _reaching(submaps: Submaps, window: Window | None) -> Iterator[SubmapState]:
+    """Yield the submaps that are judged together and reach into a window."""
+    for state in submaps.states[submaps.first :]:
+        # Each space remembers its extent; that of what is shown lies within these.
+        spaces = [state.space] if state.outdated is None else [state.space, state.seen]
+        reaches = [extent(space) for space in spaces]
+        if any(reach is not None and (window is None or window.meets(reach)) for reach in reaches):
+            yield state
+
+
+def _closed(submaps: Submaps) -> Submaps:
+    """Return the submaps with the voxels of the open one assigned to it permanently."""
+    own = submaps.states[-1].space
+    keys = _voxels(own if submaps.window is None else cut(own, submaps.window))
+    owned = np.concatenate([submaps.owned, keys])
+    owners = np.concatenate([submaps.owners, np.full(len(keys), submaps.open_id, dtype=np.int32)])
+    order = np.argsort(owned, kind="stable")
+    return replace(submaps, owned=owned[order], owners=owners[order])
+
+
+def _opened(submaps: Submaps) -> Submaps:
+    """Return the submaps with a new open one at the pose of the last one."""
+    last = submaps.states[-1]
+    space = replace(empty_space(submaps.space.voxel_m), floor_z_m=submaps.space.floor_z_m)
+    state = SubmapState(
+        id=last.id + 1,
+        world_from_submap=last.world_from_submap,
+        space=space,
+        seen=space,
+        outdated=None if last.outdated is None else np.empty(0, np.int64),
+    )
+    return replace(submaps, states=(*submaps.states, state))
+
+
+def _with_open(submaps: Submaps, **changes: Any) -> Submaps:
+    """Return the submaps with fields of the open one changed."""
+    return replace(submaps, states=(*submaps.states[:-1], replace(submaps.states[-1], **changes)))
+
+
+def _alone(submaps: Submaps, space: SpaceState, owned: SpaceState) -> Submaps:
+    """Return the submaps if the open one alone is judged: what it has seen is the space; `owned` is its part of it."""
+    last = replace(submaps.states[-1], space=owned, seen=space)
+    return replace(submaps, space=space, states=(*submaps.states[:-1], last))
+
+
+def _with_spaces(submaps: Submaps, space: SpaceState, changed: Mapping[int, SpaceState]) -> Submaps:
+    states = list(submaps.states)
+    for i, own in changed.items():
+        states[i] = replace(states[i], space=own)
+    # Only the open submap follows the current floor: closed ones keep the floor that was seen in them, if any was.
+    for i in range(submaps.first, submaps.open_id):
+        if states[i].space.floor_z_m is None and space.floor_z_m is not None:
+            states[i] = replace(states[i], space=replace(states[i].space, floor_z_m=space.floor_z_m))
+    last = states[-1]
+    states[-1] = replace(last, space=replace(last.space, floor_z_m=space.floor_z_m))
+    return replace(submaps, space=space, states=tuple(states))
+
+
+def _voxels(space: SpaceState) -> NDArray[np.int64]:
+    return union(union(space.free, space.surface), space.room)
+
+
+def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Return (N,) the id of the submap that owns each voxel; new voxels belong to the open one."""
+    owners = np.full(len(keys), submaps.open_id, dtype=np.int32)
+    sight = window_of(keys)
+    if submaps.window is not None and sight is not None and not submaps.window.holds(sight):
+        submaps = _within(submaps, sight)
+    is_owned = contains(submaps.owned, keys)
+    owners[is_owned] = submaps.owners[places(submaps.owned, keys[is_owned])]
+    return owners
+
+
+def _by_owner(submaps: Submaps, keys: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:
+    owners = _owners(submaps, keys)
+    return {i: keys[owners == i] for i in _named(owners)}
+
+
+def _named(owners: NDArray[np.int32]) -> list[int]:
+    """Return the distinct ids of the owners, ascending."""
+    return list(np.flatnonzero(np.bincount(owners)).tolist())

@@ -1,0 +1,183 @@
+"""Data association: one-to-one by the exact IoU of oriented boxes, then partial views by their points.
+
+An object that the image border cuts has a small box inside the track's large one: where IoU is inconclusive, an
+observation is matched with the track on whose points it lies.
+
+Pairs of which each member is in one alone, the best first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.entities.cloud import share_near
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from hickory_stream.mapping.entities.track import Track
+    from hickory_stream.mapping.entities.track_table import TrackTable
+    from hickory_stream.records import Observation
+
+
+A = TypeVar("A")
+B = TypeVar("B")
+
+
+def one_to_one(ranked: Iterable[tuple[A, B]], *, of_one_kind: bool) -> list[tuple[A, B]]:
+    """Return the pairs, best first, without those that have a member of an earlier one.
+
+    `of_one_kind`: a first and a second member may be the same thing, as where tracks are paired with tracks.
+    """
+    firsts: set[A | B] = set()
+    seconds: set[A | B] = firsts if of_one_kind else set()
+    pairs = []
+    for a, b in ranked:
+        if a not in firsts and b not in seconds:
+            firsts.add(a)
+            seconds.add(b)
+            pairs.append((a, b))
+    return pairs
+
+
+# Shares that differ by less than this count as equal: they are quotients of the same counts.
+_TIE = 1e-12
+# Tolerance for rounding: a product this close to a whole number counts as that number.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AssociateConfig(Ranged):
+    """When an observation matches a track.
+
+    Attributes:
+        min_iou: minimum IoU of the oriented boxes.
+        min_lies_on: minimum share of a partial view's points that lie on the track.
+        settled_sightings, swollen: an observation is under-segmented if its box has more than `swollen` times the
+            volume of the box of a track with at least `settled_sightings` sightings; it is not fused into the track
+            unless this happens repeatedly.
+        swollen_over: minimum share of the track's box inside the box of such an observation.
+        most_doubted: maximum number of tracks, those with the best IoU, for which one observation counts as
+            under-segmented.
+        patience, patience_share: number of consecutive under-segmented observations, plus this share of the track's
+            sightings, after which the track is taken to be larger after all.
+        lies_in: an observation can lie on a track only if at least this share of its box is inside the track's box.
+    """
+
+    min_iou: float = number(0.2, 0, 1, "IoU")
+    min_lies_on: float = number(0.55, 0, 1, "share")
+    settled_sightings: int = number(5, 0, 1_000_000, "sightings")
+    swollen: float = number(2.2, 1, 1000, "ratio")
+    swollen_over: float = number(0.5, 0, 1, "share")
+    most_doubted: int = number(4, 0, 10_000, "tracks")
+    patience: int = number(3, 0, 1_000_000, "observations")
+    patience_share: float = number(0.2, 0, 1000, "share")
+    lies_in: float = number(0.2, 0, 1, "share")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Match:
+    """An observation and the track that it matches.
+
+    `is_part`: the observation shows a part of a track that another observation of the frame matches already.
+    `candidates` are the tracks with overlapping boxes and their IoU, best first, for the log of decisions.
+    """
+
+    observation_index: int
+    track_id: int | None
+    iou: float
+    lies_on: float
+    is_part: bool
+    candidates: tuple[tuple[int, float], ...]
+
+
+def associate(
+    observations: Sequence[Observation], tracks: TrackTable, voxel_m: float, config: AssociateConfig
+) -> list[Match]:
+    """Return one match per observation, in order; `track_id` None: it is a new object.
+
+    First by boxes, greedily: pairs in order of decreasing IoU, ties by track id, then by observation. Then by points:
+    each unmatched observation goes to the track on which most of its points lie. Where several go to one track, the
+    one with the most points on it is the match, and the others are parts of the track.
+    """
+    ious: dict[int, dict[int, float]] = {}
+    swollen: dict[int, set[int]] = {}
+    for observation in observations:
+        near = tracks.touching(bounds_of(observation.points_world))
+        row = {track.id: box_iou(observation.box, track.box) for track in near}
+        ious[observation.index] = {track_id: iou for track_id, iou in row.items() if iou > 0}
+        swollen[observation.index] = {track.id for track in near if is_swollen(observation, track, config)}
+    ranked = sorted(
+        (-iou, track_id, index)
+        for index, row in ious.items()
+        for track_id, iou in row.items()
+        if iou >= config.min_iou and track_id not in swollen[index]
+    )
+    by_observation = dict(one_to_one(((index, track_id) for _, track_id, index in ranked), of_one_kind=False))
+    taken = set(by_observation.values())
+    lying: dict[int, tuple[int | None, float]] = {}
+    for observation in observations:
+        near_ids = [i for i in sorted(ious[observation.index]) if i not in swollen[observation.index]]
+        if observation.index not in by_observation and near_ids:
+            track_id, share = _lies_on_most(observation, [tracks[i] for i in near_ids], voxel_m, config)
+            lying[observation.index] = (track_id if share >= config.min_lies_on else None, share)
+    num_points = {observation.index: len(observation.points_world) for observation in observations}
+    parts: set[int] = set()
+    for index in sorted(lying, key=lambda index: (-lying[index][1] * num_points[index], index)):
+        track_id, _ = lying[index]
+        if track_id is None:
+            continue
+        by_observation[index] = track_id
+        if track_id in taken:
+            parts.add(index)
+        taken.add(track_id)
+    matches = []
+    for observation in observations:
+        row, found = ious[observation.index], by_observation.get(observation.index)
+        matches.append(
+            Match(
+                observation_index=observation.index,
+                track_id=found,
+                iou=0.0 if found is None else row.get(found, 0.0),
+                lies_on=lying.get(observation.index, (None, 0.0))[1],
+                is_part=observation.index in parts,
+                candidates=tuple(sorted(row.items(), key=lambda pair: (-pair[1], pair[0]))),
+            )
+        )
+    return matches
+
+
+def is_swollen(observation: Observation, track: Track, config: AssociateConfig) -> bool:
+    """Return whether an observation is under-segmented: it contains an established track and something beside it.
+
+    The size of a track with many sightings is well known. Each such observation counts as a doubt about that size.
+    """
+    return (
+        track.sightings >= config.settled_sightings
+        and track.doubts < config.patience + math.floor(config.patience_share * track.sightings + _ROUNDING)
+        and observation.box.volume_m3 > config.swollen * track.box.volume_m3
+        and intersection_volume_m3(observation.box, track.box) > config.swollen_over * track.box.volume_m3
+    )
+
+
+def _lies_on_most(
+    observation: Observation, tracks: Sequence[Track], voxel_m: float, config: AssociateConfig
+) -> tuple[int | None, float]:
+    """Return the track on which most of an observation's points lie, and their share; ties go to the lower id."""
+    keys = keys_of_points(observation.points_world, voxel_m)
+    best_id, best_share = None, 0.0
+    for track in tracks:
+        if intersection_volume_m3(observation.box, track.box) < config.lies_in * observation.box.volume_m3:
+            continue
+        share = share_near(keys, track.cloud)
+        if share > best_share + _TIE:
+            best_id, best_share = track.id, share
+    return best_id, float(np.round(best_share, 6))

@@ -1,0 +1,61 @@
+"""Keyframe selection from stamps and poses alone, before anything is decoded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.rigid import rotation_angle_rad
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class KeyframeConfig(Ranged):
+    """When a frame is a keyframe.
+
+    Attributes:
+        min_interval_s: minimum time since the last keyframe.
+        min_distance_m, min_angle_deg: minimum translation or rotation since the last keyframe (one suffices) ...
+        max_interval_s: ... not required once this time has passed since the last keyframe.
+    """
+
+    min_interval_s: float = number(0.25, 0, 3600, "s")
+    min_distance_m: float = number(0.15, 0, 100, "m")
+    min_angle_deg: float = number(5.0, 0, 180, "deg")
+    max_interval_s: float = number(2.0, 0, 3600, "s")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Keyframe:
+    """The stamp and the pose of a keyframe."""
+
+    stamp_ns: int
+    world_from_camera: NDArray[np.float64]
+
+
+def is_keyframe(
+    last: Keyframe | None, stamp_ns: int, world_from_camera: NDArray[np.float64], config: KeyframeConfig
+) -> bool:
+    """Return whether a frame is the next keyframe; the first frame is one, and so is the first after a jump back."""
+    if last is None or stamp_ns < last.stamp_ns:
+        return True
+    elapsed_ns = stamp_ns - last.stamp_ns
+    # A millisecond of slack: stamps of a 20 Hz log are 50 ms apart only on average.
+    if elapsed_ns < config.min_interval_s * 1e9 - 1_000_000:
+        return False
+    if elapsed_ns >= config.max_interval_s * 1e9 - 1_000_000:
+        return True
+    distance_m, turned_rad = motion(last.world_from_camera, world_from_camera)
+    return bool(distance_m >= config.min_distance_m or turned_rad >= np.deg2rad(config.min_angle_deg))
+
+
+def motion(world_from_first: NDArray[np.float64], world_from_second: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the translation of a camera between two poses, in metres, and its rotation, in radians."""
+    distance_m = portable.norm(world_from_second[:3, 3] - world_from_first[:3, 3])
+    return distance_m, rotation_angle_rad(portable.matmul(world_from_first[:3, :3].T, world_from_second[:3, :3]))

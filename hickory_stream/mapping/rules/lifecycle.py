@@ -1,0 +1,253 @@
+"""The life cycle of a track, as a table: `LIFE_CYCLE` is what the core executes, and what the documentation prints.
+
+A row says: in these phases, if this event occurs and all guards hold, the track changes to that phase, or ends, and
+these effects are carried out. The first row of a phase and an event whose guards hold applies; if there is none,
+nothing changes. The guards and effects are implemented in `track_ageing`. Times are measured by the core's own clock,
+which a jump of the stamps does not change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hickory_stream.mapping.entities.track import Track
+    from hickory_stream.records import DropCause
+
+# Rounding tolerance: evidence is a sum of floats.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LifecycleConfig(Ranged):
+    """The thresholds of the table and of its guards.
+
+    Attributes:
+        confirm_sightings: evidence needed for confirmation, in units of `existence`: two good sightings from different
+            viewpoints, or this many from the same one.
+        tentative_s: how long an unconfirmed track is kept, so that a second visit can confirm it.
+        dormant_s, archive_s: a confirmed track that was not seen for this long becomes dormant, or archived.
+        phantom_frames: a track is dropped once this many keyframes have seen through its place since it was last seen.
+        structure_m, structure_m3: a track is structure if its two longest sides exceed the length, or its box exceeds
+            the volume.
+        structure_share: a track with more than this share of its points on tracks that are part of the room is itself
+            part of the room.
+        revise_evidence: evidence, in units of `existence` (so that viewpoints count, not keyframes), that a track must
+            gain after it was set aside as part of the room before it can become an object again.
+        wall_foot_m, wall_top_m, wall_height_m, wall_thickness_m: an upright slab is a piece of a wall if its lower end
+            is at most `wall_foot_m` and its upper end at least `wall_top_m` above the floor, and it is at least
+            `wall_height_m` tall and at most `wall_thickness_m` thick; so is any slab longer than `structure_m`.
+        lintel_foot_m, lintel_top_m: a slab whose lower and upper ends are at least this high above the floor is the
+            piece of wall above a door (lintel).
+        wall_share, wall_hits, wall_against: when a track becomes dormant with more than `wall_share` of its points in
+            voxels that at least `wall_hits` keyframes saw as structure, and `wall_against` times as many as saw the
+            point as the track's, these points are removed: a mask included a piece of the wall behind the object.
+        phantom_share: minimum share of a track's voxels that a keyframe observes free to count as seeing through it.
+    """
+
+    confirm_sightings: int = number(4, 1, 1_000_000, "sightings")
+    tentative_s: float = number(60.0, 0, 1e9, "s")
+    dormant_s: float = number(4.0, 0, 1e9, "s")
+    archive_s: float = number(60.0, 0, 1e9, "s")
+    phantom_frames: int = number(4, 1, 1_000_000, "keyframes")
+    phantom_share: float = number(0.7, 0, 1, "share")
+    structure_m: float = number(2.6, 0, 1000, "m")
+    structure_m3: float = number(12.0, 0, 1e6, "m3")
+    wall_foot_m: float = number(0.7, 0, 100, "m")
+    wall_top_m: float = number(1.25, 0, 100, "m")
+    wall_height_m: float = number(0.75, 0, 100, "m")
+    wall_thickness_m: float = number(0.22, 0, 100, "m")
+    lintel_foot_m: float = number(1.4, 0, 100, "m")
+    lintel_top_m: float = number(2.1, 0, 100, "m")
+    structure_share: float = number(0.5, 0, 1, "share")
+    revise_evidence: float = number(2.0, 0, 1000, "sightings")
+    wall_share: float = number(0.15, 0, 1, "share")
+    wall_hits: int = number(4, 0, 1_000_000, "keyframes")
+    wall_against: float = number(2.0, 0, 1000, "ratio")
+
+
+class LifeEvent(StrEnum):
+    """What happens to a track."""
+
+    BORN = "an observation matches no track"
+    SPLIT_OFF = "it was seen apart from another track often enough"
+    TAKES_IN = "another track is merged into it"
+    JUDGED = "a keyframe: comparison with the observed space"
+    AGED = "a keyframe: time has passed"
+    SPACE_FORGOTTEN = "the odometry jumps, or the source has ended"
+    SOURCE_ENDED = "the source has ended"
+
+
+class Guard(StrEnum):
+    """A condition on a track."""
+
+    IS_ROOM = "it is too large, a piece of a wall, or flat and flush with one"
+    IN_ROOM = "more than `structure_share` of it lies on tracks that are part of the room"
+    REVISED = "seen again with evidence of `revise_evidence`, and by its shape no longer part of the room"
+    SEEN_THROUGH = "not observed, and the keyframe observed free space at its position"
+    PHANTOM = "`phantom_frames` keyframes observed free space at its position"
+    SURE = "its evidence reaches `confirm_sightings`"
+    UNCONFIRMED = "not seen for `tentative_s`"
+    DOUBTED = "a keyframe observed free space at its position"
+    UNSEEN = "not seen for `dormant_s`"
+    LONG_UNSEEN = "not seen for `archive_s`"
+    KNOWN_HERE = "seen since the last pose jump"
+    UNSUPPORTED = "nothing supports it, and it touches another track"
+    OTHER_SEEN_MORE = "the other was seen in more keyframes"
+    OTHER_MAYBE_OBJECT = "the other is not part of the room"
+
+
+class TrackEffect(StrEnum):
+    """What else is done when a row applies."""
+
+    SET_ASIDE = "it is tracked further, but is no object; its shape job is cancelled"
+    DOUBT = "its evidence decreases"
+    TRIM = "its points in a wall are removed"
+    DROP = "it is removed, its shape job cancelled"
+    MERGE = "it is merged into the other track, its shape job cancelled"
+
+
+class End(StrEnum):
+    """How a track ends."""
+
+    DROPPED = "(dropped)"
+    MERGED = "(merged)"
+
+
+class Other(StrEnum):
+    """A next phase that is determined by another track."""
+
+    ITS_PHASE = "that of the other"
+
+
+CONFIRMED = (Phase.ACTIVE, Phase.DORMANT, Phase.ARCHIVED)
+MAYBE_OBJECT = (Phase.TENTATIVE, *CONFIRMED)
+ANY = tuple(Phase)
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """A row of the table.
+
+    `phases` None: the track does not exist yet. `to` None: the phase does not change. `cause`: why a track is dropped.
+    """
+
+    phases: tuple[Phase, ...] | None
+    event: LifeEvent
+    guards: tuple[Guard, ...]
+    to: Phase | End | Other | None
+    effects: tuple[TrackEffect, ...] = ()
+    cause: DropCause | None = None
+
+
+LIFE_CYCLE = (
+    Transition(None, LifeEvent.BORN, (), Phase.TENTATIVE),
+    Transition(None, LifeEvent.SPLIT_OFF, (), Phase.TENTATIVE),
+    Transition(MAYBE_OBJECT, LifeEvent.TAKES_IN, (Guard.OTHER_MAYBE_OBJECT, Guard.OTHER_SEEN_MORE), Other.ITS_PHASE),
+    Transition((Phase.ROOM,), LifeEvent.TAKES_IN, (Guard.OTHER_MAYBE_OBJECT,), Other.ITS_PHASE),
+    Transition(MAYBE_OBJECT, LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.IS_ROOM), Phase.ROOM, (TrackEffect.SET_ASIDE,)),
+    Transition(
+        MAYBE_OBJECT,
+        LifeEvent.JUDGED,
+        (Guard.KNOWN_HERE, Guard.IN_ROOM),
+        End.DROPPED,
+        (TrackEffect.DROP,),
+        "in structure",
+    ),
+    Transition((Phase.ROOM,), LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.REVISED), Phase.TENTATIVE),
+    Transition(ANY, LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.SEEN_THROUGH), None, (TrackEffect.DOUBT,)),
+    Transition(ANY, LifeEvent.AGED, (Guard.PHANTOM,), End.DROPPED, (TrackEffect.DROP,), "looked through"),
+    Transition((Phase.TENTATIVE,), LifeEvent.AGED, (Guard.SURE,), Phase.ACTIVE),
+    Transition(
+        (Phase.TENTATIVE,),
+        LifeEvent.AGED,
+        (Guard.UNCONFIRMED, Guard.DOUBTED),
+        End.DROPPED,
+        (TrackEffect.DROP,),
+        "looked through",
+    ),
+    Transition(
+        (Phase.TENTATIVE,), LifeEvent.AGED, (Guard.UNCONFIRMED,), End.DROPPED, (TrackEffect.DROP,), "never confirmed"
+    ),
+    Transition(CONFIRMED, LifeEvent.AGED, (Guard.LONG_UNSEEN,), Phase.ARCHIVED),
+    Transition(
+        (Phase.ACTIVE,),
+        LifeEvent.AGED,
+        (Guard.UNSEEN, Guard.KNOWN_HERE, Guard.UNSUPPORTED),
+        End.MERGED,
+        (TrackEffect.MERGE,),
+    ),
+    Transition((Phase.ACTIVE,), LifeEvent.AGED, (Guard.UNSEEN, Guard.KNOWN_HERE), Phase.DORMANT, (TrackEffect.TRIM,)),
+    Transition(CONFIRMED, LifeEvent.AGED, (Guard.UNSEEN,), Phase.DORMANT),
+    Transition(CONFIRMED, LifeEvent.AGED, (), Phase.ACTIVE),
+    Transition(MAYBE_OBJECT, LifeEvent.SPACE_FORGOTTEN, (Guard.KNOWN_HERE,), None, (TrackEffect.TRIM,)),
+    Transition((Phase.ROOM,), LifeEvent.SOURCE_ENDED, (), End.DROPPED, (TrackEffect.DROP,), "structure"),
+    Transition((Phase.TENTATIVE,), LifeEvent.SOURCE_ENDED, (), End.DROPPED, (TrackEffect.DROP,), "never confirmed"),
+    Transition(
+        CONFIRMED, LifeEvent.SOURCE_ENDED, (Guard.KNOWN_HERE, Guard.UNSUPPORTED), End.MERGED, (TrackEffect.MERGE,)
+    ),
+)
+"""The rows of the life cycle, in order of precedence."""
+
+
+def transition(phase: Phase | None, event: LifeEvent, holds: Callable[[Guard], bool]) -> Transition | None:
+    """Return the row that applies to a track in a phase, None if nothing changes; guards are evaluated in order.
+
+    `phase` None: the track does not exist yet.
+    """
+    for row in _ROWS[phase, event]:
+        if all(holds(guard) for guard in row.guards):
+            return row
+    return None
+
+
+def first_phase(event: LifeEvent) -> Phase:
+    """Return the phase of a new track."""
+    row = transition(None, event, lambda _: True)
+    assert row is not None
+    assert isinstance(row.to, Phase)
+    return row.to
+
+
+def is_sure(track: Track, config: LifecycleConfig) -> bool:
+    """Return whether there is enough evidence to confirm a track."""
+    return track.existence.evidence >= config.confirm_sightings - _ROUNDING
+
+
+def life_cycle_table() -> str:
+    """Return the table as Markdown."""
+    lines = ["| phase | event | guard | next phase | effects |", "|---|---|---|---|---|"]
+    for row in LIFE_CYCLE:
+        cells = (
+            _phases_text(row.phases),
+            row.event,
+            "; ".join(row.guards) or "-",
+            f"{row.to or '(the same)'}{f': {row.cause}' if row.cause else ''}",
+            "; ".join(row.effects) or "-",
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _phases_text(phases: tuple[Phase, ...] | None) -> str:
+    if phases is None:
+        return "(new)"
+    return "any" if phases == ANY else ", ".join(phases)
+
+
+_ROWS = {
+    (phase, event): tuple(
+        row
+        for row in LIFE_CYCLE
+        if row.event is event and (row.phases is None if phase is None else phase in (row.phases or ()))
+    )
+    for phase in (None, *Phase)
+    for event in LifeEvent
+}

@@ -1,0 +1,291 @@
+"""Merging of tracks: duplicates, whose points coincide, and fragments, which frames mostly segment as one object.
+
+Single frames may be under- or over-segmented. One frame that segments two objects as one must not merge them for ever:
+points that lie on another track are not fused; they count as a vote for a merge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.boxes import intersection_volume_m3
+from hickory_stream.geometry.voxels import contains
+from hickory_stream.mapping.entities.cloud import fuse, is_near, share_near
+from hickory_stream.mapping.entities.existence import united
+from hickory_stream.mapping.entities.track import Track, with_cloud
+from hickory_stream.mapping.entities.views import better, covers_better
+from hickory_stream.mapping.rules.lifecycle import Guard, LifeEvent, transition
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.mapping.entities.cloud import Cloud
+    from hickory_stream.mapping.entities.track_table import TrackTable
+    from hickory_stream.mapping.entities.views import ViewConfig
+    from hickory_stream.mapping.rules.support_graph import SupportGraph
+
+
+_FOOT_GAP_M = 0.2
+# Boxes with a smaller gap count as touching: a segmenter can take their objects for one.
+_MEET_M = 0.15
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MergeConfig(Ranged):
+    """When two tracks are merged.
+
+    Attributes:
+        duplicate_share: minimum share of the smaller cloud's voxels on the larger one for duplicates.
+        sure_share: the same for tracks that were seen apart more often than together.
+        covers_share: an observation of one track that covers this share of another is a vote for a merge.
+        min_votes: minimum number of votes; they must also outnumber the keyframes in which the two were seen apart.
+        sure_votes, sure_ratio: at least this many votes, and this ratio to the keyframes in which the two were seen
+            apart, suffice as well: close views over-segment objects more often than distant ones under-segment them.
+        neighbor_sightings: an observation's points are not fused where they lie on another track with at least this
+            many sightings.
+        foreign_share: if at least this share of an observation lies on other tracks, none of it is fused.
+    """
+
+    duplicate_share: float = number(0.5, 0, 1, "share")
+    sure_share: float = number(0.7, 0, 1, "share")
+    covers_share: float = number(0.3, 0, 1, "share")
+    min_votes: int = number(3, 1, 1_000_000, "votes")
+    sure_votes: int = number(6, 1, 1_000_000, "votes")
+    sure_ratio: float = number(0.7, 0, 1000, "votes per keyframe")
+    neighbor_sightings: int = number(2, 1, 1_000_000, "sightings")
+    foreign_share: float = number(0.9, 0, 1, "share")
+
+
+@dataclass(frozen=True, slots=True)
+class Votes:
+    """In how many keyframes a pair of tracks was segmented `together`, and `apart` while close to each other."""
+
+    together: int = 0
+    apart: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class VoteRow:
+    """The votes of one track with others, by their ids. It never changes."""
+
+    votes: Mapping[int, Votes]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class VoteBook:
+    """The votes of pairs of tracks: those of a and b are in the rows of both; pairs without votes are in none.
+
+    A book shares the rows of its predecessor that an update did not touch.
+    """
+
+    rows: Mapping[int, VoteRow] = field(default_factory=dict)
+
+    @property
+    def votes(self) -> dict[tuple[int, int], Votes]:
+        """The votes by pair (a, b), a < b."""
+        return {(a, b): votes for a, row in self.rows.items() for b, votes in row.votes.items() if a < b}
+
+    def of(self, a: int, b: int) -> Votes:
+        """Return the votes of a pair."""
+        return self.rows.get(a, _NO_ROW).votes.get(b, _NO_VOTES)
+
+    def plus(self, pairs: Iterable[tuple[int, int]], *, together: int = 0, apart: int = 0) -> VoteBook:
+        """Return the book with these votes added to each pair."""
+        added = {pair: Votes(together, apart) for pair in pairs}
+        return self._changed([], added) if added else self
+
+    def merged(self, kept: int, gone: int) -> VoteBook:
+        """Return the book after track `gone` was merged into `kept`, which takes over its votes."""
+        row = self.rows.get(gone)
+        if row is None:
+            return self
+        return self._changed([gone], {(kept, other): votes for other, votes in row.votes.items() if other != kept})
+
+    def all_of(self, track_id: int) -> Mapping[int, Votes]:
+        """Return the votes of a track with others, by their ids."""
+        return self.rows.get(track_id, _NO_ROW).votes
+
+    def parted(self, host: int, rest: int, far: int, votes: Mapping[int, Votes]) -> VoteBook:
+        """Return the book after `far` was parted from a host, which is `rest` without it; `votes` are those of far."""
+        added = {(far, other): own for other, own in votes.items()}
+        for other, vote in self.all_of(host).items():
+            own = votes.get(other, _NO_VOTES)
+            left = Votes(max(vote.together - own.together, 0), max(vote.apart - own.apart, 0))
+            if left != _NO_VOTES:
+                added[rest, other] = left
+        return self._changed([host] if host in self.rows else [], added)
+
+    def without(self, gone: int) -> VoteBook:
+        """Return the book without a track that was dropped."""
+        return self._changed([gone], {}) if gone in self.rows else self
+
+    def _changed(self, gone: Iterable[int], added: Mapping[tuple[int, int], Votes]) -> VoteBook:
+        """Return the book without the rows of some tracks, and with votes added to pairs."""
+        rows = dict(self.rows)
+        new: dict[int, dict[int, Votes]] = {}
+        for track_id in gone:
+            for other in rows.pop(track_id).votes:
+                del _own(new, rows, other)[track_id]
+        for (a, b), more in added.items():
+            old = _own(new, rows, a).get(b, _NO_VOTES)
+            votes = Votes(old.together + more.together, old.apart + more.apart)
+            _own(new, rows, a)[b] = _own(new, rows, b)[a] = votes
+        for track_id, row in new.items():
+            if row:
+                rows[track_id] = VoteRow(row)
+            else:
+                rows.pop(track_id, None)
+        return VoteBook(rows=rows)
+
+
+_NO_ROW = VoteRow({})
+_NO_VOTES = Votes()
+
+
+def _own(new: dict[int, dict[int, Votes]], rows: Mapping[int, VoteRow], track_id: int) -> dict[int, Votes]:
+    """Return the row of a track that an update may change: a copy of the one it had."""
+    if track_id not in new:
+        new[track_id] = dict(rows.get(track_id, _NO_ROW).votes)
+    return new[track_id]
+
+
+def pair_of(a: int, b: int) -> tuple[int, int]:
+    """Return the key of a pair of tracks, the lower id first."""
+    return min(a, b), max(a, b)
+
+
+def pairs_of_groups(members: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
+    """Return the pairs of tracks in the same group, from (group, track id) members; group 0 means no group."""
+    tracks: dict[int, set[int]] = {}
+    for group, track_id in members:
+        if group > 0:
+            tracks.setdefault(group, set()).add(track_id)
+    return {pair for ids in tracks.values() for pair in combinations(sorted(ids), 2)}
+
+
+def pairs_that_meet(bounds: Sequence[NDArray[np.float32]], track_ids: Sequence[int]) -> set[tuple[int, int]]:
+    """Return the pairs of tracks whose observations' bounds (2, 3) touch or nearly touch."""
+    both = np.array(bounds).reshape(-1, 2, 3)
+    low, high = both[:, 0], both[:, 1]
+    meet = (low[:, None] <= high[None] + _MEET_M).all(axis=2) & (low[None] <= high[:, None] + _MEET_M).all(axis=2)
+    return {pair_of(track_ids[i], track_ids[j]) for i, j in zip(*np.nonzero(np.triu(meet, 1)), strict=True)}
+
+
+def foreign_points(
+    cloud: Cloud, own: Track, others: Iterable[Track], config: MergeConfig
+) -> tuple[NDArray[np.bool_], list[int]]:
+    """Return which voxels (N,) of an observation are on other tracks but not its own, and the tracks that it covers."""
+    foreign = np.zeros(len(cloud.keys), dtype=bool)
+    covered: list[int] = []
+    on_own: NDArray[np.bool_] | None = None
+    for other in others:
+        on_other = is_near(cloud.keys, other.cloud)
+        if not on_other.any():
+            continue
+        # Exactly the same voxel: if neighbours counted, a track would grow into another one, keyframe by keyframe.
+        on_own = contains(own.cloud.keys, cloud.keys) if on_own is None else on_own
+        foreign |= on_other & ~on_own
+        if on_other.sum() >= config.covers_share * min(len(other.solid.keys), len(cloud.keys)):
+            covered.append(other.id)
+    return foreign, covered
+
+
+def find_pair(
+    tracks: TrackTable, changed: Iterable[int], book: VoteBook, graph: SupportGraph, config: MergeConfig
+) -> tuple[int, int, str] | None:
+    """Return (kept id, gone id, reason) of the first pair of tracks to merge, None if there is none."""
+    for i in sorted(changed):
+        if i not in tracks:
+            continue
+        near = tracks.touching(tracks[i].bounds, _FOOT_GAP_M)
+        for other in near:
+            if other.id != i and (reason := why_one(tracks[i], other, near, book, graph, config)) is not None:
+                return min(i, other.id), max(i, other.id), reason
+    return None
+
+
+def merge(kept: Track, gone: Track, voxel_m: float, view_config: ViewConfig) -> Track:
+    """Return the merged track, with the id of `kept` and the histories of both."""
+    cloud = fuse(kept.cloud, gone.cloud)
+    sightings = max(kept.sightings, gone.sightings)
+    coverage = dict(kept.coverage)
+    for sector, view in gone.coverage:
+        mine = replace(view, object_id=kept.id)
+        if covers_better(mine, coverage.get(sector), view_config):
+            coverage[sector] = mine
+    theirs = replace(gone.best_view, object_id=kept.id) if gone.best_view is not None else None
+    return replace(
+        with_cloud(kept, cloud, sightings, voxel_m),
+        phase=_phase_after(kept, gone),
+        first_seen_ns=min(kept.first_seen_ns, gone.first_seen_ns),
+        last_seen_ns=max(kept.last_seen_ns, gone.last_seen_ns),
+        seen_clock_ns=max(kept.seen_clock_ns, gone.seen_clock_ns),
+        coverage=tuple(sorted(coverage.items())),
+        best_view=better(kept.best_view, theirs),
+        shape=kept.shape or gone.shape,
+        merged_ids=tuple(sorted({*kept.merged_ids, *gone.merged_ids, gone.id})),
+        seen_through=min(kept.seen_through, gone.seen_through),
+        existence=united(kept.existence, gone.existence),
+        seen_in=max(kept.seen_in, gone.seen_in),
+    )
+
+
+def _phase_after(kept: Track, gone: Track) -> Phase:
+    """Return the phase of a track after another one was merged into it."""
+    asked = {
+        Guard.OTHER_SEEN_MORE: gone.sightings > kept.sightings,
+        Guard.OTHER_MAYBE_OBJECT: gone.phase is not Phase.ROOM,
+    }
+    row = transition(kept.phase, LifeEvent.TAKES_IN, asked.__getitem__)
+    return kept.phase if row is None else gone.phase
+
+
+def why_one(
+    a: Track, b: Track, near: Sequence[Track], book: VoteBook, graph: SupportGraph, config: MergeConfig
+) -> str | None:
+    """Return the reason to merge two tracks, None if there is none; `near` are the tracks around them."""
+    if (a.phase is Phase.ROOM) is not (b.phase is Phase.ROOM):
+        return _why_no_room(*((a, b) if a.phase is Phase.ROOM else (b, a)), config)
+    is_known = min(a.sightings, b.sightings) >= config.min_votes
+    # The column between a seat and its foot may be too thin for the sensor: the two need not touch.
+    if is_known and not (a.is_promoted or b.is_promoted) and (part := graph.foot_of(a, b)) is not None:
+        return part.reason
+    # The boxes of touching tracks intersect, given a few centimetres of slack.
+    if intersection_volume_m3(a.box, b.box, 0.03) <= 0.0:
+        return None
+    votes = book.of(a.id, b.id)
+    often = votes.together >= config.sure_votes and votes.together >= config.sure_ratio * votes.apart
+    if often or (votes.together >= config.min_votes and votes.together > votes.apart):
+        return f"seen as one in {votes.together} keyframes, apart in {votes.apart}"
+    cloud_a, cloud_b = a.solid, b.solid
+    small, large = (cloud_a, cloud_b) if len(cloud_a.keys) <= len(cloud_b.keys) else (cloud_b, cloud_a)
+    share = share_near(small.keys, large)
+    limit = config.sure_share if votes.apart > votes.together else config.duplicate_share
+    if share >= limit:
+        return f"{share:.0%} of the smaller cloud lies on the larger one"
+    less, more = (a, b) if a.box.volume_m3 <= b.box.volume_m3 else (b, a)
+    if is_known and not less.is_promoted and (part := graph.part_of(less, more, near)) is not None:
+        return part.reason
+    return None
+
+
+def _why_no_room(room: Track, thing: Track, config: MergeConfig) -> str | None:
+    """Return why a track that was set aside as part of the room belongs to an object, None if it does not.
+
+    It does if it turned out to be a side of a larger object, e.g. the front of a wardrobe. A picture does not own the
+    wall behind it: the object must be larger than the track that was set aside.
+    """
+    if len(room.solid.keys) > len(thing.solid.keys) or intersection_volume_m3(room.box, thing.box, 0.03) <= 0.0:
+        return None
+    share = share_near(room.solid.keys, thing.solid)
+    if share < config.sure_share:
+        return None
+    return f"{share:.0%} of it, which was taken for a part of the room, lies on this larger thing"

@@ -1,0 +1,116 @@
+"""Split candidates: parts of a track that keyframes segment apart, to repair under-segmentation by an early view.
+
+An example is a bowl that an early view segmented together with its table. An observation that lies on a track which
+another observation of the same keyframe matches already is a part of that track, its host. A part that recurs at the
+same place, and is segmented apart far more often than together with the host, becomes a track of its own, and its
+points are removed from the host.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.mapping.entities.cloud import Cloud, fuse, share_near
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrackSplitConfig(Ranged):
+    """When a part is split off its host.
+
+    Attributes:
+        min_apart: minimum number of keyframes that segment the part apart ...
+        apart_ratio: ... and their minimum ratio to those that segment it together with the host.
+        same_share: two observations belong to one candidate if this share of each cloud lies on the other.
+        covered_share: an observation of the host that covers this share of the candidate counts as together ...
+        alone_share: ... unless this share of the observation lies on the candidate.
+        min_voxels: candidates with fewer voxels are noise.
+        min_size_m: a part that is thinner, or less than twice that wide, is a rim or a board of its host.
+        part_inside, part_volume: a part with at least this share of its box inside the host's box, and at most this
+            share of the host's volume, stays with the host if no support surface is below it: a panel, a drawer.
+    """
+
+    min_apart: int = number(4, 1, 1_000_000, "keyframes")
+    apart_ratio: float = number(2.0, 0, 1000, "ratio")
+    same_share: float = number(0.45, 0, 1, "share")
+    covered_share: float = number(0.6, 0, 1, "share")
+    alone_share: float = number(0.8, 0, 1, "share")
+    min_voxels: int = number(40, 1, 1_000_000, "voxels")
+    min_size_m: float = number(0.025, 0, 10, "m")
+    part_inside: float = number(0.55, 0, 1, "share")
+    part_volume: float = number(0.5, 0, 1000, "ratio")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SplitCandidate:
+    """A part of a host: its points, the `frames` that segmented it apart, and how many segmented both `together`."""
+
+    cloud: Cloud
+    frames: tuple[int, ...]
+    together: int = 0
+
+    def is_object(self, config: TrackSplitConfig) -> bool:
+        """Return whether it was segmented apart often enough to be an object."""
+        apart = len(self.frames)
+        return apart >= config.min_apart and apart >= config.apart_ratio * self.together
+
+
+SplitCandidates = dict[int, tuple[SplitCandidate, ...]]
+"""The candidates by the id of their host."""
+
+
+def with_keyframe(
+    candidates: Mapping[int, tuple[SplitCandidate, ...]],
+    frame_index: int,
+    apart: Sequence[tuple[int, Cloud]],
+    whole: Sequence[tuple[int, Cloud]],
+    config: TrackSplitConfig,
+) -> SplitCandidates:
+    """Return the candidates after a keyframe; `apart`, `whole`: (host id, cloud) of observed parts and whole tracks."""
+    updated = dict(candidates)
+    for host_id, cloud in apart:
+        if len(cloud.keys) >= config.min_voxels:
+            updated[host_id] = _with_candidate(updated.get(host_id, ()), frame_index, cloud, config)
+    for host_id, cloud in whole:
+        if host_id in updated:
+            updated[host_id] = tuple(
+                _seen_with(candidate, frame_index, cloud, config) for candidate in updated[host_id]
+            )
+    return updated
+
+
+def reassigned(candidates: Mapping[int, tuple[SplitCandidate, ...]], kept: int, gone: int) -> SplitCandidates:
+    """Return the candidates after track `gone` was merged into `kept`."""
+    updated = {host: own for host, own in candidates.items() if host != gone}
+    if gone in candidates:
+        updated[kept] = (*updated.get(kept, ()), *candidates[gone])
+    return updated
+
+
+def _with_candidate(
+    own: tuple[SplitCandidate, ...], frame_index: int, cloud: Cloud, config: TrackSplitConfig
+) -> tuple[SplitCandidate, ...]:
+    for i, candidate in enumerate(own):
+        if _is_same(candidate.cloud, cloud, config):
+            if frame_index in candidate.frames:
+                return own
+            seen = replace(candidate, cloud=fuse(candidate.cloud, cloud), frames=(*candidate.frames, frame_index))
+            return (*own[:i], seen, *own[i + 1 :])
+    return (*own, SplitCandidate(cloud=cloud, frames=(frame_index,)))
+
+
+def _seen_with(candidate: SplitCandidate, frame_index: int, whole: Cloud, config: TrackSplitConfig) -> SplitCandidate:
+    if frame_index in candidate.frames or share_near(candidate.cloud.keys, whole) < config.covered_share:
+        return candidate
+    # An observation of the part alone is no evidence: the rest may be occluded, or outside of the image.
+    if share_near(whole.keys, candidate.cloud) >= config.alone_share:
+        return candidate
+    return replace(candidate, together=candidate.together + 1)
+
+
+def _is_same(a: Cloud, b: Cloud, config: TrackSplitConfig) -> bool:
+    return share_near(a.keys, b) >= config.same_share and share_near(b.keys, a) >= config.same_share

@@ -1,0 +1,86 @@
+"""Checks of tracks against room structure and free space: whether a track is structure or is seen through."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.entities.observed_space import is_edge, is_flush, share_in, structure_hits
+from hickory_stream.mapping.rules.lifecycle import is_sure
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.mapping.config import MappingConfig
+    from hickory_stream.mapping.entities.observed_space import SpaceState
+    from hickory_stream.mapping.entities.track import Track
+    from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
+
+# A track that was not seen for this long is at rest: its extent no longer changes.
+RESTING_S = 1.0
+# A track with more than this share of its points in a wall is structure as a whole, not an object with wall points.
+_MOST_IN_WALL = 0.9
+
+
+def why_structure(track: Track, space: SpaceState, clock_ns: int, config: MappingConfig) -> str | None:
+    """Return why a track is structure; None if it may be an object."""
+    size = " x ".join(f"{side:.1f}" for side in 2 * track.box.half_extents_m)
+    if _is_too_large(track, config.lifecycle):
+        return f"{size} m is too large for an object"
+    if is_structure(track, space.floor_z_m, config.lifecycle):
+        return f"{size} m, an upright slab: a piece of a wall"
+    return "flat or an edge, and the wall goes on around it" if _is_more_wall(track, space, clock_ns, config) else None
+
+
+def points_in_wall(track: Track, space: SpaceState, config: MappingConfig) -> NDArray[np.bool_] | None:
+    """Return (N,) which of a track's points lie in structure; None if these are only a narrow strip along a wall."""
+    hits = structure_hits(space, keys_of_points(track.cloud.points, space.voxel_m))
+    # The back panel of a shelf shares voxels with the wall, but was segmented as the shelf more often than as wall.
+    in_wall = (hits >= config.lifecycle.wall_hits) & (hits > config.lifecycle.wall_against * track.cloud.hits)
+    return in_wall if config.lifecycle.wall_share < float(in_wall.mean()) < _MOST_IN_WALL else None
+
+
+def is_seen_through(track: Track, free_keys: NDArray[np.int64], config: MappingConfig) -> bool:
+    """Return whether a keyframe whose rays traversed the sorted voxels `free_keys` saw through a track."""
+    share = share_in(free_keys, track.cloud.points, config.lattice.space_m)
+    return share >= config.lifecycle.phantom_share
+
+
+def _is_more_wall(track: Track, space: SpaceState, clock_ns: int, config: MappingConfig) -> bool:
+    """Return whether a track is flush with structure or an edge of it.
+
+    Checked only for tracks that are confirmed or at rest, and for those that were already set aside as structure.
+    """
+    is_settling = track.phase is Phase.TENTATIVE and is_sure(track, config.lifecycle)
+    is_resting = track.phase is Phase.ACTIVE and clock_ns - track.seen_clock_ns > RESTING_S * 1e9
+    if not (is_settling or is_resting or track.phase is Phase.ROOM):
+        return False
+    return is_flush(space, track.box, config.flush) or is_edge(space, track.box, config.flush)
+
+
+def is_structure(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
+    """Return whether a track is structure by its size or as a piece of a wall."""
+    return _is_too_large(track, config) or (is_sure(track, config) and _is_piece_of_wall(track, floor_z_m, config))
+
+
+def _is_too_large(track: Track, config: LifecycleConfig) -> bool:
+    two_longest_m = np.sort(2 * track.box.half_extents_m)[1]
+    return bool(two_longest_m > config.structure_m or track.box.volume_m3 > config.structure_m3)
+
+
+def _is_piece_of_wall(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
+    """Return whether a track is an upright slab from near the floor to above the waist: a wall between two doors."""
+    size = 2 * track.box.half_extents_m
+    low, high = float(track.bounds[0, 2]), float(track.bounds[1, 2])
+    thickness, width = float(min(size[:2])), float(max(size[:2]))
+    if thickness > config.wall_thickness_m or floor_z_m is None or high < floor_z_m + config.wall_top_m:
+        return False
+    if width > config.structure_m:
+        return True
+    if low > floor_z_m + config.lintel_foot_m and high > floor_z_m + config.lintel_top_m:
+        return True
+    is_tall = size[2] > config.wall_height_m
+    return low < floor_z_m + config.wall_foot_m and is_tall and width > 2 * thickness

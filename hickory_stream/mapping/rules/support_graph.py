@@ -1,0 +1,244 @@
+"""The support graph: which body rests on, hangs from, leans on, is part of or is occluded by which other body.
+
+It is used by merging, splitting, the life cycle, shape completion (a closed shape ends at the surface of `rests_on`)
+and queries. An edge is computed when it is queried, from the current bodies; `edges` computes all of them.
+
+Three measures of contact with a support are kept apart, since each is used where the others do not hold:
+
+- `rests_on` (`height_under`) needs the height of the surface, which it takes from the points under the box; a mask that
+  reaches a little below its object has such points everywhere.
+- `foot_of` and `part_of` must not merge objects: they require that the surface is visible as a ring around the foot.
+- `hangs_from` must not attach a supported body: the contact of its lowest points with any surface, also a steep one,
+  is support.
+
+With `height_under` in place of either of the other two, the three golden logs keep their maps, but `home` does not:
+other tracks are merged.
+
+Unsupported tracks: a track that floats in the air, away from every wall, belongs to the nearest other track.
+
+Examples are the branches of a plant and the shade of a lamp: the sensor does not see the thin stem that supports them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
+from hickory_stream.mapping.entities.observed_space import sees_structure
+from hickory_stream.mapping.rules.support_relations import (
+    bottom_of_box_m,
+    height_under,
+    is_hidden_by,
+    is_inner_part,
+    is_leg,
+    is_on_foot,
+    stands_in,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.mapping.entities.observed_space import SpaceState
+    from hickory_stream.mapping.rules.support_relations import Body, SupportConfig
+
+
+# The lowest points of a track: those up to this height above this percentile of z.
+_LOWEST_PCT = 2
+_FOOT_M = 0.05
+# The depths below the lowest points at which free space is checked: beyond the noise of the foot, a few voxels deep.
+_BELOW_M = (0.08, 0.13, 0.18)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class UnsupportedConfig(Ranged):
+    """When a track is unsupported, and to which track it is then attached.
+
+    Attributes:
+        min_height_m: minimum height of its lowest points above the floor; lower tracks may have thin feet.
+        free_share: minimum share of the space below its lowest points that was observed free.
+        support_m, support_share: it is supported if more than this share of its lowest points is within this distance
+            of another track.
+        wall_m: it is supported if structure is within this distance.
+        attach_m: maximum distance to the track that it is attached to.
+    """
+
+    min_height_m: float = number(0.25, 0, 100, "m")
+    free_share: float = number(0.9, 0, 1, "share")
+    support_m: float = number(0.06, 0, 10, "m")
+    support_share: float = number(0.1, 0, 1, "share")
+    wall_m: float = number(0.1, 0, 10, "m")
+    attach_m: float = number(0.15, 0, 10, "m")
+
+
+def attachment_of(body: Body, others: Iterable[Body], space: SpaceState, config: UnsupportedConfig) -> Body | None:
+    """Return the body to which an unsupported body is attached; None if it is supported, or no other body is near."""
+    points = body.solid.points
+    if space.floor_z_m is None or len(points) == 0:
+        return None
+    low = float(np.percentile(points[:, 2], _LOWEST_PCT))
+    if low < space.floor_z_m + config.min_height_m:
+        return None
+    foot = points[points[:, 2] < low + _FOOT_M]
+    if not _is_free_below(foot, points, space, config) or sees_structure(space, body.box, points, config.wall_m):
+        return None
+    near = [other for other in others if other.id != body.id and _meet(body, other, config.attach_m)]
+    clouds = [cKDTree(other.solid.points) for other in near]
+    for cloud in clouds:
+        distances_m, _ = cloud.query(foot, distance_upper_bound=config.support_m)
+        if float(np.isfinite(distances_m).mean()) >= config.support_share:
+            return None
+    gaps_m = [float(cloud.query(points, distance_upper_bound=config.attach_m)[0].min()) for cloud in clouds]
+    closest = min(range(len(near)), key=lambda i: (gaps_m[i], near[i].id), default=None)
+    return None if closest is None or not np.isfinite(gaps_m[closest]) else near[closest]
+
+
+def _is_free_below(
+    foot: NDArray[np.float32], points: NDArray[np.float32], space: SpaceState, config: UnsupportedConfig
+) -> bool:
+    own = sorted_unique(keys_of_points(points, space.voxel_m))
+    below = np.concatenate([foot - np.array([0.0, 0.0, depth_m], np.float32) for depth_m in _BELOW_M])
+    keys = keys_of_points(below, space.voxel_m)
+    keys = keys[~contains(own, keys)]
+    return len(keys) > 0 and float(contains(space.free, keys).mean()) >= config.free_share
+
+
+def _meet(a: Body, b: Body, slack_m: float) -> bool:
+    (a_low, a_high), (b_low, b_high) = a.bounds, b.bounds
+    return bool((a_low <= b_high + slack_m).all() and (b_low <= a_high + slack_m).all())
+
+
+# Bodies whose bounds are farther apart have no relation: this is the longest reach of any relation (a leg's).
+REACH_M = 0.3
+
+
+class Relation(StrEnum):
+    """How a body is supported."""
+
+    RESTS_ON = "rests on"
+    HANGS_FROM = "hangs from"
+    LEANS_ON = "leans on"
+    PART_OF = "is part of"
+    HIDDEN_BY = "is hidden by"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Support:
+    """An edge of the graph: the relation of `body` to another body `by`; `by` None is the room, its floor or a wall.
+
+    `height_m` is the height of the support surface. `reason` describes the contact that makes a body a part.
+    """
+
+    body: int
+    relation: Relation
+    by: int | None
+    height_m: float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SupportGraph:
+    """The relations between `bodies`, by id, and to the room of a `space`."""
+
+    bodies: Mapping[int, Body]
+    space: SpaceState
+    config: SupportConfig
+    unsupported: UnsupportedConfig
+
+    def rests_on(self, body: Body) -> Support | None:
+        """Return the highest surface that a body rests on: another body's, or the floor; None if none is known."""
+        found: Support | None = None
+        for other in self.bodies.values():
+            if other.id == body.id or (height_m := height_under(body, other, self.config)) is None:
+                continue
+            if found is None or found.height_m is None or height_m > found.height_m:
+                found = Support(body=body.id, relation=Relation.RESTS_ON, by=other.id, height_m=height_m)
+        floor_m = self.space.floor_z_m
+        if found is not None or floor_m is None or bottom_of_box_m(body) - floor_m >= self.config.floor_m:
+            return found
+        return Support(body=body.id, relation=Relation.RESTS_ON, by=None, height_m=floor_m)
+
+    def leans_on(self, body: Body) -> Support | None:
+        """Return the edge to the room if structure is beside a body; None if no structure is near it."""
+        is_beside = sees_structure(self.space, body.box, body.solid.points, self.unsupported.wall_m)
+        return Support(body=body.id, relation=Relation.LEANS_ON, by=None) if is_beside else None
+
+    def hangs_from(self, body: Body, others: Iterable[Body] | None = None) -> Support | None:
+        """Return the edge to the nearest body that an unsupported body touches; None if the body is supported.
+
+        `others` are the bodies that it can hang from; None: all bodies.
+        """
+        candidates = self.bodies.values() if others is None else others
+        host = attachment_of(body, candidates, self.space, self.unsupported)
+        return None if host is None else Support(body=body.id, relation=Relation.HANGS_FROM, by=host.id)
+
+    def foot_of(self, a: Body, b: Body) -> Support | None:
+        """Return the edge that says that the lower of two bodies is the foot of the upper one, None if it is not."""
+        upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
+        if not is_on_foot(upper, lower, self.config):
+            return None
+        return _part(lower, upper, "the lower is the foot of the upper")
+
+    def part_of(self, small: Body, large: Body, near: Iterable[Body]) -> Support | None:
+        """Return the edge that says that the smaller body is a leg, pot or inner part of the larger one, or None.
+
+        `near` are the bodies around them, on which the smaller one may rest.
+        """
+        if is_leg(small, large, self.config):
+            return _part(small, large, "the smaller stands under the larger like a leg")
+        if stands_in(large, small, self.config):
+            return _part(small, large, "the larger stands in the smaller")
+        others = [body for body in near if body.id not in (small.id, large.id)]
+        if is_inner_part(small, large, others, self.config):
+            return _part(small, large, "the smaller is a part inside the larger")
+        return None
+
+    def still_part_of(
+        self, small: Body, large: Body, near: Iterable[Body], *, inside: float, max_volume: float
+    ) -> Support | None:
+        """Return the edge that says that the smaller body, split off the larger one, is an inner part of it, or None.
+
+        `inside`: minimum share of its box in the larger one's; `max_volume`: maximum ratio of the two volumes.
+        """
+        is_part = is_inner_part(small, large, near, self.config, inside=inside, max_volume=max_volume, was_one=True)
+        return _part(small, large, "the smaller was a part inside the larger") if is_part else None
+
+    def hidden_by(self, small: Body, large: Body) -> Support | None:
+        """Return the edge that says that the larger body occludes the upper end of the smaller one, or None."""
+        if not is_hidden_by(small, large, self.config):
+            return None
+        return Support(body=small.id, relation=Relation.HIDDEN_BY, by=large.id)
+
+    def edges(self, of: Collection[int] | None = None) -> tuple[Support, ...]:
+        """Return all relations of the bodies `of` (None: of all). A body rests on, or hangs from, at most one other."""
+        found: list[Support | None] = []
+        for body in (self.bodies[i] for i in sorted(self.bodies if of is None else of)):
+            rests = self.rests_on(body)
+            found += [rests, self.leans_on(body), None if rests is not None else self.hangs_from(body)]
+            near = [other for other in self._near(body) if other.id != body.id]
+            for other in near:
+                if body.box.volume_m3 < other.box.volume_m3:
+                    found += [self.part_of(body, other, near), self.hidden_by(body, other)]
+                foot = self.foot_of(body, other)
+                found.append(foot if foot is not None and foot.body == body.id else None)
+        return tuple(edge for edge in found if edge is not None)
+
+    def _near(self, body: Body) -> list[Body]:
+        (low, high) = body.bounds
+        ordered = (self.bodies[i] for i in sorted(self.bodies))
+        return [
+            other
+            for other in ordered
+            if (low <= other.bounds[1] + REACH_M).all() and (other.bounds[0] <= high + REACH_M).all()
+        ]
+
+
+def _part(part: Body, whole: Body, reason: str) -> Support:
+    return Support(body=part.id, relation=Relation.PART_OF, by=whole.id, reason=reason)

@@ -1,0 +1,378 @@
+"""Ageing of tracks: executes the life cycle table (`lifecycle.LIFE_CYCLE`) on a state, with its guards and effects.
+
+Which tracks a keyframe concerns: those whose judgement it can have changed.
+
+A track is judged by itself, by the observed space and the tracks around it, and by how long it was not seen. So of the
+tracks out of sight only those are judged again that have changed, that lie beside one that has, or whose time is up:
+for all others the judgement would be the one of the keyframe before. Only the height of the floor, which is filtered
+over keyframes, reaches them when they are seen again.
+
+What a generated shape claims of space that nobody had seen, held against what a later view sees there.
+
+A generator makes up what is behind an object. Where a keyframe looks there and finds free space, the shape is asked for
+again: its views then show that space, so that what is made anew is cut where they saw through it, and judged by them.
+"""
+
+from __future__ import annotations
+
+import heapq
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.geometry.superquadric_surface import display_mesh
+from hickory_stream.geometry.voxels import contains, keys_of_points, layers_of_keys
+from hickory_stream.mapping.entities.cloud import is_packed, pack_part, without
+from hickory_stream.mapping.entities.existence import doubted
+from hickory_stream.mapping.entities.observed_space import share_in, window_of
+from hickory_stream.mapping.entities.submaps import space_around
+from hickory_stream.mapping.entities.track import is_object, sketched, with_cloud
+from hickory_stream.mapping.entities.track_table import REACH_M
+from hickory_stream.mapping.rules.lifecycle import Guard, LifeEvent, TrackEffect, is_sure, transition
+from hickory_stream.mapping.rules.structure_checks import RESTING_S, is_seen_through, points_in_wall, why_structure
+from hickory_stream.mapping.steps.endings import cancelled, drop, unite
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.events import Effect, FrameObserved
+    from hickory_stream.mapping.config import MappingConfig
+    from hickory_stream.mapping.entities.observed_space import SpaceState
+    from hickory_stream.mapping.entities.track import Track
+    from hickory_stream.mapping.entities.track_table import Mark
+    from hickory_stream.mapping.map_state import MapState
+    from hickory_stream.mapping.rules.lifecycle import LifecycleConfig, Transition
+    from hickory_stream.records import ObjectShape
+
+
+_ROUNDING_NS = 2
+
+
+class Concerned:
+    """The ids of the tracks to judge at a keyframe, ascending; those that judgements bring up are added on the way.
+
+    What has changed by then, and what lies beside it, concerns the next keyframe as well (`state.stirred`).
+    """
+
+    def __init__(self, state: MapState, event: FrameObserved, config: LifecycleConfig) -> None:
+        self._state = state
+        self._stirred: set[int] = set()
+        sight = _sight_of(event, state.submaps.space.voxel_m)
+        ids = {*state.stirred, *_timed_out(state, config)}
+        # What was seen in the keyframe before has become known since its tracks were judged.
+        for bounds in (sight, state.sight):
+            if bounds is not None:
+                ids |= {track.id for track in state.tracks.touching(bounds, REACH_M)}
+        self._waiting = sorted(ids)
+        self._named = ids
+        state.sight, state.judged_ns, state.stirred = sight, state.clock_ns, self._stirred
+
+    def __iter__(self) -> Iterator[int]:
+        while self._waiting:
+            track_id = heapq.heappop(self._waiting)
+            if track_id in self._state.tracks:
+                before, mark = self._state.tracks[track_id], self._state.tracks.now
+                yield track_id
+                self._stir(track_id, before, mark)
+
+    def _stir(self, track_id: int, before: Track, mark: Mark) -> None:
+        tracks = self._state.tracks
+        for changed in tracks.changed_since(mark):
+            beside = [before] if changed == track_id else []
+            beside += [tracks[changed]] if changed in tracks else []
+            for one in beside:
+                self._add(track_id, (other.id for other in tracks.touching(one.bounds, REACH_M)))
+
+    def _add(self, track_id: int, ids: Iterable[int]) -> None:
+        for other in ids:
+            self._stirred.add(other)
+            if other > track_id and other not in self._named:
+                self._named.add(other)
+                heapq.heappush(self._waiting, other)
+
+
+def _timed_out(state: MapState, config: LifecycleConfig) -> Iterator[int]:
+    """Yield the tracks that were not seen for one of the times that count, since the last keyframe's judgement."""
+    for limit_s in (RESTING_S, config.tentative_s, config.dormant_s, config.archive_s):
+        limit_ns = int(limit_s * 1e9)
+        after_ns, until_ns = state.judged_ns - limit_ns - _ROUNDING_NS, state.clock_ns - limit_ns + _ROUNDING_NS
+        yield from state.tracks.last_seen(after_ns, until_ns)
+
+
+def _sight_of(event: FrameObserved, voxel_m: float) -> NDArray[np.float32] | None:
+    """Return (2, 3) the least and greatest coordinates of what a keyframe sees, None if it sees nothing."""
+    space = event.space
+    keys = (space.free_keys, space.structure_keys, space.surface_keys)
+    window = window_of(*keys)
+    bounds = []
+    if window is not None:
+        heights = np.concatenate([[layers.min(), layers.max()] for layers in map(layers_of_keys, keys) if len(layers)])
+        low, high = (*window.low, heights.min()), (*window.high, heights.max() + 1)
+        bounds.append(np.array([low, high], dtype=np.float64) * voxel_m)
+    for observation in event.observations:
+        corners = observation.box.corners_world()
+        bounds.append(np.stack([corners.min(axis=0), corners.max(axis=0)]))
+    if not bounds:
+        return None
+    both = np.array(bounds)
+    return np.stack([both[:, 0].min(axis=0), both[:, 1].max(axis=0)]).astype(np.float32)
+
+
+# Parts of which less was made up say nothing of the generator.
+_MADE_UP = 0.05
+# So far from a part's centre to its surface; what is fitted may reach beyond the mesh by less than the rest.
+_INWARDS = 0.75
+
+
+def with_claims_checked(state: MapState, track: Track, free_keys: NDArray[np.int64], config: MappingConfig) -> Track:
+    """Return the track, its shape to be asked for again where a keyframe's sorted `free_keys` contradict it.
+
+    Nothing is asked twice: the views must be others than those of the last request.
+    """
+    shape, asked = track.shape, track.shape_state
+    if shape is None or not shape.is_generated or asked.open_ticket is not None or not asked.asked_views:
+        return track
+    if set(track.names_of_views) == set(asked.asked_views):
+        return track
+    places = _claimed(shape)
+    if len(places) == 0:
+        return track
+    free = float(contains(free_keys, keys_of_points(places, config.lattice.space_m)).mean())
+    if free < config.requests.refuted_share:
+        return track
+    state.decide("shape", track.id, f"{free:.2f} of its generated shape was seen to be free: to be asked for again")
+    # As if nothing had been asked yet, but that there is a shape: all views and all surface count as new.
+    again = replace(asked, asked_views=(), asked_points=0, asked_score=0.0)
+    return replace(track, shape_state=again)
+
+
+def _claimed(shape: ObjectShape) -> NDArray[np.float32]:
+    """Return (N, 3) places within the parts of a shape of which something was made up.
+
+    An envelope is larger than its object on purpose: it claims nothing.
+    """
+    if shape.fit_kind == "envelope":
+        return np.empty((0, 3), np.float32)
+    places = [np.empty((0, 3), np.float32)]
+    for i in np.flatnonzero(shape.seen_share < 1 - _MADE_UP):
+        center = shape.fitted.world_from_local[i, :3, 3]
+        surface, _ = display_mesh(shape.fitted, int(i))
+        places.append((center + _INWARDS * (surface - center)).astype(np.float32))
+    return np.concatenate(places)
+
+
+def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, merges: bool) -> list[Effect]:
+    """Age the tracks that a keyframe concerns.
+
+    `merges`: an unsupported track is merged into the one that it is attached to.
+    """
+    effects: list[Effect] = []
+    keep_room(state)  # tracks may have been merged
+    for track_id in Concerned(state, event, config.lifecycle):
+        case = Case(state, track_id, config, free_keys=event.space.free_keys, merges=merges)
+        effects += [*case.happens(LifeEvent.JUDGED), *case.happens(LifeEvent.AGED)]
+        if track_id in state.tracks:
+            track = sketched(state.tracks[track_id], config.track)
+            state.tracks[track_id] = with_claims_checked(state, track, event.space.free_keys, config)
+    keep_room(state)
+    return effects
+
+
+def keep_room(state: MapState) -> None:
+    """Update the voxels of the observed space that belong to tracks that are part of the room."""
+    state.submaps = state.derived.room.kept(state.submaps, state.tracks)
+
+
+def settle(state: MapState, config: MappingConfig) -> None:
+    """Remove the points of tracks that lie in structure, before the observed space is reset."""
+    for track_id in sorted(state.tracks):
+        with _as_warm_as_before(state, track_id):
+            Case(state, track_id, config).happens(LifeEvent.SPACE_FORGOTTEN)
+
+
+def end_tracks(state: MapState, config: MappingConfig, *, merges: bool) -> list[Effect]:
+    """Drop the tracks that were not confirmed by the end, and merge unsupported ones."""
+    settle(state, config)
+    effects: list[Effect] = []
+    for track_id in sorted(state.tracks):
+        with _as_warm_as_before(state, track_id):
+            effects += Case(state, track_id, config, merges=merges).happens(LifeEvent.SOURCE_ENDED)
+    return effects
+
+
+@contextmanager
+def _as_warm_as_before(state: MapState, track_id: int) -> Iterator[None]:
+    """Compress the cloud of a track again that was compressed before the block."""
+    track = state.tracks.get(track_id)
+    was_packed = track is not None and is_packed(track.cloud)
+    yield
+    if was_packed and (track := state.tracks.get(track_id)) is not None:
+        pack_part(track.solid, track.cloud, state.derived.warm.keep)
+
+
+class Case:
+    """A track and the values that guards test; each value is computed at most once, when it is needed."""
+
+    def __init__(
+        self,
+        state: MapState,
+        track_id: int,
+        config: MappingConfig,
+        *,
+        free_keys: NDArray[np.int64] | None = None,
+        merges: bool = False,
+    ) -> None:
+        self.state = state
+        self.config = config
+        self._track_id = track_id
+        self._free_keys = free_keys
+        self._merges = merges
+
+    @property
+    def track(self) -> Track:
+        """The track as it is now."""
+        return self.state.tracks[self._track_id]
+
+    def happens(self, event: LifeEvent) -> list[Effect]:
+        """Apply an event to the track, if it still exists: execute the row of the table that applies."""
+        if self._track_id not in self.state.tracks:
+            return []
+        row = transition(self.track.phase, event, lambda guard: GUARDS[guard](self))
+        if row is None:
+            return []
+        done = [effect for track_effect in row.effects for effect in EFFECTS[track_effect](self, row)]
+        if isinstance(row.to, Phase) and row.to is not self.track.phase:
+            track = self.track
+            after = f"after {track.sightings} sightings"
+            if row.to is Phase.ROOM:
+                text = f"set aside as part of the room {after}: {self.why_structure}"
+            elif track.phase is Phase.ROOM:
+                text = f"an object after all, {after}: by what was seen since it is no part of the room"
+            else:
+                text = f"{track.phase} -> {row.to} {after}"
+            is_room = Phase.ROOM in (track.phase, row.to)
+            self.state.decide("room" if is_room else "phase", track.id, text)
+            self.change(replace(track, phase=row.to))
+            if is_room:
+                keep_room(self.state)
+        return done
+
+    def change(self, track: Track) -> None:
+        """Replace the track by a new version of it."""
+        self.state.tracks[self._track_id] = track
+
+    def is_unseen_for(self, limit_s: float) -> bool:
+        """Return whether the track was not seen for longer than this."""
+        return (self.state.clock_ns - self.track.seen_clock_ns) / 1e9 > limit_s
+
+    @cached_property
+    def why_structure(self) -> str | None:
+        """Why the track is structure; None if it may be an object."""
+        return why_structure(self.track, self.space, self.state.clock_ns, self.config)
+
+    @cached_property
+    def space(self) -> SpaceState:
+        """The observed space around the track, as far as any check looks."""
+        return space_around(self.state.submaps, self.track.bounds, REACH_M)
+
+    @cached_property
+    def attachment(self) -> int | None:
+        """The id of the track that this one hangs from; None if it is supported, or no track is near."""
+        if not self._merges:
+            return None
+        beside = self.state.tracks.touching(self.track.bounds, self.config.unsupported.attach_m)
+        others = (o for o in beside if is_object(o) and self.state.is_judged(o))
+        support = self.state.support_graph(self.config, self.space).hangs_from(self.track, others)
+        return None if support is None else support.by
+
+    def is_in_room(self) -> bool:
+        """Return whether most of the track lies on tracks that are part of the room."""
+        space = self.space
+        share = share_in(space.room, self.track.solid.points, space.voxel_m)
+        return share > self.config.lifecycle.structure_share
+
+    def is_revised(self) -> bool:
+        """Return whether the track, set aside, has gained enough evidence since and is not part of the room now."""
+        seen_since = self.track.existence.evidence - self.track.aside_evidence
+        return seen_since >= self.config.lifecycle.revise_evidence and self.why_structure is None
+
+    def is_seen_through(self) -> bool:
+        """Return whether the keyframe did not observe the track, but free space at its position."""
+        is_in_sight = self.track.seen_clock_ns == self.state.clock_ns
+        return (
+            not is_in_sight
+            and self._free_keys is not None
+            and is_seen_through(self.track, self._free_keys, self.config)
+        )
+
+
+def _set_aside(case: Case, _: Transition) -> list[Effect]:
+    track = case.track
+    effects = cancelled(track)
+    shape_state = replace(track.shape_state, open_ticket=None)
+    case.change(replace(track, shape_state=shape_state, aside_evidence=track.existence.evidence))
+    return effects
+
+
+def _doubt(case: Case, _: Transition) -> list[Effect]:
+    track = case.track
+    case.change(replace(track, seen_through=track.seen_through + 1, existence=doubted(track.existence)))
+    return []
+
+
+def _trim(case: Case, _: Transition) -> list[Effect]:
+    """Remove the points in structure, if these are more than a narrow strip along a wall."""
+    track = case.track
+    # A few of its points may lie further away than it reaches without them.
+    space = space_around(case.state.submaps, bounds_of(track.cloud.points), REACH_M)
+    in_wall = points_in_wall(track, space, case.config)
+    if in_wall is not None:
+        case.state.decide("trim", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
+        rest = without(track.cloud, in_wall)
+        case.change(with_cloud(track, rest, track.sightings, case.config.lattice.points_m))
+    return []
+
+
+def _drop(case: Case, row: Transition) -> list[Effect]:
+    assert row.cause is not None
+    reasons = {"structure": case.why_structure, "in structure": "it lies on what is part of the room"}
+    return drop(case.state, case.track, row.cause, reasons.get(row.cause))
+
+
+def _merge(case: Case, _: Transition) -> list[Effect]:
+    assert case.attachment is not None
+    reason = "unsupported but for this one, which it touches"
+    return unite(case.state, case.attachment, case.track.id, reason, case.config)
+
+
+GUARDS: dict[Guard, Callable[[Case], bool]] = {
+    Guard.IS_ROOM: lambda case: case.why_structure is not None,
+    Guard.IN_ROOM: Case.is_in_room,
+    Guard.REVISED: Case.is_revised,
+    Guard.SEEN_THROUGH: Case.is_seen_through,
+    Guard.PHANTOM: lambda case: case.track.seen_through >= case.config.lifecycle.phantom_frames,
+    Guard.SURE: lambda case: is_sure(case.track, case.config.lifecycle),
+    Guard.UNCONFIRMED: lambda case: case.is_unseen_for(case.config.lifecycle.tentative_s),
+    Guard.DOUBTED: lambda case: case.track.seen_through > 0,
+    Guard.UNSEEN: lambda case: case.is_unseen_for(case.config.lifecycle.dormant_s),
+    Guard.LONG_UNSEEN: lambda case: case.is_unseen_for(case.config.lifecycle.archive_s),
+    Guard.KNOWN_HERE: lambda case: case.state.is_judged(case.track),
+    Guard.UNSUPPORTED: lambda case: case.attachment is not None,
+}
+"""The test of each guard of the table; guards on two tracks that are merged are tested in `track_merging`."""
+
+EFFECTS: dict[TrackEffect, Callable[[Case, Transition], list[Effect]]] = {
+    TrackEffect.SET_ASIDE: _set_aside,
+    TrackEffect.DOUBT: _doubt,
+    TrackEffect.TRIM: _trim,
+    TrackEffect.DROP: _drop,
+    TrackEffect.MERGE: _merge,
+}
+"""The function of each effect of the table."""

@@ -1,0 +1,309 @@
+"""The tracker: data association of a keyframe's observations with tracks; births, doubts and votes.
+
+A keyframe's masks may be wrong. So points of an observation that lie on another track are not fused, and whether a
+keyframe segments two tracks as one or as two is only a vote, which `track_splitting` and `merge_tracks` count.
+
+Splitting of tracks: a part that keyframes segment apart often enough becomes a track of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.mapping.entities.cloud import cloud_of, is_near, share_near, solid_part, without
+from hickory_stream.mapping.entities.existence import Existence, no_evidence, sighted
+from hickory_stream.mapping.entities.track import Sighting, grown, new_track, with_cloud
+from hickory_stream.mapping.rules.association import associate, is_swollen
+from hickory_stream.mapping.rules.lifecycle import LifeEvent, first_phase
+from hickory_stream.mapping.rules.merge_history import after_split, recalled, restored, without_far, without_views_of
+from hickory_stream.mapping.rules.merging import (
+    find_pair,
+    foreign_points,
+    pair_of,
+    pairs_of_groups,
+    pairs_that_meet,
+    why_one,
+)
+from hickory_stream.mapping.rules.splitting import with_keyframe
+from hickory_stream.mapping.steps.endings import unite
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from hickory_stream.events import Effect, FrameObserved
+    from hickory_stream.mapping.config import MappingConfig
+    from hickory_stream.mapping.entities.cloud import Cloud
+    from hickory_stream.mapping.entities.track import Track
+    from hickory_stream.mapping.map_state import MapState
+    from hickory_stream.mapping.rules.association import Match
+    from hickory_stream.records import Observation
+
+    Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
+    from hickory_stream.mapping.rules.splitting import SplitCandidate
+
+
+class Tracker:
+    """Associates the observations of a keyframe with the tracks of a state, and keeps these up to date.
+
+    `associator` gives one match per observation of a keyframe, in their order. Its matches are final: all points of an
+    observation are fused into its track, and tracks are never merged. None: association by boxes and points, as
+    configured.
+    """
+
+    def __init__(self, config: MappingConfig, associator: Associator | None = None) -> None:
+        self._config = config
+        self._associator = associator
+
+    @property
+    def is_told(self) -> bool:
+        """Whether an external associator decides which tracks exist, so that tracks are never merged."""
+        return self._associator is not None
+
+    def track(self, state: MapState, event: FrameObserved) -> list[Sighting]:
+        """Assign every observation of a keyframe to a track, a new one if it matches none; return the sightings."""
+        matches = self._matches(state, event)
+        self._doubt(state, event, matches)
+        sightings = [self._place(state, event, match) for match in matches]
+        self._vote(state, sightings)
+        self._note_split_candidates(state, event, sightings)
+        return sightings
+
+    def merge_tracks(self, state: MapState, changed: set[int]) -> list[Effect]:
+        """Merge the changed tracks with others until no pair has a reason to merge."""
+        if self.is_told:
+            return []
+        effects: list[Effect] = []
+        graph = state.support_graph(self._config)
+        while (pair := find_pair(state.tracks, changed, state.votes, graph, self._config.merge)) is not None:
+            kept_id, gone_id, reason = pair
+            effects += unite(state, kept_id, gone_id, reason, self._config)
+            changed = (changed - {gone_id}) | {kept_id}
+        return effects
+
+    def _matches(self, state: MapState, event: FrameObserved) -> list[Match]:
+        if self._associator is not None:
+            return self._associator(event, state.tracks)
+        return associate(event.observations, state.tracks, self._config.lattice.points_m, self._config.associate)
+
+    def _doubt(self, state: MapState, event: FrameObserved, matches: list[Match]) -> None:
+        """Count the under-segmented observations of each established track; a regular match resets its count."""
+        config = self._config.associate
+        seen = {match.track_id for match in matches}
+        for match in matches:
+            observation = event.observations[match.observation_index]
+            for track_id, _ in match.candidates[: config.most_doubted]:
+                track = state.tracks[track_id]
+                if track_id not in seen and is_swollen(observation, track, config):
+                    state.tracks[track_id] = replace(track, doubts=track.doubts + 1)
+        for track_id in sorted(i for i in seen if i is not None):
+            state.tracks[track_id] = replace(state.tracks[track_id], doubts=0)
+
+    def _place(self, state: MapState, event: FrameObserved, match: Match) -> Sighting:
+        """Fuse an observation into its track, or make a new one."""
+        observation = event.observations[match.observation_index]
+        cloud = cloud_of(observation.points_world, observation.colors, self._config.lattice.points_m)
+        if match.track_id is None:
+            track_id = self._born(state, event, match, cloud)
+            covered: tuple[int, ...] = ()
+        else:
+            track_id, covered = match.track_id, self._seen_again(state, event, match, cloud)
+        return Sighting(
+            observation=observation,
+            cloud=cloud,
+            track_id=track_id,
+            is_part=match.is_part,
+            lies_on=match.lies_on,
+            covered=covered,
+        )
+
+    def _born(self, state: MapState, event: FrameObserved, match: Match, cloud: Cloud) -> int:
+        """Make a new track of an observation; return its id."""
+        observation = event.observations[match.observation_index]
+        track_id = state.next_id
+        state.tracks[track_id] = new_track(
+            track_id,
+            cloud,
+            phase=first_phase(LifeEvent.BORN),
+            stamp_ns=event.stamp_ns,
+            clock_ns=state.clock_ns,
+            sightings=1,
+            submap_id=state.submaps.open_id,
+            existence=self._sighted(no_evidence(), event, observation),
+            voxel_m=self._config.lattice.points_m,
+        )
+        state.next_id += 1
+        text = f"mask {observation.box_px}: new; candidates by IoU: {_candidates(match)}"
+        state.decide("create", track_id, text, observation_index=observation.index)
+        return track_id
+
+    def _seen_again(self, state: MapState, event: FrameObserved, match: Match, cloud: Cloud) -> tuple[int, ...]:
+        """Fuse an observation into the track that it matches; return the other tracks that it covers."""
+        assert match.track_id is not None
+        observation, track = event.observations[match.observation_index], state.tracks[match.track_id]
+        how = f"IoU {match.iou:.2f}" if match.lies_on == 0 else f"IoU {match.iou:.2f}, {match.lies_on:.0%} lies on it"
+        part = " as a part" if match.is_part else ""
+        foreign, covered = foreign_points(cloud, track, self._neighbors(state, track, observation), self._config.merge)
+        left = f"; {foreign.mean():.0%} of it lies on others and is left out" if foreign.any() else ""
+        if _is_cut(event, observation):
+            left += "; this frame alone has it as one with another mask, the map does not"
+        text = f"mask {observation.box_px}{part}: {how}; candidates by IoU: {_candidates(match)}{left}"
+        state.decide("associate", track.id, text, observation_index=observation.index)
+        track = replace(
+            track,
+            last_seen_ns=event.stamp_ns,
+            seen_clock_ns=state.clock_ns,
+            seen_through=0,
+            seen_in=state.submaps.open_id,
+        )
+        if foreign.mean() < self._config.merge.foreign_share:
+            own, sightings = without(cloud, foreign), track.sightings + (not match.is_part)
+            track = grown(track, own, sightings, self._config.lattice.points_m)
+            if not match.is_part:
+                track = replace(track, existence=self._sighted(track.existence, event, observation))
+        state.tracks[track.id] = track
+        return tuple(covered)
+
+    def _sighted(self, known: Existence, event: FrameObserved, observation: Observation) -> Existence:
+        return sighted(known, observation, event.world_from_camera[:3, 3], self._config.existence)
+
+    def _neighbors(self, state: MapState, track: Track, observation: Observation) -> list[Track]:
+        """Return the other established tracks whose boxes overlap an observation's: its points may belong to them."""
+        if self.is_told:
+            return []
+        near = state.tracks.touching(bounds_of(observation.points_world))
+        least = self._config.merge.neighbor_sightings
+        return [other for other in near if other.id != track.id and other.sightings >= least]
+
+    def _vote(self, state: MapState, sightings: list[Sighting]) -> None:
+        """Count the votes of this keyframe: one per pair of tracks that it segments apart or together.
+
+        Apart: two whole observations whose boxes touch. A pair counts as together only if it is not apart, since small
+        objects in contact cover each other's rims. A pair that only the map prior separated counts as together: votes
+        come from the frame alone, otherwise the map would confirm itself.
+        """
+        whole = [sighting for sighting in sightings if not sighting.is_part]
+        told = pairs_of_groups([(sighting.observation.group, sighting.track_id) for sighting in whole])
+        bounds = [bounds_of(sighting.observation.points_world) for sighting in whole]
+        apart = pairs_that_meet(bounds, [sighting.track_id for sighting in whole]) - told
+        overlap = {pair_of(sighting.track_id, other) for sighting in sightings for other in sighting.covered}
+        together = overlap | told
+        state.votes = state.votes.plus(sorted(apart), apart=1).plus(sorted(together - apart), together=1)
+
+    def _note_split_candidates(self, state: MapState, event: FrameObserved, sightings: list[Sighting]) -> None:
+        """Update the split candidates with the keyframe's masks: parts segmented apart, and masks of whole tracks.
+
+        A mask is also apart from its track if a mask of another object covers the rest of the track: e.g. a mug whose
+        tray is segmented together with the table.
+        """
+        apart: list[tuple[int, Cloud]] = []
+        whole: list[tuple[int, Cloud]] = []
+        taken = {track_id for sighting in sightings for track_id in sighting.covered}
+        for sighting in sightings:
+            is_part = sighting.is_part or (sighting.lies_on > 0 and sighting.track_id in taken)
+            (apart if is_part else whole).append((sighting.track_id, sighting.cloud))
+        state.split_candidates = with_keyframe(
+            state.split_candidates, event.frame_index, apart, whole, self._config.split
+        )
+
+
+def _candidates(match: Match) -> str:
+    return ", ".join(f"#{i} {iou:.2f}" for i, iou in match.candidates) or "none"
+
+
+def _is_cut(event: FrameObserved, observation: Observation) -> bool:
+    """Return whether the map prior cut an observation out of a larger instance that the frame alone segments."""
+    return observation.group > 0 and sum(other.group == observation.group for other in event.observations) > 1
+
+
+def split_tracks(state: MapState, event: FrameObserved, hosts: set[int], config: MappingConfig) -> dict[int, int]:
+    """Split off the candidates that are objects; return the ids of their hosts by the new ids."""
+    promoted: dict[int, int] = {}
+    for host_id in sorted(hosts & state.split_candidates.keys()):
+        for candidate in state.split_candidates[host_id]:
+            if not candidate.is_object(config.split):
+                continue
+            if (new := _split_off(state, event, host_id, candidate, config)) is not None:
+                promoted[new] = host_id
+                left = (other for other in state.split_candidates[host_id] if other is not candidate)
+                state.split_candidates[host_id] = tuple(left)
+    return promoted
+
+
+def moved_out(
+    state: MapState, sightings: list[Sighting], promoted: Mapping[int, int], config: MappingConfig
+) -> list[Sighting]:
+    """Return the sightings after splits: masks that showed a split-off part are reassigned to its new track."""
+    moved = list(sightings)
+    for new_id, host_id in promoted.items():
+        for i, sighting in enumerate(sightings):
+            lies_on = share_near(sighting.cloud.keys, state.tracks[new_id].cloud) if sighting.is_part else 0.0
+            if sighting.track_id == host_id and lies_on >= config.split.same_share:
+                moved[i] = replace(sighting, is_part=False, track_id=new_id)
+                text = f"its mask shows what was a part of #{host_id}"
+                state.decide("associate", new_id, text, observation_index=sighting.observation.index)
+    return moved
+
+
+def _split_off(
+    state: MapState, event: FrameObserved, host_id: int, candidate: SplitCandidate, config: MappingConfig
+) -> int | None:
+    """Make a track of a candidate and remove its points from the host; return its id.
+
+    None if the candidate is too small, or if its support relation to the host says that it is a part of it.
+    """
+    split, voxel_m = config.split, config.lattice.points_m
+    host = state.tracks[host_id]
+    rest = without(host.cloud, is_near(host.cloud.keys, candidate.cloud))
+    if len(rest.keys) < split.min_voxels:
+        return None
+    num_apart = len(candidate.frames)
+    cloud = solid_part(candidate.cloud, num_apart)
+    new = new_track(
+        state.next_id,
+        cloud,
+        phase=first_phase(LifeEvent.SPLIT_OFF),
+        stamp_ns=event.stamp_ns,
+        clock_ns=state.clock_ns,
+        sightings=num_apart,
+        submap_id=state.submaps.open_id,
+        # The keyframes that segmented it apart count as its sightings.
+        existence=Existence(evidence=float(num_apart), places=event.world_from_camera[None, :3, 3]),
+        voxel_m=voxel_m,
+    )
+    size = np.sort(2 * new.box.half_extents_m)
+    if size[0] < split.min_size_m or size[1] < 2 * split.min_size_m:
+        return None
+    left = with_cloud(host, rest, host.sightings, voxel_m)
+    pair = pair_of(host_id, new.id)
+    votes = state.votes.plus([pair], apart=num_apart).plus([pair], together=candidate.together)
+    small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
+    near = [track for track in state.tracks.touching(new.bounds) if track.id != host_id]
+    graph = state.support_graph(config)
+    is_part = graph.still_part_of(small, large, near, inside=split.part_inside, max_volume=split.part_volume)
+    if is_part is not None or why_one(left, new, near, votes, graph, config.merge) is not None:
+        return None
+    state.next_id += 1
+    state.votes = votes
+    # Its points came from the host: they are in the host's submap.
+    new = replace(new, is_promoted=True, submap_id=host.submap_id)
+    text = f"seen apart from #{host_id} in {num_apart} keyframes, as one in {candidate.together}"
+    before = recalled(state.absorbed, host_id, cloud, split.same_share)
+    if before is None and (before := recalled(state.absorbed, host_id, left.solid, split.same_share)) is not None:
+        # The candidate is the original host, and the remaining points are the track that was merged into the host.
+        rest_of_host = left.cloud
+        # The host keeps its id and sightings, with the candidate's cloud.
+        left = replace(with_cloud(host, cloud, num_apart, voxel_m), sightings=host.sightings)
+        new = with_cloud(new, rest_of_host, num_apart, voxel_m)
+    if before is not None:
+        state.absorbed = after_split(state.absorbed, host_id, before)
+        state.joins = without_far(state.joins, host_id, before.id)
+        new, left = restored(new, before), without_views_of(left, before)
+        text += f"; it was #{before.id} before that was merged"
+    state.tracks[host_id] = left
+    state.tracks[new.id] = new
+    state.decide("split", new.id, text, other_id=host_id)
+    return new.id

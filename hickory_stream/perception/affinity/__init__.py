@@ -1,0 +1,1 @@
+"""Affinities of neighbouring pixels, from a small network."""

@@ -1,0 +1,1 @@
+"""Fragments: the over-segmentation of a frame that regions are joined from."""

@@ -1,0 +1,195 @@
+"""Splitting of fragments by colour: a box flush with the one below it, books on a board.
+
+Geometry cannot separate surfaces that are flush within noise. Colour is averaged over windows inside a fragment, so
+that a texture counts as one colour, and the windows are split in two along their principal colour axis (Otsu 1979).
+This over-segments on purpose: `join` decides, with all other cues, whether the pieces are one object.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry import portable
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ColorSplitConfig(Ranged):
+    """When a fragment has two colours.
+
+    Attributes:
+        window_px: side of the averaging windows.
+        lightness: weight of lightness relative to chroma; below 1, for shadows change lightness.
+        min_step: minimum CIE Lab distance between the two mean colours.
+        min_separation: minimum between-class share of the variance along the principal colour axis (Otsu's criterion).
+        min_pixels: minimum area of a piece.
+        depth: maximum depth of recursive splits.
+    """
+
+    window_px: int = number(9, 1, 1001, "px")
+    lightness: float = number(0.5, 0, 10, "ratio")
+    min_step: float = number(12.0, 0, 1000, "CIE Lab")
+    min_separation: float = number(0.7, 0, 1, "share")
+    min_pixels: int = number(30, 1, 1_000_000, "px")
+    depth: int = number(2, 0, 16, "divisions")
+
+
+def split_by_color(
+    labels: NDArray[np.int32], boxes: NDArray[np.int64], lab: NDArray[np.float32], config: ColorSplitConfig
+) -> NDArray[np.int32]:
+    """Return (h, w) labels in which some of 1..n are split; `boxes` (n + 1, 4): x0, y0, x1, y1 of each label."""
+    out = labels.copy()
+    count = len(boxes)
+    pixels = np.bincount(labels.ravel(), minlength=count)
+    weighted = lab * np.array([config.lightness, 1, 1], dtype=np.float32)
+    for i in range(1, len(boxes)):
+        if pixels[i] < 2 * config.min_pixels:
+            continue
+        x0, y0, x1, y1 = boxes[i]
+        mask = labels[y0:y1, x0:x1] == i
+        for piece in _pieces(mask, weighted[y0:y1, x0:x1], config, config.depth)[1:]:
+            out[y0:y1, x0:x1][piece] = count
+            count += 1
+    return out
+
+
+def _pieces(
+    mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ColorSplitConfig, depth: int
+) -> list[NDArray[np.bool_]]:
+    """Return the masks into which a mask is split; itself if it has one colour."""
+    if depth == 0 or int(mask.sum()) < 2 * config.min_pixels:
+        return [mask]
+    bright = _two_colors(mask, lab, config)
+    if bright is None:
+        return [mask]
+    pieces = _regions(mask & bright, mask & ~bright, config.min_pixels)
+    if len(pieces) < 2:
+        return [mask]
+    return [part for piece in pieces for part in _pieces(piece, lab, config, depth - 1)]
+
+
+def _two_colors(
+    mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ColorSplitConfig
+) -> NDArray[np.bool_] | None:
+    """Return which pixels of a mask have the first of its two colours; None if the mask has only one colour."""
+    side = (config.window_px, config.window_px)
+    share = cv2.blur(mask.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.blur(_within(lab, mask), side, borderType=cv2.BORDER_CONSTANT)
+    colors, centered, spread = _window_colors(total, share, mask)
+    variances, axes = portable.eigh(spread)
+    # Two means at the minimum distance cause at least this variance: with less, the split can be skipped early.
+    if variances[2] < 0.02 * config.min_step * config.min_step:
+        return None
+    along = portable.matmul(centered, axes[:, 2])
+    threshold, separation = _otsu(along)
+    high = along > threshold
+    step = portable.norm(colors[high].mean(axis=0) - colors[~high].mean(axis=0))
+    if separation < config.min_separation or step < config.min_step:
+        return None
+    out = np.zeros(mask.shape, dtype=bool)
+    out[mask] = high
+    return out
+
+
+@kernel
+def _within(lab, mask):
+    """Return (h, w, 3) the colours within a mask, 0 elsewhere."""
+    out = np.zeros(lab.shape, dtype=np.float32)
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            if mask[y, x]:
+                for k in range(3):
+                    out[y, x, k] = lab[y, x, k]
+    return out
+
+
+@kernel
+def _window_colors(total, share, mask):
+    """Return (N, 3) mean colours of the windows around a mask's pixels, the same centred, and (3, 3) the covariance."""
+    count = 0
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            count += mask[y, x]
+    colors, mean = np.empty((count, 3), dtype=np.float32), np.zeros(3, dtype=np.float32)
+    n = 0
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            if mask[y, x]:
+                for k in range(3):
+                    colors[n, k] = total[y, x, k] / share[y, x]
+                    mean[k] += colors[n, k]
+                n += 1
+    centered, spread = np.empty((count, 3)), np.zeros((3, 3))
+    for k in range(3):
+        mean[k] /= np.float32(count)
+    for i in range(count):
+        for k in range(3):
+            centered[i, k] = colors[i, k] - mean[k]
+        for j in range(3):
+            for k in range(3):
+                spread[j, k] += centered[i, j] * centered[i, k]
+    return colors, centered, spread / count
+
+
+_OTSU_BINS = 48
+
+
+def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return Otsu's threshold of values, and the between-class share of their variance."""
+    edges = np.linspace(values.min(), values.max(), _OTSU_BINS + 1)
+    counts = _histogram(values, edges)
+    middles = (edges[:-1] + edges[1:]) / 2
+    below = np.cumsum(counts)[:-1]
+    first = np.cumsum(counts * middles)[:-1]
+    above, last = len(values) - below, portable.dot(counts, middles) - first
+    between = below * above * np.square(last / np.maximum(above, 1) - first / np.maximum(below, 1))
+    best = int(np.argmax(between))
+    variance = float(values.var()) * len(values) * len(values)
+    return float(edges[best + 1]), float(between[best]) / max(variance, 1e-12)
+
+
+@kernel
+def _histogram(values, edges):
+    """Return the histogram of values over evenly spaced edges that enclose all of them."""
+    bins = len(edges) - 1
+    counts = np.zeros(bins, dtype=np.int64)
+    width = (edges[bins] - edges[0]) / bins
+    for i in range(len(values)):
+        place = min(int((values[i] - edges[0]) / width), bins - 1)
+        # Rounding may have picked a neighbouring bin.
+        if values[i] < edges[place]:
+            place -= 1
+        elif place < bins - 1 and values[i] >= edges[place + 1]:
+            place += 1
+        counts[place] += 1
+    return counts
+
+
+def _regions(one: NDArray[np.bool_], other: NDArray[np.bool_], min_pixels: int) -> list[NDArray[np.bool_]]:
+    """Return the connected regions of two masks that are large enough; other pixels go to the nearest of these."""
+    large: list[NDArray[np.bool_]] = []
+    for mask in (one, other):
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+        large += [labels == i for i in np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= min_pixels).tolist() if i > 0]
+    if len(large) < 2:
+        return large
+    seeds = np.zeros(one.shape, dtype=np.int32)
+    for i, region in enumerate(large):
+        seeds[region] = i + 1
+    rest = (one | other) & (seeds == 0)
+    if rest.any():
+        _, nearest = cv2.distanceTransformWithLabels(
+            (seeds == 0).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        )
+        names = np.zeros(int(nearest.max()) + 1, dtype=np.int32)
+        names[nearest[seeds > 0]] = seeds[seeds > 0]
+        seeds[rest] = names[nearest[rest]]
+    return [seeds == i + 1 for i in range(len(large))]

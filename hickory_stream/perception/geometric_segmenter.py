@@ -1,0 +1,191 @@
+"""The segmenter without networks: class-agnostic instances from depth and colour, on a CPU.
+
+Room structure is removed, the rest is over-segmented into fragments at depth edges, concave creases, support planes and
+colour edges, and fragments of one object are merged. Works at a reduced resolution; labels have that of the frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.perception.fragments.color_split import ColorSplitConfig, split_by_color
+from hickory_stream.perception.fragments.over_segmentation import (
+    FragmentConfig,
+    Fragments,
+    concave_creases,
+    fragments_of,
+    support_labels,
+)
+from hickory_stream.perception.masks import enlarged, enlarged_mask, label_boxes, occluded_shares, why_no_object
+from hickory_stream.perception.regions.join import JoinConfig, Joined, join_fragments
+from hickory_stream.perception.regions.map_prior import fragment_owners
+from hickory_stream.perception.regions.trees import Trees, embedded_trees
+from hickory_stream.perception.structure.detection import StructureConfig
+from hickory_stream.perception.structure.room_structure import RoomStructure, room_structure_of
+from hickory_stream.perception.surface import Surface, SurfaceConfig, moved_surface, surface_of
+from hickory_stream.records import RejectedMask, Segmentation
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import Frame, MapPrior
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GeometricConfig(Ranged):
+    """The stages of the geometric segmenter, and which masks it rejects.
+
+    Attributes:
+        min_area_px: masks with fewer working pixels are rejected ...
+        min_side_sigmas: ... and so are those whose area is less than a square with a side of this many sigmas of depth:
+            they cannot be distinguished from noise.
+        occluded_area_px: a mask with fewer working pixels ...
+        occluded_share: ... and more of its outline than this behind nearer surfaces is rejected.
+        max_extent_m: longer masks are rejected as structure.
+        support_area_m2: minimum visible area of a support plane (horizontal surface of an object) ...
+        support_area_px: ... and minimum number of working pixels of a connected region of it.
+    """
+
+    surface: SurfaceConfig = field(default_factory=SurfaceConfig)
+    structure: StructureConfig = field(default_factory=StructureConfig)
+    fragments: FragmentConfig = field(default_factory=FragmentConfig)
+    color_split: ColorSplitConfig = field(default_factory=ColorSplitConfig)
+    join: JoinConfig = field(default_factory=JoinConfig)
+    min_area_px: int = number(16, 1, 1_000_000, "px")
+    min_side_sigmas: float = number(2.5, 0, 100, "sigmas")
+    occluded_area_px: int = number(720, 0, 1_000_000, "px")
+    occluded_share: float = number(0.6, 0, 1, "share")
+    max_extent_m: float = number(4.0, 0.01, 1000, "m")
+    support_area_m2: float = number(0.03, 0, 1000, "m2")
+    support_area_px: int = number(60, 1, 1_000_000, "px")
+
+
+class GeometricSegmenter:
+    """Segments frames by geometry and colour; stateless.
+
+    `trees` estimate whether a pair of regions is one object; None: the trees of the package.
+    """
+
+    def __init__(self, config: GeometricConfig, trees: Trees | None = None) -> None:
+        self._config = config
+        self._trees = trees or embedded_trees(config.join.forest)
+
+    def prepare(self, frame: Frame) -> Surface:
+        """Return the surface of a frame: the slowest part of segmentation, which does not depend on the map."""
+        return surface_of(frame, self._config.surface)
+
+    def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
+        """Return what was prepared of a frame for another pose (4, 4) of it."""
+        return moved_surface(prepared, world_from_camera) if isinstance(prepared, Surface) else None
+
+    def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
+        """Return the instances and the structure of a frame; `prior` is the map so far."""
+        pieces = self.fragments(frame, prior, prepared)
+        join = self._config.join
+        owners = fragment_owners(pieces.labels, pieces.surface, prior, join.map_prior)
+        joined = join_fragments(pieces, self._trees, join, owners)
+        return self.segmentation(frame, pieces, joined)
+
+    def segmentation(
+        self, frame: Frame, pieces: Fragments, joined: Joined, structure_odds: NDArray[np.float64] | None = None
+    ) -> Segmentation:
+        """Return the segmentation of a frame whose fragments were merged into masks.
+
+        `structure_odds` (n + 1,) are log-odds, e.g. of a network, that masks 0..n are part of the room: masks with
+        positive log-odds are rejected.
+        """
+        labels, rejected = _usable(pieces.surface, joined.labels, self._config, structure_odds)
+        size, factor = (frame.camera.width, frame.camera.height), pieces.surface.factor
+        return Segmentation(
+            instances=enlarged(labels, factor, size),
+            structure=enlarged_mask(pieces.room.structure, factor, size),
+            structure_shown=enlarged_mask(pieces.room.shown, factor, size),
+            alone=None if joined.alone is None else enlarged(joined.alone, factor, size),
+            floor_z_m=pieces.room.floor_z_m,
+            rejected=rejected,
+        )
+
+    def fragments(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Fragments:
+        """Return the over-segmentation of a frame, before any fragments are merged."""
+        surface = prepared if isinstance(prepared, Surface) else self.prepare(frame)
+        return self.divided(surface, self.room(surface, prior))
+
+    def room(self, surface: Surface, prior: MapPrior | None) -> RoomStructure:
+        """Return the room structure in a frame; `prior` is the map so far."""
+        space = None if prior is None else prior.space
+        return room_structure_of(surface, space, self._config.structure, self._config.support_area_m2)
+
+    def divided(self, surface: Surface, room: RoomStructure) -> Fragments:
+        """Return the over-segmentation of a surface, excluding structure."""
+        config, floor_z_m = self._config, room.floor_z_m
+        heights = np.array([p.z_m for p in room.planes if floor_z_m is None or p.z_m > floor_z_m + 0.06])
+        supports = support_labels(surface, heights, min_pixels=config.support_area_px)
+        creases = concave_creases(surface, room.structure, config.fragments)
+        labels = fragments_of(surface, room.structure, supports, creases, config.fragments)
+        boxes = label_boxes(labels, int(labels.max()) + 1)
+        labels = split_by_color(labels, boxes, surface.lab, config.color_split)
+        return Fragments(surface=surface, room=room, supports=supports, labels=labels)
+
+
+def _usable(
+    surface: Surface,
+    labels: NDArray[np.int32],
+    config: GeometricConfig,
+    structure_odds: NDArray[np.float64] | None,
+) -> tuple[NDArray[np.int32], tuple[RejectedMask, ...]]:
+    """Return the labels of the masks worth lifting, renumbered, and the others with their reasons."""
+    count = int(labels.max()) + 1
+    pixels = np.bincount(labels.ravel(), minlength=count)
+    occluded = occluded_shares(surface.depth_m, labels, count)
+    keep = np.zeros(count, dtype=np.int32)
+    rejected: list[RejectedMask] = []
+    kept = 0
+    boxes = label_boxes(labels, count)
+    for i in range(1, count):
+        reason = _why_not(surface, labels, i, int(pixels[i]), float(occluded[i]), boxes[i], config)
+        if reason is None and structure_odds is not None and structure_odds[i] > 0.0:
+            reason = f"part of the room, says the network: log-odds {structure_odds[i]:.1f}"
+        if reason is None:
+            kept += 1
+            keep[i] = kept
+        else:
+            x0, y0, x1, y1 = (int(v) * surface.factor for v in boxes[i])
+            u0, v0, u1, v1 = boxes[i]
+            mask = enlarged_mask(labels[v0:v1, u0:u1] == i, surface.factor, (x1 - x0, y1 - y0))
+            rejected.append(RejectedMask(box_px=(x0, y0, x1, y1), reason=reason, mask=mask))
+    return keep[labels], tuple(rejected)
+
+
+def _why_not(
+    surface: Surface,
+    labels: NDArray[np.int32],
+    label: int,
+    pixels: int,
+    occluded: float,
+    box: NDArray[np.int64],
+    config: GeometricConfig,
+) -> str | None:
+    if pixels < config.min_area_px:
+        return f"{pixels} working pixels, fewer than {config.min_area_px}"
+    side_m, sigma_m = _side_and_sigma_m(surface, labels, label, pixels, box)
+    if side_m < config.min_side_sigmas * sigma_m:
+        return f"{100 * side_m:.1f} cm in a square, less than {config.min_side_sigmas:g} sigmas of depth"
+    if occluded > config.occluded_share and pixels < config.occluded_area_px:
+        return f"{occluded:.0%} of the outline is occluded by nearer surfaces"
+    return why_no_object(surface, labels, label, box, config.max_extent_m)
+
+
+def _side_and_sigma_m(
+    surface: Surface, labels: NDArray[np.int32], label: int, pixels: int, box: NDArray[np.int64]
+) -> tuple[float, float]:
+    """Return the side of a square with the area of a mask at its depth, and the sigma of depth there, in m."""
+    x0, y0, x1, y1 = box
+    inside = labels[y0:y1, x0:x1] == label
+    # Every pixel of a fragment has a depth.
+    depth_m = float(np.median(surface.depth_m[y0:y1, x0:x1][inside]))
+    sigma_m = float(np.median(surface.sigma_m[y0:y1, x0:x1][inside]))
+    return float(np.sqrt(pixels / (surface.camera.fx * surface.camera.fy))) * depth_m, sigma_m

@@ -1,0 +1,1 @@
+"""Regions: fragments that decision trees join into instances."""

@@ -1,0 +1,175 @@
+"""Log-odds of the affinity network, summed between every two fragments and within each fragment.
+
+The log-odds of pixels are bytes and their sums integers: the sums of a group of fragments follow from those of its
+members, exactly and in any order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, ODDS_UNIT, ODDS_ZERO, OFFSETS
+from hickory_stream.perception.regions.region_graph import merged_keys
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.affinity.pixel_network import PixelOdds
+
+LEVELS = (-2.0, 0.0, 2.0)
+"""Bin edges of pixel log-odds; the counts per bin (level) approximate their distribution."""
+NUM_NEAR = 2
+"""The number of shortest distances that count as near: across a contact rather than between interiors."""
+_NUM_DISTANCES = len(DISTANCES_PX)
+_NUM_LEVELS = len(LEVELS) + 1
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FragmentOdds:
+    """Sums over n fragments (row 0 is background) and over K pairs a < b of fragments. All int64.
+
+    Log-odds are bytes minus the byte of even odds, separately for each of D pixel distances. Of a pair of fragments:
+    `sums` (K, D) over its pairs of pixels, and `levels` (K, D, 4), the number of these below, between and above
+    `LEVELS`. Of a fragment: `inner` and `num_inner` (n, D), sum and number over the pairs of pixels within it; `thing`
+    and `num_pixels` (n,), the sum of the log-odds of being an object and the number of pixels.
+    """
+
+    a: NDArray[np.int64]
+    b: NDArray[np.int64]
+    sums: NDArray[np.int64]
+    levels: NDArray[np.int64]
+    inner: NDArray[np.int64]
+    num_inner: NDArray[np.int64]
+    thing: NDArray[np.int64]
+    num_pixels: NDArray[np.int64]
+
+    def of_groups(self, numbers: NDArray[np.int64], count: int) -> FragmentOdds:
+        """Return the sums of `count` groups; `numbers` (n,) names the group of each fragment."""
+        a, b, places = merged_keys(self.a, self.b, numbers, count)
+        sums = np.zeros((len(a), _NUM_DISTANCES), dtype=np.int64)
+        levels = np.zeros((len(a), _NUM_DISTANCES, _NUM_LEVELS), dtype=np.int64)
+        inner, num_inner = np.zeros((2, count, _NUM_DISTANCES), dtype=np.int64)
+        thing, num_pixels = np.zeros((2, count), dtype=np.int64)
+        _add_pairs((self.a, self.sums, self.levels), (places, numbers), (sums, levels, inner, num_inner))
+        _add_fragments(
+            (self.inner, self.num_inner, self.thing, self.num_pixels), numbers, (inner, num_inner, thing, num_pixels)
+        )
+        return FragmentOdds(
+            a=a,
+            b=b,
+            sums=sums,
+            levels=levels,
+            inner=inner,
+            num_inner=num_inner,
+            thing=thing,
+            num_pixels=num_pixels,
+        )
+
+    def of_pairs(self, pairs: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the sums (M, D) and levels (M, D, 4) of (M, 2) pairs of `count` fragments; 0 where there are none."""
+        wanted = pairs.min(axis=1) * count + pairs.max(axis=1)
+        sums = np.zeros((len(pairs), _NUM_DISTANCES), dtype=np.int64)
+        levels = np.zeros((len(pairs), _NUM_DISTANCES, _NUM_LEVELS), dtype=np.int64)
+        keys = self.a * count + self.b
+        if len(keys):
+            place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+            is_there = keys[place] == wanted
+            sums[is_there], levels[is_there] = self.sums[place[is_there]], self.levels[place[is_there]]
+        return sums, levels
+
+
+def mean_log_odds(sums: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return mean log-odds from sums of bytes relative to even odds; NaN where the count is 0."""
+    return np.where(counts > 0, sums / (ODDS_UNIT * np.maximum(counts, 1)), np.nan)
+
+
+def fragment_odds(labels: NDArray[np.int32], odds: PixelOdds) -> FragmentOdds:
+    """Return the sums of the fragments `labels` (H, W), 0 = none, at the surface's size."""
+    few = np.ascontiguousarray(labels[::2, ::2])
+    count = int(labels.max(initial=0)) + 1
+    sums, levels, inner, num_inner, things = _sums(
+        few, odds.odds, np.array(OFFSETS), _NUM_DISTANCES, _level_of_byte(), count
+    )
+    keys = np.flatnonzero(levels.any(axis=(1, 2)))
+    return FragmentOdds(
+        a=keys // count,
+        b=keys % count,
+        sums=sums[keys].astype(np.int64),
+        levels=levels[keys].astype(np.int64),
+        inner=inner,
+        num_inner=num_inner,
+        thing=things[:, 0].copy(),
+        num_pixels=things[:, 1].copy(),
+    )
+
+
+def _level_of_byte() -> NDArray[np.int64]:
+    return np.searchsorted(np.array(LEVELS) * ODDS_UNIT + ODDS_ZERO, np.arange(256), side="right")
+
+
+@kernel
+def _add_pairs(pairs, which, out):
+    """Add the sums of pairs to those of the pairs of groups; pairs of two members of a group are within the group."""
+    (a, sums, levels), (places, numbers), (out_sums, out_levels, inner, num_inner) = pairs, which, out
+    for i in range(len(places)):
+        place, group = places[i], numbers[a[i]]
+        for distance in range(sums.shape[1]):
+            if place < 0:
+                inner[group, distance] += sums[i, distance]
+                num_inner[group, distance] += levels[i, distance].sum()
+                continue
+            out_sums[place, distance] += sums[i, distance]
+            for level in range(levels.shape[2]):
+                out_levels[place, distance, level] += levels[i, distance, level]
+
+
+@kernel
+def _add_fragments(fragments, numbers, out):
+    (inner, num_inner, thing, num_pixels), (out_inner, out_num_inner, out_thing, out_num_pixels) = fragments, out
+    for i in range(len(numbers)):
+        group = numbers[i]
+        out_thing[group] += thing[i]
+        out_num_pixels[group] += num_pixels[i]
+        for distance in range(inner.shape[1]):
+            out_inner[group, distance] += inner[i, distance]
+            out_num_inner[group, distance] += num_inner[i, distance]
+
+
+@kernel
+def _sums(labels, odds, offsets, num_distances, level_of, count):
+    """Return the sums and levels of every pair of labels (lower first), and of each label, and the object log-odds."""
+    height, width = labels.shape
+    sums = np.zeros((count * count, num_distances), dtype=np.int32)
+    levels = np.zeros((count * count, num_distances, 4), dtype=np.int32)
+    inner = np.zeros((count, num_distances), dtype=np.int64)
+    num_inner = np.zeros((count, num_distances), dtype=np.int64)
+    things = np.zeros((count, 2), dtype=np.int64)
+    last = len(offsets)
+    for y in range(height):
+        for x in range(width):
+            label = labels[y, x]
+            if label == 0:
+                continue
+            things[label, 0] += np.int64(odds[last, y, x]) - ODDS_ZERO
+            things[label, 1] += 1
+            for i in range(last):
+                yy, xx = y + offsets[i, 0], x + offsets[i, 1]
+                if yy >= height or xx < 0 or xx >= width:
+                    continue
+                other = labels[yy, xx]
+                if other == 0:
+                    continue
+                byte = odds[i, y, x]
+                distance = i * num_distances // last
+                if other == label:
+                    inner[label, distance] += np.int64(byte) - ODDS_ZERO
+                    num_inner[label, distance] += 1
+                    continue
+                at = min(label, other) * count + max(label, other)
+                sums[at, distance] += np.int32(byte) - ODDS_ZERO
+                levels[at, distance, level_of[byte]] += 1
+    return sums, levels, inner, num_inner, things

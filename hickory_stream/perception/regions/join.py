@@ -1,0 +1,193 @@
+"""Region merging: fragments are merged into instances in rounds, by learned trees.
+
+A round rates all pairs of regions that touch, nearly touch or are bridged behind an occluder, and merges the pairs in
+which each region is the most probable partner of the other. The next round rates the merged regions. Regions whose
+planes continue behind an occluder are merged without the trees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry import portable
+from hickory_stream.perception.regions.features import joined
+from hickory_stream.perception.regions.map_prior import MapPriorConfig
+from hickory_stream.perception.regions.occlusion_bridging import BridgingConfig, is_bridged
+from hickory_stream.perception.regions.odds_features import odds_features
+from hickory_stream.perception.regions.pair_features import pair_features
+from hickory_stream.perception.regions.region_graph import build_region_graph
+from hickory_stream.perception.regions.trees import Forest  # noqa: TC001 (read with the configuration)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.fragments.over_segmentation import Fragments
+    from hickory_stream.perception.regions.fragment_odds import FragmentOdds
+    from hickory_stream.perception.regions.map_prior import FragmentOwners
+    from hickory_stream.perception.regions.region_graph import RegionGraph
+    from hickory_stream.perception.regions.trees import Trees
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JoinConfig(Ranged):
+    """How fragments are merged; the trees were grown with the defaults of `reach_px`, `gap_m` and `bridging`.
+
+    Attributes:
+        forest: the trees that rate pairs; `mixed`, from a `probability` of 0.5, makes fewer false objects in unfamiliar
+            rooms and finds fewer objects.
+        probability: minimum probability for a merge; above 0.5, since the map repairs over-segmentation more easily
+            than under-segmentation.
+        rounds: maximum number of rounds.
+        reach_px: pixels are neighbours across fewer than this many unlabelled pixels.
+        gap_m: maximum distance of fragments that are rated without touching in the image.
+        bridging: when a plane continues behind an occluder.
+        map_prior: how the objects of the map lower the probability of a merge.
+    """
+
+    forest: Forest = "sizes"
+    probability: float = number(0.65, 0, 1, "probability")
+    rounds: int = number(12, 0, 1000, "rounds")
+    reach_px: int = number(3, 1, 100, "px")
+    gap_m: float = number(0.2, 0, 10, "m")
+    bridging: BridgingConfig = field(default_factory=BridgingConfig)
+    map_prior: MapPriorConfig = field(default_factory=MapPriorConfig)
+
+
+class Groups:
+    """A partition of labels 0..n - 1 into groups that can only be united; a group is named by its lowest label."""
+
+    def __init__(self, count: int) -> None:
+        self._parent = list(range(count))
+
+    def unite(self, pairs: Iterable[tuple[int, int]]) -> None:
+        """Make one group of the groups of each pair."""
+        for a, b in pairs:
+            ra, rb = self._root(a), self._root(b)
+            self._parent[max(ra, rb)] = min(ra, rb)
+
+    def numbers(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return (n,) the group of each label, numbered 0, 1, ... in the order of names, and the names (groups,)."""
+        roots = np.array([self._root(i) for i in range(len(self._parent))])
+        names, numbers = np.unique(roots, return_inverse=True)
+        return numbers, names
+
+    def _root(self, i: int) -> int:
+        while self._parent[i] != i:
+            i = self._parent[i]
+        return i
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Joined:
+    """Instance labels (h, w) 1..n, 0 = none, numbered in the order of their first fragments.
+
+    `labels` are joined with the map prior, `alone` without it: each instance of `alone` is a union of instances of
+    `labels`. `alone` None: the same as `labels`.
+    """
+
+    labels: NDArray[np.int32]
+    alone: NDArray[np.int32] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Round:
+    """The input of a round: `numbers` (n,), the region of each fragment; `pairs` (K, 2) of regions; `features`."""
+
+    numbers: NDArray[np.int64]
+    pairs: NDArray[np.int64]
+    features: Mapping[str, NDArray[np.float64]]
+
+
+def join_fragments(
+    fragments: Fragments,
+    trees: Trees,
+    config: JoinConfig,
+    owners: FragmentOwners | None = None,
+    odds: FragmentOdds | None = None,
+) -> Joined:
+    """Return the fragments joined into instances, with the map prior and without.
+
+    `owners`: the map objects on which the fragments lie, if any; `odds`: the log-odds of a network, if any.
+    """
+    labels, graph = fragments.labels, region_graph_of(fragments, config)
+    if graph is None:
+        return Joined(labels=labels)
+    last = _last(rounds(graph, trees.probabilities, config, odds, owners))
+    together = last.numbers.astype(np.int32)[labels]
+    if owners is None:
+        return Joined(labels=together)
+    # For the result of this frame alone, the rounds continue from there without the map prior.
+    alone = _last(rounds(graph, trees.probabilities, config, odds, start=last))
+    return Joined(labels=together, alone=alone.numbers.astype(np.int32)[labels])
+
+
+def _last(steps: Iterator[Round]) -> Round:
+    """Return the last round; there is at least one."""
+    *_, last = steps
+    return last
+
+
+def region_graph_of(fragments: Fragments, config: JoinConfig) -> RegionGraph | None:
+    """Return the region graph of fragments before any are merged; None if there are none."""
+    if not fragments.labels.any():
+        return None
+    return build_region_graph(fragments, reach_px=config.reach_px, gap_m=config.gap_m, bridging=config.bridging)
+
+
+def rounds(
+    graph: RegionGraph,
+    probabilities: Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]],
+    config: JoinConfig,
+    odds: FragmentOdds | None = None,
+    owners: FragmentOwners | None = None,
+    start: Round | None = None,
+) -> Iterator[Round]:
+    """Yield the rounds of merging, from single fragments to the final regions; `probabilities` rates features of pairs.
+
+    `odds`: the log-odds of a network, added to the features (`odds_features`), if any; `owners`: the map prior, if any;
+    `start`: the first round, None: that of single fragments.
+    """
+    groups = Groups(len(graph.regions.pixels))
+    if start is not None:
+        _, first = np.unique(start.numbers, return_index=True)
+        groups.unite((int(first[region]), i) for i, region in enumerate(start.numbers))
+    for i in range(config.rounds + 1):
+        numbers, names = groups.numbers()
+        now = start if i == 0 and start is not None else _round(graph, numbers, len(names), odds)
+        yield now
+        pairs, features = now.pairs, now.features
+        # Bridged regions are surely one object, but too rare in the training data for the trees to learn it.
+        proven = is_bridged(
+            features["bridged_level"],
+            features["bridged_upright"],
+            portable.exp(features["small_pixels"]),
+            config.bridging,
+        )
+        likely = np.where(proven, 1.0, probabilities(features))
+        if owners is not None:
+            likely = owners.against(likely, pairs, numbers, len(names))
+        chosen = _closest(pairs, likely, len(names), config.probability)
+        if len(chosen) == 0 or i == config.rounds:
+            return
+        groups.unite((int(names[a]), int(names[b])) for a, b in chosen)
+
+
+def _round(graph: RegionGraph, numbers: NDArray[np.int64], count: int, odds: FragmentOdds | None) -> Round:
+    """Return the round of `count` regions, of which `numbers` (n,) gives that of each fragment."""
+    pairs, features = pair_features(graph, numbers, count)
+    of_odds = odds_features(None if odds is None else odds.of_groups(numbers, count), pairs, count)
+    return Round(numbers=numbers, pairs=pairs, features=joined(features, of_odds))
+
+
+def _closest(pairs: NDArray[np.int64], probability: NDArray[np.float64], count: int, least: float) -> NDArray[np.int64]:
+    """Return the (M, 2) pairs of at least the `least` probability that are the most probable pair of both regions."""
+    best = np.zeros(count)
+    for side in (0, 1):
+        np.maximum.at(best, pairs[:, side], probability)
+    return pairs[(probability >= least) & (probability >= best[pairs].max(axis=1))]

@@ -1,0 +1,146 @@
+"""The map as a prior of region merging: fragments on two different map objects are less likely to be one object.
+
+A single frame often under-segments a small object and its support surface. Where earlier frames separated the two, the
+map has two objects, and by Bayes' rule the log-odds of that prior are added to those of the frame. Two rules keep the
+map from confirming itself: fragments that the frame alone would have joined still count as seen together
+(`Joined.alone`), and a single map object is no evidence for joining fragments on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.voxels import key_of_point, keys_of_points
+from hickory_stream.records import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+    from hickory_stream.records import MapPrior, TrackedObject
+
+_STRIDE_PX = 2
+_SURE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MapPriorConfig(Ranged):
+    """How map objects lower the probability that two regions are one object.
+
+    Attributes:
+        apart_odds: log-odds against a merge for regions on two different objects; 0: no prior.
+        min_sightings: objects with fewer sightings are ignored.
+        min_share: a region lies on an object if at least this share of its pixels does.
+    """
+
+    apart_odds: float = number(3.0, 0, 8, "log-odds")
+    min_sightings: int = number(4, 1, 1_000_000, "sightings")
+    min_share: float = number(0.5, 0, 1, "share")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FragmentOwners:
+    """The number of sampled `pixels` (n,) of each fragment, and `on_object` (n, objects), those on each map object."""
+
+    pixels: NDArray[np.int64]
+    on_object: NDArray[np.int64]
+    config: MapPriorConfig
+
+    def against(
+        self, probability: NDArray[np.float64], pairs: NDArray[np.int64], numbers: NDArray[np.int64], count: int
+    ) -> NDArray[np.float64]:
+        """Return the probabilities (K,) of pairs (K, 2) of `count` regions after the prior; `numbers` as in `Round`."""
+        owner = self._owners(numbers, count)
+        a, b = owner[pairs[:, 0]], owner[pairs[:, 1]]
+        differ = (a >= 0) & (b >= 0) & (a != b)
+        likely = np.clip(probability, _SURE, 1 - _SURE)
+        odds = portable.log(likely) - portable.log(1 - likely) - self.config.apart_odds
+        return np.where(differ, 1 / (1 + portable.exp(-odds)), probability)
+
+    def _owners(self, numbers: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+        """Return (count,) the object on which each region lies, -1 for none."""
+        pixels = np.zeros(count, dtype=np.int64)
+        on_object = np.zeros((count, self.on_object.shape[1]), dtype=np.int64)
+        np.add.at(pixels, numbers, self.pixels)
+        np.add.at(on_object, numbers, self.on_object)
+        most = on_object.max(axis=1, initial=0)
+        lies = (most > 0) & (most >= self.config.min_share * pixels)
+        return np.where(lies, on_object.argmax(axis=1), -1)
+
+
+def fragment_owners(
+    labels: NDArray[np.int32], surface: Surface, prior: MapPrior | None, config: MapPriorConfig
+) -> FragmentOwners | None:
+    """Return on which map objects the fragments `labels` (h, w) lie; None if fewer than two objects are near."""
+    if prior is None or config.apart_odds == 0:
+        return None
+    sampled = labels[::_STRIDE_PX, ::_STRIDE_PX]
+    points = surface.points_world[::_STRIDE_PX, ::_STRIDE_PX][sampled > 0]
+    sampled = sampled[sampled > 0]
+    is_known = np.isfinite(points[:, 2])
+    points, sampled = points[is_known], sampled[is_known]
+    near = _objects_near(points, prior, config)
+    if len(near) < 2:
+        return None
+    owners = _owners_of_points(points, near, prior.points_m)
+    count = int(labels.max()) + 1
+    on_object = np.zeros((count, len(near)), dtype=np.int64)
+    owned = owners >= 0
+    np.add.at(on_object, (sampled[owned], owners[owned]), 1)
+    return FragmentOwners(pixels=np.bincount(sampled, minlength=count), on_object=on_object, config=config)
+
+
+def _objects_near(points: NDArray[np.float32], prior: MapPrior, config: MapPriorConfig) -> list[TrackedObject]:
+    """Return the objects with enough sightings whose bounds overlap those of the points, the smallest first."""
+    if len(points) == 0:
+        return []
+    low, high = points.min(axis=0) - prior.points_m, points.max(axis=0) + prior.points_m
+    near = []
+    for item in prior.objects:
+        if item.phase is Phase.TENTATIVE or item.sightings < config.min_sightings:
+            continue
+        corners = item.box.corners_world()
+        if (corners.min(axis=0) <= high).all() and (corners.max(axis=0) >= low).all():
+            near.append(item)
+    return sorted(near, key=lambda item: (len(item.points_world), item.id))
+
+
+def _owners_of_points(
+    points: NDArray[np.float32], objects: Sequence[TrackedObject], voxel_m: float
+) -> NDArray[np.int64]:
+    """Return (N,) the first object with a voxel at each point, else with one beside it; -1 for none."""
+    # Points are nearly sorted by voxel: a stable sort is fast on them.
+    keys = [np.sort(keys_of_points(item.points_world, voxel_m), kind="stable") for item in objects]
+    ends = np.cumsum([len(k) for k in keys])
+    found: NDArray[np.int64] = _first_with(np.ascontiguousarray(points), np.concatenate(keys), ends, float(voxel_m))
+    return found
+
+
+@kernel
+def _first_with(points, keys, ends, voxel_m):
+    """Look up a point's voxel in the sorted keys of each object in turn, then its six face neighbours."""
+    steps = np.array([0, 1, -1, 1 << 21, -(1 << 21), 1 << 42, -(1 << 42)], dtype=np.int64)
+    owners = np.full(len(points), -1, dtype=np.int64)
+    for i in range(len(points)):
+        key = key_of_point(points[i, 0], points[i, 1], points[i, 2], voxel_m)
+        for step in steps:
+            start = 0
+            for k in range(len(ends)):
+                end = ends[k]
+                if end > start and keys[start] <= key + step <= keys[end - 1]:
+                    at = start + np.searchsorted(keys[start:end], key + step)
+                    if at < end and keys[at] == key + step:
+                        owners[i] = k
+                        break
+                start = end
+            if owners[i] >= 0:
+                break
+    return owners

@@ -1,0 +1,116 @@
+"""Pairs of merged regions, large and small, with all measures that their features are computed from.
+
+Relative geometry of the two regions of each pair: their centroids, boxes and contact, in metres.
+
+`pair_features` derives ratios, angles and multiples of sigma from these, `absolute_features` lengths.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.perception.regions.contacts import support_contacts_of
+from hickory_stream.perception.regions.region_extents import extents_of, union_of
+from hickory_stream.perception.regions.region_graph import merged_pairs, merged_regions
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.regions.contacts import SupportContacts
+    from hickory_stream.perception.regions.region_extents import Extents
+    from hickory_stream.perception.regions.region_graph import RegionGraph, RegionPairs, Regions
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PairGeometry:
+    """The regions `large` and `small` of K pairs; all arrays (K, 3), along the axes of the world.
+
+    `aside_m`: vector from the centroid of the large region to that of the small one. `overlap_m`: overlap of their
+    boxes, negative for a gap. `inset_m`: distance of the small box to the nearer end of the large one, negative where
+    it protrudes. `contact_m`, `contact_spread_m`: mean and standard deviation of the contact pixels' positions,
+    undefined for regions that do not touch.
+    """
+
+    aside_m: NDArray[np.float64]
+    overlap_m: NDArray[np.float64]
+    inset_m: NDArray[np.float64]
+    contact_m: NDArray[np.float64]
+    contact_spread_m: NDArray[np.float64]
+
+
+def pair_geometry(
+    regions: Regions, pairs: RegionPairs, large: NDArray[np.int64], small: NDArray[np.int64]
+) -> PairGeometry:
+    """Return the relative geometry of the regions `large` and `small` (K,) of K pairs."""
+    aside_m, overlap_m, inset_m, contact_m, spread_m = np.empty((5, len(large), 3))
+    _fill(
+        (regions.pixels, regions.place, regions.low, regions.high),
+        (pairs.touch, pairs.contact, pairs.contact_squares),
+        large,
+        small,
+        (aside_m, overlap_m, inset_m, contact_m, spread_m),
+    )
+    return PairGeometry(
+        aside_m=aside_m, overlap_m=overlap_m, inset_m=inset_m, contact_m=contact_m, contact_spread_m=spread_m
+    )
+
+
+@kernel
+def _fill(regions, pairs, larges, smalls, out):
+    """Fill in a row of each of the five arrays of `PairGeometry` for each pair."""
+    (pixels, place, low, high), (touches, contact, contact_squares) = regions, pairs
+    aside_m, overlap_m, inset_m, contact_m, spread_m = out
+    for i in range(len(larges)):
+        large, small, touch = larges[i], smalls[i], max(touches[i], 1.0)
+        per_large, per_small = max(pixels[large], 1.0), max(pixels[small], 1.0)
+        for k in range(3):
+            aside_m[i, k] = place[small, k] / per_small - place[large, k] / per_large
+            overlap_m[i, k] = min(high[large, k], high[small, k]) - max(low[large, k], low[small, k])
+            inset_m[i, k] = min(low[small, k] - low[large, k], high[large, k] - high[small, k])
+            mean_m = contact[i, k] / touch
+            contact_m[i, k] = mean_m
+            spread_m[i, k] = np.sqrt(max(contact_squares[i, k] / touch - mean_m * mean_m, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class OrderedPairs:
+    """K pairs of merged regions, of which `large` (K,) has at least as many pixels as `small` (K,).
+
+    `regions`, `extents` and `support` are measures by region; `pairs`, `geometry` and `union` (the extents of both
+    regions together) by pair. `is_turned` (K,): `large` is the region b of `pairs`. `graph` is that of the fragments.
+    """
+
+    graph: RegionGraph
+    regions: Regions
+    extents: Extents
+    support: SupportContacts
+    pairs: RegionPairs
+    large: NDArray[np.int64]
+    small: NDArray[np.int64]
+    is_turned: NDArray[np.bool_]
+    geometry: PairGeometry
+    union: Extents
+
+
+def ordered_pairs(graph: RegionGraph, numbers: NDArray[np.int64], count: int) -> OrderedPairs:
+    """Return the pairs of merged regions; `numbers` (n,) gives the merged region 0..count - 1 of each fragment."""
+    regions, pairs = merged_regions(graph.regions, numbers, count), merged_pairs(graph.pairs, numbers)
+    is_turned = regions.pixels[pairs.a] < regions.pixels[pairs.b]
+    large, small = np.where(is_turned, pairs.b, pairs.a), np.where(is_turned, pairs.a, pairs.b)
+    extents = extents_of(regions, graph.bottom_m)
+    return OrderedPairs(
+        graph=graph,
+        regions=regions,
+        extents=extents,
+        support=support_contacts_of(graph.contacts, np.append(numbers, count), graph.heights_m, graph.level),
+        pairs=pairs,
+        large=large,
+        small=small,
+        is_turned=is_turned,
+        geometry=pair_geometry(regions, pairs, large, small),
+        union=union_of(regions, extents, large, small),
+    )

@@ -1,0 +1,329 @@
+"""The region adjacency graph of a frame: measures of its regions, and of pairs that touch, nearly touch or are bridged.
+
+All measures are sums, minima or maxima: those of a merged region follow from those of its fragments, so that merging
+needs no second pass over the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.perception.regions.contacts import contacts_of
+from hickory_stream.perception.regions.occlusion_bridging import bridges
+from hickory_stream.perception.regions.region_sums import RegionSums, region_sums
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.fragments.over_segmentation import Fragments
+    from hickory_stream.perception.regions.contacts import Contacts
+    from hickory_stream.perception.regions.occlusion_bridging import BridgingConfig
+    from hickory_stream.perception.surface import Surface
+
+HEIGHT_BIN_M = 0.01
+_CONCAVE = 0.15
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Regions(RegionSums):
+    """Region sums and the `outline` in pixels, the part of it on the image border (`cut`), and the fragment count."""
+
+    outline: NDArray[np.float64]
+    cut: NDArray[np.float64]
+    members: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RegionPairs:
+    """Measures of K pairs of regions a < b: neighbours in the image, close in space, or bridged; arrays (K, ...).
+
+    Sums over neighbouring pixels: `meet` counts all, `touch` those that touch in 3D. Over the latter: `lean` (concavity
+    of the normals, per distance), `concave` (number of concave ones), `parallel` (cosine of the normals), `contrast`
+    (Lab, lightness at half weight), `step_m` (distance), `sigma_m` (of depth), `contact` (3) and `contact_squares` (3),
+    the positions of the pixels with the lower label and their squares. Over the others: `far_contrast`. `nearer` (2):
+    pixels where a occludes b, and b a; `above` (2): where a is above b in the image, and b above a. `bridged` (2):
+    lines that bridge an occlusion of a horizontal and of a vertical plane (`occlusion_bridging`).
+    `gap_m`: minimum distance of the two, infinite beyond reach.
+    """
+
+    a: NDArray[np.int64]
+    b: NDArray[np.int64]
+    meet: NDArray[np.float64]
+    touch: NDArray[np.float64]
+    lean: NDArray[np.float64]
+    concave: NDArray[np.float64]
+    parallel: NDArray[np.float64]
+    contrast: NDArray[np.float64]
+    far_contrast: NDArray[np.float64]
+    step_m: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
+    contact: NDArray[np.float64]
+    contact_squares: NDArray[np.float64]
+    nearer: NDArray[np.float64]
+    above: NDArray[np.float64]
+    bridged: NDArray[np.float64]
+    gap_m: NDArray[np.float64]
+
+
+_OF_PIXELS = tuple(field.name for field in fields(RegionSums))
+_REGION_SUMS = tuple(field.name for field in fields(Regions) if field.name not in ("low", "high"))
+_PAIR_SUMS = tuple(name for name in RegionPairs.__slots__ if name not in ("a", "b", "nearer", "above", "gap_m"))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RegionGraph:
+    """The region adjacency graph of the fragments of a frame.
+
+    `labels` (h, w): the fragments; `middle` (3,) and `bottom_m`: origin of positions and heights; `floor_z_m`: NaN if
+    no floor is known; `level` (h, w): pixels of surfaces that can support something; `heights_m` (h, w): world z.
+    """
+
+    labels: NDArray[np.int32]
+    regions: Regions
+    pairs: RegionPairs
+    contacts: Contacts
+    middle: NDArray[np.float64]
+    bottom_m: float
+    floor_z_m: float
+    level: NDArray[np.bool_]
+    heights_m: NDArray[np.float32]
+
+
+def build_region_graph(fragments: Fragments, *, reach_px: int, gap_m: float, bridging: BridgingConfig) -> RegionGraph:
+    """Return the graph of fragments, of which there is at least one.
+
+    Pixels are neighbours across fewer than `reach_px` unlabelled pixels; fragments are close up to `gap_m`.
+    """
+    surface, room, labels, supports = fragments.surface, fragments.room, fragments.labels, fragments.supports
+    sums, middle, bottom_m = region_sums(surface, labels, supports, room.areas_m2, HEIGHT_BIN_M)
+    count = len(sums.pixels)
+    contacts = contacts_of(surface, np.where(room.structure, np.int32(count), labels), reach_px)
+    ends = np.concatenate([contacts.here, contacts.there, contacts.cut])
+    regions = Regions(
+        outline=np.bincount(ends, minlength=count + 1)[:count].astype(np.float64),
+        cut=np.bincount(contacts.cut, minlength=count + 1)[:count].astype(np.float64),
+        members=np.minimum(np.arange(count), 1).astype(np.float64),
+        **{name: getattr(sums, name) for name in _OF_PIXELS},
+    )
+    reach = np.float32(gap_m * max(surface.camera.fx, surface.camera.fy))
+    gaps = _gaps(labels, surface.depth_m, surface.points_world, count, reach, np.float32(gap_m))
+    return RegionGraph(
+        labels=labels,
+        regions=regions,
+        pairs=_pairs(surface, contacts, count, middle, gaps, bridges(surface, labels, bridging)),
+        contacts=contacts,
+        middle=middle,
+        bottom_m=bottom_m,
+        floor_z_m=np.nan if room.floor_z_m is None else room.floor_z_m,
+        level=(surface.normals_world[..., 2] > 0.7) | (supports > 0),
+        heights_m=np.ascontiguousarray(surface.points_world[..., 2]),
+    )
+
+
+def merged_regions(regions: Regions, numbers: NDArray[np.int64], count: int) -> Regions:
+    """Return the measures of `count` merged regions; `numbers` (n,) gives the merged region of each region."""
+    values = [getattr(regions, name) for name in _REGION_SUMS]
+    sums = [np.zeros((count, *own.shape[1:])) for own in values]
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    _merge_regions(_rows(values), _rows(sums), (regions.low, regions.high), (low, high), numbers)
+    return Regions(low=low, high=high, **dict(zip(_REGION_SUMS, sums, strict=True)))
+
+
+def merged_pairs(pairs: RegionPairs, numbers: NDArray[np.int64]) -> RegionPairs:
+    """Return the measures of the pairs of merged regions, ordered by number; pairs within one are left out."""
+    count = int(numbers.max(initial=0)) + 1
+    a, b, places = merged_keys(pairs.a, pairs.b, numbers, count)
+    values = [getattr(pairs, name) for name in _PAIR_SUMS]
+    sums = [np.zeros((len(a), *own.shape[1:])) for own in values]
+    nearer, above, gap_m = np.zeros((len(a), 2)), np.zeros((len(a), 2)), np.full(len(a), np.inf)
+    _merge_pairs(
+        _rows(values),
+        _rows(sums),
+        (pairs.nearer, pairs.above, pairs.gap_m),
+        (nearer, above, gap_m),
+        (pairs.a, pairs.b, numbers, places),
+    )
+    return RegionPairs(a=a, b=b, nearer=nearer, above=above, gap_m=gap_m, **dict(zip(_PAIR_SUMS, sums, strict=True)))
+
+
+def _rows(values: list[NDArray[np.float64]]) -> tuple[NDArray[np.float64], ...]:
+    """Return each of (N, ...) values as rows (N, k) of the same memory, for a kernel that takes all at once."""
+    return tuple(own if own.ndim > 1 else own[:, None] for own in values)
+
+
+@kernel
+def merged_keys(a, b, numbers, count):
+    """Return (M,), (M,) the pairs of merged regions, ordered, and (K,) which of them each pair a, b is part of.
+
+    `numbers` (n,) gives the merged region 0..count - 1 of each region; pairs within one are part of none, -1.
+    """
+    table = np.full(count * count, -1, dtype=np.int64)
+    places = np.empty(len(a), dtype=np.int64)
+    for i in range(len(a)):
+        one, other = numbers[a[i]], numbers[b[i]]
+        places[i] = -1 if one == other else min(one, other) * count + max(one, other)
+        if one != other:
+            table[places[i]] = 0
+    num_pairs = 0
+    for key in range(count * count):
+        if table[key] == 0:
+            table[key] = num_pairs
+            num_pairs += 1
+    lower, upper = np.empty(num_pairs, dtype=np.int64), np.empty(num_pairs, dtype=np.int64)
+    for i in range(len(a)):
+        if places[i] >= 0:
+            place = table[places[i]]
+            lower[place], upper[place] = places[i] // count, places[i] % count
+            places[i] = place
+    return lower, upper, places
+
+
+# All sums are added in the order of their rows, so that rounding is reproducible.
+
+
+@kernel
+def _merge_regions(values, sums, boxes, merged_boxes, numbers):
+    (low, high), (merged_low, merged_high) = boxes, merged_boxes
+    for i in range(len(numbers)):
+        for k in range(3):
+            merged_low[numbers[i], k] = min(merged_low[numbers[i], k], low[i, k])
+            merged_high[numbers[i], k] = max(merged_high[numbers[i], k], high[i, k])
+    for one in range(len(values)):
+        rows, out = values[one], sums[one]
+        for i in range(len(numbers)):
+            for k in range(rows.shape[1]):
+                out[numbers[i], k] += rows[i, k]
+
+
+@kernel
+def _merge_pairs(values, sums, others, merged_others, which):
+    """Add up the pairs that are part of one; `nearer` and `above` are by side, and sides may have changed places."""
+    (nearer, above, gap_m), (merged_nearer, merged_above, merged_gap_m) = others, merged_others
+    a, b, numbers, places = which
+    for i in range(len(places)):
+        place = places[i]
+        if place < 0:
+            continue
+        turned = numbers[a[i]] > numbers[b[i]]
+        for side in range(2):
+            merged_nearer[place, side] += nearer[i, 1 - side if turned else side]
+            merged_above[place, side] += above[i, 1 - side if turned else side]
+        merged_gap_m[place] = min(merged_gap_m[place], gap_m[i])
+    for one in range(len(values)):
+        rows, out = values[one], sums[one]
+        for i in range(len(places)):
+            if places[i] >= 0:
+                for k in range(rows.shape[1]):
+                    out[places[i], k] += rows[i, k]
+
+
+def _pairs(
+    surface: Surface,
+    contacts: Contacts,
+    count: int,
+    middle: NDArray[np.float64],
+    gaps: NDArray[np.float32],
+    bridged: NDArray[np.int64],
+) -> RegionPairs:
+    """Return the measures of the pairs of fragments; `gaps` (n, n), `bridged` (M, 3)."""
+    inner = (contacts.here < count) & (contacts.there < count)
+    here, there = contacts.here[inner].astype(np.int64), contacts.there[inner].astype(np.int64)
+    turned = here > there
+    at_a = np.where(turned, contacts.there_px[inner], contacts.here_px[inner])
+    at_b = np.where(turned, contacts.here_px[inner], contacts.there_px[inner])
+    contact_key = np.minimum(here, there) * count + np.maximum(here, there)
+    near_a, near_b = np.nonzero(np.isfinite(gaps))
+    near_key = np.minimum(near_a, near_b) * count + np.maximum(near_a, near_b)
+    bridge_key = np.minimum(bridged[:, 0], bridged[:, 1]) * count + np.maximum(bridged[:, 0], bridged[:, 1])
+    keys = np.unique(np.concatenate([contact_key, near_key, bridge_key]))
+    place = np.searchsorted(keys, contact_key)
+
+    def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.bincount(place, weights=values, minlength=len(keys)).astype(np.float64)
+
+    def columns(*values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack([total(column) for column in values], axis=1)
+
+    lab, points, normals = (
+        surface.lab.reshape(-1, 3),
+        surface.points_world.reshape(-1, 3),
+        surface.normals_world.reshape(-1, 3),
+    )
+    touch = contacts.touches[inner].astype(np.float64)
+    across = (points[at_b] - points[at_a]).astype(np.float64)
+    step_m = np.linalg.norm(across, axis=1) + 1e-6
+    normal_a, normal_b = np.nan_to_num(normals[at_a]), np.nan_to_num(normals[at_b])
+    lean = (across * (normal_a - normal_b)).sum(axis=1) / step_m
+    light, green, blue = (lab[at_b] - lab[at_a]).T.astype(np.float64)
+    contrast = np.sqrt(0.25 * light * light + green * green + blue * blue)
+    depth, sigma_m = surface.depth_m.ravel(), surface.sigma_m.ravel().astype(np.float64)
+    behind, limit = depth[at_b] - depth[at_a], 0.02 * depth[at_a] + 0.01
+    is_below = contacts.is_below[inner]
+    contact = (points[at_a] - middle) * touch[:, None]
+    gap_m = np.full(len(keys), np.inf)
+    np.minimum.at(gap_m, np.searchsorted(keys, near_key), gaps[near_a, near_b].astype(np.float64))
+    lines = np.zeros((len(keys), 2))
+    np.add.at(lines, (np.searchsorted(keys, bridge_key), 1 - bridged[:, 2]), 1.0)
+    return RegionPairs(
+        a=keys // count,
+        b=keys % count,
+        meet=total(np.ones(len(place))),
+        touch=total(touch),
+        lean=total(touch * lean),
+        concave=total(touch * (lean > _CONCAVE)),
+        parallel=total(touch * (normal_a * normal_b).sum(axis=1)),
+        contrast=total(touch * contrast),
+        far_contrast=total((1 - touch) * contrast),
+        step_m=total(touch * step_m),
+        sigma_m=total(touch * (sigma_m[at_a] + sigma_m[at_b]) / 2),
+        contact=columns(*contact.T),
+        contact_squares=columns(*(contact * contact).T),
+        nearer=columns((behind > limit).astype(np.float64), (behind < -limit).astype(np.float64)),
+        above=columns((is_below & ~turned).astype(np.float64), (is_below & turned).astype(np.float64)),
+        bridged=lines,
+        gap_m=gap_m,
+    )
+
+
+@kernel
+def _gaps(labels, depth, points, count, reach, limit):
+    """Return (count, count) the minimum distance of each two labels at a stride of 2; infinite beyond the limit."""
+    height, width = labels.shape
+    out = np.full((count, count), np.inf, dtype=np.float32)
+    for y in range(0, height, 2):
+        for x in range(0, width, 2):
+            i = labels[y, x]
+            if i == 0:
+                continue
+            # Interior pixels cannot be nearest; pixels to the right and below suffice, for distance is symmetric.
+            if (
+                0 < x < width - 1
+                and 0 < y < height - 1
+                and labels[y, x - 1] == i
+                and labels[y, x + 1] == i
+                and labels[y - 1, x] == i
+                and labels[y + 1, x] == i
+                and labels[max(0, y - 2), x] == i
+                and labels[min(height - 1, y + 2), x] == i
+                and labels[y, max(0, x - 2)] == i
+                and labels[y, min(width - 1, x + 2)] == i
+            ):
+                continue
+            radius = int(reach / depth[y, x]) + 1
+            for yy in range(y, min(height, y + radius + 1), 2):
+                first = x + 2 if yy == y else max(x % 2, x - radius // 2 * 2)
+                for xx in range(first, min(width, x + radius + 1), 2):
+                    j = labels[yy, xx]
+                    if j == 0 or j == i or abs(depth[yy, xx] - depth[y, x]) > limit:
+                        continue
+                    d0 = points[yy, xx, 0] - points[y, x, 0]
+                    d1 = points[yy, xx, 1] - points[y, x, 1]
+                    d2 = points[yy, xx, 2] - points[y, x, 2]
+                    distance = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+                    if distance < min(out[i, j], limit):
+                        out[i, j] = out[j, i] = distance
+    return out

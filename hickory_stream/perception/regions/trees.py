@@ -1,0 +1,158 @@
+"""Boosted trees that estimate whether two regions are one object: read from the package, evaluated with Numba.
+
+`tools/train_segmenter` trains them and writes them together with a card on their training data and accuracy.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.errors import ModelError
+from hickory_stream.geometry import portable
+from hickory_stream.perception.regions.features import Features
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+Forest = Literal["sizes", "mixed", "odds"]
+"""The forests: `sizes` uses absolute features (metres, heights, colours); `mixed` averages it with one that uses only
+relative features (ratios, sigmas, angles); `odds` also uses the features of the affinity network, which may be NaN.
+"""
+EMBEDDED: dict[Forest, str] = {
+    "sizes": "weights/join.npz",
+    "mixed": "weights/join_mixed.npz",
+    "odds": "weights/join_odds.npz",
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Trees:
+    """A forest whose leaf values add up to log-odds; the nodes of all trees are concatenated, all arrays (nodes,).
+
+    `features`: the names of the inputs in order; `roots` (trees,): the first node of each tree; `baseline`: log-odds to
+    which the leaf values are added. The descent continues from node i at `left[i]` if input `feature[i]` is at most
+    `threshold[i]`, else at `right[i]`; for NaN at `left[i]` if `nan_left[i]`. A leaf has feature -1 and a `value[i]`.
+    """
+
+    features: tuple[str, ...]
+    baseline: float
+    roots: NDArray[np.int32]
+    feature: NDArray[np.int16]
+    threshold: NDArray[np.float64]
+    left: NDArray[np.int32]
+    right: NDArray[np.int32]
+    nan_left: NDArray[np.bool_]
+    value: NDArray[np.float32]
+
+    def probabilities(self, inputs: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return (K,) the probability that each pair is one object; `inputs` has every feature (K,) by name."""
+        if isinstance(inputs, Features):
+            rows = inputs.rows_of(self.features)
+        else:
+            rows = np.array([inputs[name] for name in self.features]).T.copy()
+        odds = self.baseline + _sums_of_leaves(
+            rows, self.roots, self.feature, self.threshold, self.left, self.right, self.nan_left, self.value
+        )
+        return np.asarray(1 / (1 + portable.exp(-odds)))
+
+    def save(self, path: Path) -> None:
+        """Write the trees as a NumPy archive."""
+        np.savez_compressed(
+            path,
+            features=np.array(self.features),
+            baseline=np.array(self.baseline),
+            **{name: getattr(self, name) for name in _ARRAYS},
+        )
+
+
+def averaged(one: Trees, other: Trees) -> Trees:
+    """Return trees whose log-odds are the mean of two forests'; the forests may use different inputs."""
+    names = tuple(dict.fromkeys((*one.features, *other.features)))
+    forests, shift = [], 0
+    for trees in (one, other):
+        number = np.array([names.index(name) for name in trees.features], dtype=np.int16)
+        is_leaf = trees.feature < 0
+        forests.append(
+            {
+                "roots": trees.roots + np.int32(shift),
+                "feature": np.where(is_leaf, np.int16(-1), number[trees.feature]),
+                "threshold": trees.threshold,
+                "left": trees.left + np.int32(shift),
+                "right": trees.right + np.int32(shift),
+                "nan_left": trees.nan_left,
+                "value": trees.value / np.float32(2),
+            }
+        )
+        shift += len(trees.feature)
+    joined = {name: np.concatenate([forest[name] for forest in forests]) for name in _ARRAYS}
+    return Trees(features=names, baseline=(one.baseline + other.baseline) / 2, **joined)
+
+
+_ARRAYS = ("roots", "feature", "threshold", "left", "right", "nan_left", "value")
+
+
+@cache
+def embedded_trees(forest: Forest = "sizes") -> Trees:
+    """Return trees that come with the package."""
+    with resources.as_file(resources.files("hickory_stream.perception").joinpath(EMBEDDED[forest])) as path:
+        return load_trees(path)
+
+
+def load_trees(path: Path) -> Trees:
+    """Return the trees in a file.
+
+    Raises:
+        ModelError: the file does not exist or does not contain such trees.
+    """
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            trees = Trees(
+                features=tuple(str(name) for name in file["features"]),
+                baseline=float(file["baseline"]),
+                **{name: file[name] for name in _ARRAYS},
+            )
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ModelError(f"{path} holds no trees of a segmenter: {error}") from error
+    _check(trees, path)
+    return trees
+
+
+def _check(trees: Trees, path: Path) -> None:
+    """Raise if a node has a child out of range or before itself: the descent of a tree must end."""
+    count = len(trees.feature)
+    inner = trees.feature >= 0
+    own = np.arange(count)
+    for name in _ARRAYS[1:]:
+        if len(getattr(trees, name)) != count:
+            raise ModelError(f"{path}: {len(getattr(trees, name))} of {name} for {count} nodes")
+    for name in ("left", "right"):
+        next_node = getattr(trees, name)
+        if ((next_node <= own) | (next_node >= count))[inner].any():
+            raise ModelError(f"{path}: a node leads {name} to none that comes after it")
+    if (trees.feature >= len(trees.features)).any() or (trees.roots < 0).any() or (trees.roots >= count).any():
+        raise ModelError(f"{path}: a node asks for an input, or a tree begins at a node, that is not there")
+
+
+@kernel
+def _sums_of_leaves(rows, roots, feature, threshold, left, right, nan_left, value):
+    out = np.zeros(len(rows))
+    # A tree stays in the cache while all rows descend it; each row still adds its leaves in the order of the trees.
+    for root in roots:
+        for i in range(len(rows)):
+            node = root
+            while feature[node] >= 0:
+                x = rows[i, feature[node]]
+                goes_left = nan_left[node] if np.isnan(x) else x <= threshold[node]
+                node = left[node] if goes_left else right[node]
+            out[i] += value[node]
+    return out

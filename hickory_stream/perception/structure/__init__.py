@@ -1,0 +1,1 @@
+"""Structure: floor, walls, ceiling and ground, which are no objects."""

@@ -1,0 +1,386 @@
+"""Detection of room structure in a frame: the floor, walls and ceiling.
+
+The floor is the lowest wide horizontal surface; a wall or a ceiling is a plane with all of the room on one side. The
+front of a cupboard is as flat as a wall, but there is surface behind it. A wall with an open door has surface behind
+it, too: it is recognised by its height, and limited to the sections in which it is visible.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import cos, sin
+from hickory_stream.perception.structure.detection_kernels import (
+    along,
+    areas_m2,
+    bins_of_azimuth,
+    near_offset,
+    on_wall,
+    places_of,
+    spread_of,
+    surface_of_area,
+    taken,
+    taken_rows,
+    upright_pixels,
+    weight_below,
+    weighted_sum,
+)
+from hickory_stream.perception.structure.ground import Ground, GroundConfig
+from hickory_stream.perception.structure.raised_patches import NearPlane, RaisedPatchConfig
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StructureConfig(Ranged):
+    """What counts as structure.
+
+    Attributes:
+        floor_area_m2: minimum visible area of a floor.
+        wall_area_m2: minimum visible area of a wall or ceiling.
+        behind_share: maximum share of the frame's surface behind a wall.
+        tolerance_m: maximum distance from a plane, plus 3 sigma of depth, of pixels that belong to it.
+        floor_below_camera_m: minimum distance of a floor below the camera.
+        storey_m: minimum height of a storey: a camera higher than this above the map's floor is on another storey, and
+            a floor this much lower than the map's floor is that of the storey below.
+        wall_height_m, wall_foot_m, wall_cut_m, wall_width_m: a vertical plane is a wall, even with surface behind it,
+            if it is at least `wall_width_m` wide, is visible below `wall_foot_m` above the floor, and reaches up to
+            `wall_height_m`, or to `wall_cut_m` and the upper image border ...
+        furniture_depth_m, backing_m2: ... unless there is a parallel surface of this area at most this far behind it:
+            then it is the front of a cupboard, and the surface behind it is the wall.
+        ground: which surfaces are ground where the ground is not one level plane.
+        raised_patches: which pixels within the tolerance of a plane belong to objects.
+    """
+
+    floor_area_m2: float = number(0.25, 0, 1000, "m2")
+    wall_area_m2: float = number(0.45, 0, 1000, "m2")
+    behind_share: float = number(0.02, 0, 1, "share")
+    tolerance_m: float = number(0.025, 0, 10, "m")
+    floor_below_camera_m: float = number(0.25, 0, 100, "m")
+    storey_m: float = number(2.4, 0, 100, "m")
+    wall_height_m: float = number(2.1, 0, 100, "m")
+    wall_foot_m: float = number(1.2, 0, 100, "m")
+    wall_cut_m: float = number(1.5, 0, 100, "m")
+    wall_width_m: float = number(0.9, 0, 100, "m")
+    furniture_depth_m: float = number(0.75, 0, 100, "m")
+    backing_m2: float = number(0.15, 0, 1000, "m2")
+    raised_patches: RaisedPatchConfig = field(default_factory=RaisedPatchConfig)
+    ground: GroundConfig = field(default_factory=GroundConfig)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class HorizontalPlane:
+    """A horizontal surface at height `z_m`, with `area_m2` of it visible in the frame."""
+
+    z_m: float
+    area_m2: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Wall:
+    """A vertical plane, normal . p = offset, with the horizontal unit normal (2,) into the room.
+
+    `cells` are the sorted indices of the sections, `_STRETCH_M` long, in which the wall is visible; None for a wall
+    that bounds the room: everything behind it is structure, too.
+    """
+
+    normal: NDArray[np.float32]
+    offset: float
+    cells: NDArray[np.int64] | None
+
+    def distance_m(self, surface: Surface) -> NDArray[np.float32]:
+        """Return (h, w) the signed distance of each pixel in front of the wall, in m."""
+        rows = surface.points_world.reshape(-1, 3)
+        return np.asarray(along(rows, self.normal).reshape(surface.depth_m.shape) - np.float32(self.offset))
+
+    def mask(
+        self, surface: Surface, distance: NDArray[np.float32], tolerance: NDArray[np.float32]
+    ) -> NDArray[np.bool_]:
+        """Return (h, w) the pixels of the wall, to a tolerance in m per pixel."""
+        facing = along(surface.normals_world.reshape(-1, 3), self.normal).reshape(distance.shape)
+        mask: NDArray[np.bool_] = on_wall(distance, facing, tolerance, self.cells is None)
+        if self.cells is not None:
+            mask[mask] = np.isin(_stretches(surface.points_world[mask][:, :2], self.normal), self.cells)
+        return mask
+
+
+_STRETCH_M = 0.25
+_SEEN_M2 = 0.03
+
+
+def _stretches(at: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Return (N,) the index of the section along a wall of each of (N, 2) points."""
+    sideways = along(at, np.array([-normal[1], normal[0]], dtype=np.float32))
+    return np.floor(sideways / _STRETCH_M).astype(np.int64)
+
+
+def pixel_areas_m2(surface: Surface) -> NDArray[np.float32]:
+    """Return (h, w) the surface area of each pixel; 0 without depth, bounded at grazing angles."""
+    areas: NDArray[np.float32] = areas_m2(
+        surface.points_world,
+        surface.normals_world,
+        surface.depth_m,
+        surface.world_from_camera[:3, 3].astype(np.float32),
+        np.float32(surface.camera.fx * surface.camera.fy),
+    )
+    return areas
+
+
+def horizontal_planes(
+    surface: Surface, areas_m2: NDArray[np.float32], *, min_area_m2: float, bin_m: float = 0.01
+) -> list[HorizontalPlane]:
+    """Return the upward-facing horizontal planes of a frame, lowest first: peaks of the height histogram."""
+    upward = surface.normals_world[..., 2] > 0.9
+    heights, weights = surface.points_world[..., 2][upward], areas_m2[upward]
+    if len(heights) == 0:
+        return []
+    low = float(heights.min()) - 3 * bin_m
+    bins = int((float(heights.max()) - low) / bin_m) + 4
+    histogram = np.bincount(((heights - low) / bin_m).astype(np.int64), weights=weights, minlength=bins)
+    # Sums of five bins: a plane with depth noise of a centimetre or two is one peak.
+    smooth = np.convolve(histogram, np.ones(5), mode="same")
+    planes: list[HorizontalPlane] = []
+    while True:
+        peak = int(np.argmax(smooth))
+        if smooth[peak] < min_area_m2:
+            return sorted(planes, key=lambda plane: plane.z_m)
+        near = np.abs(heights - (low + (peak + 0.5) * bin_m)) < 2.5 * bin_m
+        z_m = float(np.average(heights[near], weights=weights[near])) if near.any() else low + (peak + 0.5) * bin_m
+        planes.append(HorizontalPlane(z_m=z_m, area_m2=float(smooth[peak])))
+        smooth[max(0, peak - 4) : peak + 5] = 0.0
+
+
+# A plane that is at most this far above the map's floor is that floor.
+_AT_FLOOR_M = 0.06
+
+
+def floor_height_m(
+    surface: Surface, planes: list[HorizontalPlane], known_m: float | None, config: StructureConfig
+) -> float | None:
+    """Return the floor's height in this frame, or that of the map if the frame shows no floor.
+
+    Only a lower plane replaces the map's floor, so that a table that fills the view is not taken for the floor. If the
+    camera is a storey above the map's floor, the floor is the largest plane below the camera.
+    """
+    camera_z = float(surface.world_from_camera[2, 3])
+    below = [
+        plane
+        for plane in planes
+        if plane.area_m2 >= config.floor_area_m2 and plane.z_m <= camera_z - config.floor_below_camera_m
+    ]
+    if known_m is None:
+        return below[0].z_m if below else None
+    if camera_z - known_m > config.storey_m:
+        return max(below, key=lambda plane: (plane.area_m2, -plane.z_m)).z_m if below else known_m
+    # A floor as much as a storey lower is that of the storey below, seen over a railing.
+    lower = [plane.z_m for plane in below if known_m - config.storey_m < plane.z_m <= known_m + _AT_FLOOR_M]
+    return lower[0] if lower else known_m
+
+
+def structure_mask(
+    surface: Surface,
+    areas_m2: NDArray[np.float32],
+    floor_z_m: float | None,
+    ground: Ground | None,
+    config: StructureConfig,
+) -> tuple[NDArray[np.bool_], list[NearPlane]]:
+    """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one; and the pixels near floor and walls.
+
+    The floor is the level plane at `floor_z_m`, or the `ground` where that is uneven.
+    """
+    tolerance = config.tolerance_m + 2.0 * surface.sigma_m
+    mask = _ceiling(surface, areas_m2, tolerance, config)
+    planes: list[NearPlane] = []
+    if floor_z_m is not None:
+        height = surface.points_world[..., 2] - np.float32(floor_z_m) if ground is None else ground.height_m
+        level = surface.normals_world[..., 2] > 0.8
+        near = (height < tolerance) & (level | (height < 0.6 * tolerance))
+        planes.append(NearPlane(distance_m=height, near=near, is_floor=True))
+    for wall in _walls(surface, areas_m2, floor_z_m, config):
+        distance = wall.distance_m(surface)
+        near = wall.mask(surface, distance, tolerance)
+        planes.append(NearPlane(distance_m=distance, near=near, is_floor=False))
+    for plane in planes:
+        mask |= plane.near
+    return mask, planes
+
+
+def _ceiling(
+    surface: Surface, areas_m2: NDArray[np.float32], tolerance: NDArray[np.float32], config: StructureConfig
+) -> NDArray[np.bool_]:
+    downward = surface.normals_world[..., 2] < -0.9
+    z = surface.points_world[..., 2]
+    above = z > surface.world_from_camera[2, 3] + 0.4
+    if float(areas_m2[downward & above].sum()) < config.wall_area_m2:
+        return np.zeros(z.shape, dtype=bool)
+    top = float(np.nanmax(z[downward & above]))
+    return np.asarray((z > top - 2 * tolerance - 0.05) & above)
+
+
+def _walls(
+    surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | None, config: StructureConfig
+) -> list[Wall]:
+    """Return the walls of a frame, by direction, the rearmost first."""
+    points, normals = surface.points_world.reshape(-1, 3), surface.normals_world.reshape(-1, 3)
+    weights = areas_m2.reshape(-1)
+    all_at, all_weight, all_sigma = surface_of_area(points, surface.sigma_m.reshape(-1), weights)
+    pixels, direction = upright_pixels(normals, weights)
+    if len(pixels) == 0:
+        return []
+    walls: list[Wall] = []
+    at, heights, sigma, weight = places_of(pixels, points, surface.sigma_m.reshape(-1), weights)
+    azimuths = bins_of_azimuth(direction, _AZIMUTHS)
+    left = _Upright(pixels, at, heights, sigma, weight, direction, azimuths)
+    width, total = surface.depth_m.shape[1], float(all_weight.sum())
+    for _ in range(8):
+        normal = _dominant_direction(left)
+        agreement = along(left.direction, normal)
+        facing, left = left.among(agreement > 0.97), left.among(~(agreement > 0.94))
+        for peak in _peaks(along(facing.at, normal), facing.weight, config.wall_area_m2):
+            inward, offset = _refined(facing, normal, peak)
+            offsets = along(facing.at, inward)
+            on_it = facing.among(near_offset(offsets, np.float32(offset), 0.04 + facing.sigma))
+            if len(on_it.pixels) == 0:
+                continue
+            behind = _behind(all_at, all_weight, all_sigma, inward, offset)
+            if behind < config.behind_share * total:
+                if _is_tall(on_it.heights, floor_z_m):
+                    walls.append(Wall(normal=inward, offset=offset, cells=None))
+            elif _is_high(on_it.heights, on_it.pixels, width, floor_z_m, config):
+                cells = _seen_cells(on_it.at, on_it.weight, inward)
+                depth = offset - offsets
+                is_backing = (depth > 0.12 + facing.sigma) & (depth < config.furniture_depth_m)
+                backing = float(taken(facing.weight, is_backing).sum())
+                if len(cells) * _STRETCH_M > config.wall_width_m and backing < config.backing_m2:
+                    walls.append(Wall(normal=inward, offset=offset, cells=cells))
+        if float(left.weight.sum()) < config.wall_area_m2:
+            break
+    return walls
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Upright:
+    """N pixels of vertical surface: positions `at` (N, 2), heights, depth sigma, area, direction (N, 2) and its bin."""
+
+    pixels: NDArray[np.int64]
+    at: NDArray[np.float32]
+    heights: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    weight: NDArray[np.float64]
+    direction: NDArray[np.float32]
+    azimuths: NDArray[np.int64]
+
+    def among(self, mask: NDArray[np.bool_]) -> _Upright:
+        """Return the marked pixels."""
+        return _Upright(
+            taken(self.pixels, mask),
+            taken_rows(self.at, mask),
+            taken(self.heights, mask),
+            taken(self.sigma, mask),
+            taken(self.weight, mask),
+            taken_rows(self.direction, mask),
+            taken(self.azimuths, mask),
+        )
+
+
+def _behind(
+    at: NDArray[np.float32],
+    weight: NDArray[np.float64],
+    sigma: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    offset: float,
+) -> float:
+    """Return the area of the surface that lies behind a plane by more than the noise."""
+    return float(weight_below(weight, along(at, normal), np.float32(offset - 0.12), sigma).sum())
+
+
+def _seen_cells(at: NDArray[np.float32], weight: NDArray[np.float64], normal: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Return the sections of a wall of which enough is visible."""
+    cells, inverse = np.unique(_stretches(at, normal), return_inverse=True)
+    return np.asarray(cells[np.bincount(inverse, weights=weight) > _SEEN_M2])
+
+
+def _is_high(
+    heights: NDArray[np.float32],
+    pixels: NDArray[np.int64],
+    width: int,
+    floor_z_m: float | None,
+    config: StructureConfig,
+) -> bool:
+    """Return whether a vertical plane is higher than furniture, or cut by the upper image border, and reaches down."""
+    if floor_z_m is None:
+        return False
+    low, high = np.percentile(heights, [2, 98])
+    if low - floor_z_m > config.wall_foot_m or high - floor_z_m < config.wall_cut_m:
+        return False
+    columns = np.unique(pixels % width)
+    goes_on = len(np.unique(pixels[pixels < 3 * width] % width)) > 0.3 * len(columns)
+    return bool(goes_on or high - floor_z_m > config.wall_height_m)
+
+
+def _is_tall(heights: NDArray[np.float32], floor_z_m: float | None) -> bool:
+    """Return whether a vertical plane is as tall as a wall: over 1.3 m above the floor, or over 0.8 m of it in view."""
+    low, high = np.percentile(heights, [2, 98])
+    if floor_z_m is not None and high - floor_z_m > 1.3:
+        return True
+    return bool(high - low > 1.0)
+
+
+_AZIMUTHS = 120
+
+
+def _dominant_direction(left: _Upright) -> NDArray[np.float32]:
+    """Return the unit direction (2,) that most of the remaining area faces: a refined peak of the histogram."""
+    areas = np.bincount(left.azimuths, weights=left.weight, minlength=_AZIMUTHS)
+    smooth = areas + 0.7 * (np.roll(areas, 1) + np.roll(areas, -1))
+    center = (int(np.argmax(smooth)) + 0.5) / _AZIMUTHS * 2 * np.pi - np.pi
+    near = along(left.direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98
+    weight = taken(left.weight, near)
+    mean = weighted_sum(taken_rows(left.direction, near), weight) / weight.sum()
+    return (mean / portable.norm(mean)).astype(np.float32)
+
+
+def _refined(facing: _Upright, normal: NDArray[np.float32], offset: float) -> tuple[NDArray[np.float32], float]:
+    """Return a wall's line refined by least squares, twice; an error of a degree is 9 cm on 5 m of wall."""
+    tolerance_m = 0.05 + 2.0 * facing.sigma
+    for _ in range(2):
+        near = near_offset(along(facing.at, normal), np.float32(offset), tolerance_m)
+        at_near, share = taken_rows(facing.at, near), taken(facing.weight, near)
+        if len(share) < 20:
+            break
+        middle, spread = spread_of(at_near, share / share.sum())
+        _, axes = portable.eigh(spread)
+        across = axes[:, 0] * np.sign(portable.dot(axes[:, 0], normal))
+        if portable.dot(across, normal) < 0.98:
+            break
+        normal, offset = across.astype(np.float32), portable.dot(across, middle)
+    return normal, offset
+
+
+def _peaks(offsets: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2: float) -> list[float]:
+    """Return the offsets along a normal of up to four planes with enough area, the rearmost first."""
+    if len(offsets) == 0:
+        return []
+    bin_m, low = 0.02, float(offsets.min()) - 0.04
+    histogram = np.bincount(((offsets - low) / bin_m).astype(np.int64), weights=weight)
+    smooth = np.convolve(histogram, np.ones(3), mode="same")
+    peaks: list[float] = []
+    first = 0
+    while len(peaks) < 4:
+        enough = np.flatnonzero(smooth[first:] > min_area_m2)
+        if len(enough) == 0:
+            break
+        first += int(enough[0])
+        peak = first + int(np.argmax(smooth[first : first + 4]))
+        near = np.abs(offsets - (low + (peak + 0.5) * bin_m)) < 1.5 * bin_m
+        peaks.append(float(np.average(offsets[near], weights=weight[near])))
+        first = peak + 6  # the flank of this peak is not another peak
+    return peaks

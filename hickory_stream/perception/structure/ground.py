@@ -1,0 +1,363 @@
+"""Ground that is not one level plane: slopes, waves, kerbs, steps and ramps, on a grid of heights.
+
+The lowest upward-facing surface of each grid cell is grown into regions without steps: between neighbouring cells the
+slope is limited (local slopes: Himmelsbach et al. 2010; regions of a height map: Douillard et al. 2011). A region is
+ground if it is at the height of the floor, or mostly on structure that the map knows as ground. A region that is one
+step above the ground and wide enough to stand on is ground, too, and so is one that is up to two steps below. Objects
+on the ground are not: their sides are steeper than the slope limit, and their tops are higher than a step or too small.
+(Cloth simulation from below, Zhang et al. 2016, cannot separate a box from a platform either: it needs the same two
+limits.)
+
+A level floor gives the same result as one plane, so that this grid is used only where the ground is uneven.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroundConfig(Ranged):
+    """Which surfaces are ground (traversable on foot).
+
+    Attributes:
+        cell_m: side of a cell of the height grid.
+        slope: maximum slope between neighbouring cells, as a ratio: a ramp of 20 degrees.
+        step_m: maximum height of a step or a kerb.
+        level_m2: minimum area of a level that is a step higher than the ground beside it.
+        gap_m: maximum horizontal distance between such a level and that ground: an object may occlude the edge.
+        off_plane_m, off_plane_m2: the ground is uneven if at least this area is this far from one plane.
+    """
+
+    cell_m: float = number(0.2, 0.02, 10, "m")
+    slope: float = number(0.36, 0, 10, "ratio")
+    step_m: float = number(0.2, 0, 10, "m")
+    level_m2: float = number(1.5, 0, 1000, "m2")
+    gap_m: float = number(1.0, 0, 100, "m")
+    off_plane_m: float = number(0.05, 0, 10, "m")
+    off_plane_m2: float = number(1.0, 0, 1000, "m2")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Ground:
+    """Heights of uneven ground in a frame.
+
+    `height_m` (h, w) is the height of each pixel above the ground under it, NaN where the ground is not known;
+    `middle_z_m` the height in the world of the middle of the visible ground.
+    """
+
+    height_m: NDArray[np.float32]
+    middle_z_m: float
+
+
+_UPWARD = 0.8
+_LEAST_PX = 3
+# The ground under an object is interpolated from the cells around it, up to this many cells away.
+_FILLED_CELLS = 4
+
+
+def uneven_ground(
+    surface: Surface,
+    known: NDArray[np.bool_],
+    floor_z_m: float | None,
+    config: GroundConfig,
+    *,
+    below_camera_m: float,
+    least_m2: float,
+) -> Ground | None:
+    """Return the ground of a frame if it is uneven; None if it is one level plane.
+
+    Args:
+        surface: the surface of the frame.
+        known: (h, w) which pixels lie in structure voxels of the map.
+        floor_z_m: height of the floor as one plane, None if it is unknown.
+        config: which surfaces are ground.
+        below_camera_m: minimum distance of the ground below the camera.
+        least_m2: minimum area of a region of ground (levels a step higher have `level_m2`).
+    """
+    camera_z = float(surface.world_from_camera[2, 3])
+    grid = _heights_of(surface, known, camera_z - below_camera_m, config)
+    if grid is None:
+        return None
+    regions = _regions(grid.z_m, grid.slack_m, np.float32(config.cell_m * config.slope))
+    is_ground = _is_ground(regions, grid, floor_z_m, config, least_m2)
+    if not is_ground.any():
+        return None
+    heights = grid.z_m[is_ground]
+    off_m = np.abs(heights - np.float32(np.median(heights) if floor_z_m is None else floor_z_m))
+    off = int((off_m > config.off_plane_m + grid.slack_m[is_ground]).sum())
+    if off * config.cell_m * config.cell_m < config.off_plane_m2:
+        return None
+    filled = _filled(np.where(is_ground, grid.z_m, np.float32(np.nan)), _FILLED_CELLS)
+    height = _above(surface.points_world, filled, grid.low_m, np.float32(config.cell_m), np.float32(config.off_plane_m))
+    return Ground(height_m=height, middle_z_m=float(np.median(heights)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grid:
+    """The lowest upward-facing surface of each cell (nx, ny): height (NaN if none), noise, share known as structure.
+
+    `low_m` (2,) is the corner of the first cell.
+    """
+
+    z_m: NDArray[np.float32]
+    slack_m: NDArray[np.float32]
+    known: NDArray[np.float32]
+    low_m: NDArray[np.float32]
+
+
+def _heights_of(surface: Surface, known: NDArray[np.bool_], highest_m: float, config: GroundConfig) -> _Grid | None:
+    at, sigma_m, is_known = _upward(
+        surface.points_world, surface.normals_world, surface.sigma_m, known, np.float32(_UPWARD), np.float32(highest_m)
+    )
+    if not len(at):
+        return None
+    cell = np.float32(config.cell_m)
+    low = np.floor(at[:, :2].min(axis=0) / cell) * cell
+    size = tuple(int(n) for n in np.floor((at[:, :2].max(axis=0) - low) / cell) + 1)
+    # Depth noise is along the ray: its vertical part is in proportion to the vertical component of the ray.
+    eye = surface.world_from_camera[:3, 3].astype(np.float32)
+    z, slack, share = _lowest(at, sigma_m, is_known, eye, low, cell, size[0], size[1])
+    return _Grid(z, slack, share, low)
+
+
+@kernel
+def _upward(points, normals, sigma, known, least, highest):
+    """Return (N, 3) the points that face upward below a height, (N,) their noise, and whether they are known."""
+    height, width = known.shape
+    at, noise = np.empty((height * width, 3), dtype=np.float32), np.empty(height * width, dtype=np.float32)
+    is_known = np.empty(height * width, dtype=np.bool_)
+    n = 0
+    for y in range(height):
+        for x in range(width):
+            if normals[y, x, 2] > least and points[y, x, 2] < highest:
+                at[n, 0], at[n, 1], at[n, 2] = points[y, x, 0], points[y, x, 1], points[y, x, 2]
+                noise[n], is_known[n] = sigma[y, x], known[y, x]
+                n += 1
+    return at[:n], noise[:n], is_known[:n]
+
+
+@kernel
+def _lowest(points, sigma, known, eye, low, cell, nx, ny):
+    """Return the mean height (nx, ny) of the lowest layer of points in each cell, its noise, and its known share."""
+    least = np.full((nx, ny), np.float32(np.inf), dtype=np.float32)
+    places = np.empty((len(points), 2), dtype=np.int32)
+    noise = np.empty(len(points), dtype=np.float32)
+    for i in range(len(points)):
+        a, b = int((points[i, 0] - low[0]) / cell), int((points[i, 1] - low[1]) / cell)
+        a, b = min(max(a, 0), nx - 1), min(max(b, 0), ny - 1)
+        places[i, 0], places[i, 1] = a, b
+        rx, ry, rz = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
+        noise[i] = sigma[i] * abs(rz) / np.sqrt(rx * rx + ry * ry + rz * rz)
+        least[a, b] = min(least[a, b], points[i, 2] + noise[i])
+    total, slack = np.zeros((nx, ny)), np.zeros((nx, ny))
+    count, of_known = np.zeros((nx, ny)), np.zeros((nx, ny))
+    for i in range(len(points)):
+        a, b = places[i, 0], places[i, 1]
+        if points[i, 2] < least[a, b] + np.float32(0.04) + noise[i]:
+            total[a, b] += points[i, 2]
+            slack[a, b] += noise[i]
+            count[a, b] += 1.0
+            of_known[a, b] += known[i]
+    z = np.full((nx, ny), np.float32(np.nan), dtype=np.float32)
+    out_slack, share = np.zeros((nx, ny), dtype=np.float32), np.zeros((nx, ny), dtype=np.float32)
+    for a in range(nx):
+        for b in range(ny):
+            if count[a, b] >= _LEAST_PX:
+                z[a, b] = total[a, b] / count[a, b]
+                out_slack[a, b] = slack[a, b] / count[a, b]
+                share[a, b] = of_known[a, b] / count[a, b]
+    return z, out_slack, share
+
+
+@kernel
+def _regions(z, slack, rise):
+    """Return (nx, ny) the region of each cell, from 1 (0: no height): connected cells within the slope limit."""
+    nx, ny = z.shape
+    out = np.zeros((nx, ny), dtype=np.int32)
+    queue = np.empty((nx * ny, 2), dtype=np.int32)
+    count = 0
+    for a in range(nx):
+        for b in range(ny):
+            if out[a, b] > 0 or np.isnan(z[a, b]):
+                continue
+            count += 1
+            out[a, b] = count
+            queue[0, 0], queue[0, 1] = a, b
+            first, last = 0, 1
+            while first < last:
+                i, j = queue[first, 0], queue[first, 1]
+                first += 1
+                for k in range(max(i - 1, 0), min(i + 2, nx)):
+                    for m in range(max(j - 1, 0), min(j + 2, ny)):
+                        if out[k, m] > 0 or np.isnan(z[k, m]):
+                            continue
+                        far = np.float32(1.0) if (k == i or m == j) else np.float32(1.4142)
+                        if abs(z[k, m] - z[i, j]) <= far * rise + min(slack[k, m], slack[i, j]):
+                            out[k, m] = count
+                            queue[last, 0], queue[last, 1] = k, m
+                            last += 1
+    return out
+
+
+def _is_ground(
+    regions: NDArray[np.int32], grid: _Grid, floor_z_m: float | None, config: GroundConfig, least_m2: float
+) -> NDArray[np.bool_]:
+    """Return (nx, ny) which cells are ground: regions of the floor, and regions one step away from ground."""
+    cells = np.bincount(regions.ravel())
+    cells[0] = 0
+    large = np.flatnonzero(cells * config.cell_m * config.cell_m >= least_m2)
+    ground = _first_regions(regions, grid, floor_z_m, large)
+    # A region on known structure one step away was ground in earlier keyframes: it needs no minimum area in this one.
+    before = _known_regions(regions, grid, cells)
+    left = sorted(({int(i) for i in large} | before) - ground)
+    is_ground = np.isin(regions, sorted(ground))
+    while left and ground:
+        found = [i for i in left if _is_a_step_away(regions == i, is_ground, i in before, grid, config)]
+        if not found:
+            break
+        ground.update(found)
+        is_ground |= np.isin(regions, found)
+        left = [i for i in left if i not in found]
+    return is_ground
+
+
+# Minimum shares of a region that is structure in the map (to start from it; to know it surely as ground), and how many
+# cells of it must be at the height of the floor.
+_KNOWN_SHARE, _SURELY_KNOWN = 0.25, 0.6
+_AT_FLOOR_M = 0.06
+_AT_FLOOR_CELLS = 3
+
+
+def _known_regions(regions: NDArray[np.int32], grid: _Grid, cells: NDArray[np.int64]) -> set[int]:
+    """Return the regions of at least a few cells that are mostly structure in the map."""
+    known = np.bincount(regions.ravel(), weights=grid.known.ravel(), minlength=len(cells))
+    return {int(i) for i in np.flatnonzero((cells >= _AT_FLOOR_CELLS) & (known >= _SURELY_KNOWN * cells))} - {0}
+
+
+def _first_regions(
+    regions: NDArray[np.int32], grid: _Grid, floor_z_m: float | None, large: NDArray[np.int64]
+) -> set[int]:
+    """Return the large regions at the height of the floor; if there are none, the lowest one on known structure."""
+    if len(large) == 0:
+        return set()
+    if floor_z_m is not None:
+        near = np.abs(grid.z_m - np.float32(floor_z_m)) < _AT_FLOOR_M + grid.slack_m
+        at_floor = [int(i) for i in large if int((near & (regions == i)).sum()) >= _AT_FLOOR_CELLS]
+        if at_floor:
+            return set(at_floor)
+    known = [int(i) for i in large if float(grid.known[regions == i].mean()) >= _KNOWN_SHARE]
+    some = known or ([] if floor_z_m is not None else [int(i) for i in large])
+    if not some:
+        return set()
+    return {min(some, key=lambda i: (float(np.median(grid.z_m[regions == i])), i))}
+
+
+def _is_a_step_away(
+    region: NDArray[np.bool_], ground: NDArray[np.bool_], was_ground: bool, grid: _Grid, config: GroundConfig
+) -> bool:
+    """Return whether a region begins at most a step above, or two below, ground that is near.
+
+    A higher level must have the minimum area, unless it was known as ground before.
+    """
+    at, there = np.argwhere(region), np.argwhere(ground)
+    rise_m, gap_m = _nearest_step(at, there, grid.z_m, np.float32(config.cell_m))
+    if not gap_m <= config.gap_m:
+        return False
+    most_m = config.step_m + 0.1 * gap_m
+    # A lower region is ground whatever its area, if it is at most two steps below.
+    has_room = len(at) * config.cell_m * config.cell_m >= config.level_m2
+    return bool(-2 * most_m <= rise_m <= most_m and (rise_m < 0 or was_ground or has_room))
+
+
+@kernel
+def _nearest_step(at, there, z, cell):
+    """Return the mean rise from the ground to the cells of a region that are nearest to it, and their distance."""
+    nearest = np.float32(np.inf)
+    for i in range(len(at)):
+        for j in range(len(there)):
+            da, db = at[i, 0] - there[j, 0], at[i, 1] - there[j, 1]
+            nearest = min(nearest, np.float32(da * da + db * db))
+    total, count = 0.0, 0
+    for i in range(len(at)):
+        for j in range(len(there)):
+            da, db = at[i, 0] - there[j, 0], at[i, 1] - there[j, 1]
+            if da * da + db * db <= nearest + np.float32(2.0):
+                total += z[at[i, 0], at[i, 1]] - z[there[j, 0], there[j, 1]]
+                count += 1
+    return total / max(count, 1), np.sqrt(nearest) * cell
+
+
+@kernel
+def _filled(z, steps):
+    """Return heights (nx, ny) with unknown cells filled by the mean of their known neighbours, `steps` times."""
+    out = z.copy()
+    for _ in range(steps):
+        before = out.copy()
+        for a in range(z.shape[0]):
+            for b in range(z.shape[1]):
+                if not np.isnan(before[a, b]):
+                    continue
+                total, count = np.float32(0.0), 0
+                for k in range(max(a - 1, 0), min(a + 2, z.shape[0])):
+                    for m in range(max(b - 1, 0), min(b + 2, z.shape[1])):
+                        if not np.isnan(before[k, m]):
+                            total += before[k, m]
+                            count += 1
+                if count >= 2:
+                    out[a, b] = total / np.float32(count)
+    return out
+
+
+@kernel
+def _above(points, z, low, cell, step):
+    """Return (h, w) the height of points above the ground, interpolated between cells of one level.
+
+    At the edge of a step the higher level counts, also in a cell that contains both: the face of a kerb is ground.
+    """
+    height, width, _ = points.shape
+    nx, ny = z.shape
+    out = np.full((height, width), np.float32(np.nan), dtype=np.float32)
+    half = np.float32(0.5)
+    for y in range(height):
+        for x in range(width):
+            if np.isnan(points[y, x, 2]):
+                continue
+            fx, fy = (points[y, x, 0] - low[0]) / cell - half, (points[y, x, 1] - low[1]) / cell - half
+            a, b = int(np.floor(fx)), int(np.floor(fy))
+            u, v = fx - np.float32(a), fy - np.float32(b)
+            total, weight = np.float32(0.0), np.float32(0.0)
+            least, most = np.float32(np.inf), np.float32(-np.inf)
+            for k in range(2):
+                for m in range(2):
+                    if a + k < 0 or b + m < 0 or a + k >= nx or b + m >= ny or np.isnan(z[a + k, b + m]):
+                        continue
+                    here = z[a + k, b + m]
+                    share = (u if k else np.float32(1.0) - u) * (v if m else np.float32(1.0) - v)
+                    total += share * here
+                    weight += share
+                    least, most = min(least, here), max(most, here)
+            if weight <= 0:
+                continue
+            ground = most if most - least > step else total / weight
+            i, j = int(np.floor(fx + half)), int(np.floor(fy + half))
+            for k in range(max(i - 1, 0), min(i + 2, nx)):
+                for m in range(max(j - 1, 0), min(j + 2, ny)):
+                    if not np.isnan(z[k, m]):
+                        least, most = min(least, z[k, m]), max(most, z[k, m])
+            # The slope itself rises over three cells by one and a half times its rise over two.
+            if most - least > np.float32(1.5) * step:
+                ground = most
+            out[y, x] = points[y, x, 2] - ground
+    return out

@@ -1,0 +1,157 @@
+"""Patches raised off a floor or wall plane by less than the depth noise of a pixel: a lamp's foot, a shelf's back.
+
+A single pixel cannot be separated from the plane, but the mean depth over a window has a fraction of the noise. Depth
+of real cameras also has low-frequency errors as high as such a patch, so that a patch must differ in colour, too, from
+the plane around it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry import portable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.perception.surface import Surface
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RaisedPatchConfig(Ranged):
+    """When pixels near a plane belong to an object instead.
+
+    Attributes:
+        window_px: side of the averaging window.
+        least_m, sigmas: minimum offset of the window's mean from the plane, in m and in its standard deviations.
+        min_area_px: minimum area of a raised patch.
+        color_step: minimum CIE Lab distance between the patch and the plane around it.
+        reach_px: width of the ring around a patch in which the plane's colour is sampled.
+        min_border_share: on a wall, the minimum share of the patch's outline that borders objects: a picture or a door
+            frame borders none.
+        min_border_px: on the floor, the minimum number of outline pixels that border objects: legs are thin.
+    """
+
+    window_px: int = number(5, 1, 1001, "px")
+    least_m: float = number(0.009, 0, 10, "m")
+    sigmas: float = number(3.0, 0, 100, "standard deviations")
+    min_area_px: int = number(24, 1, 1_000_000, "px")
+    color_step: float = number(12.0, 0, 1000, "CIE Lab")
+    reach_px: int = number(12, 1, 1000, "px")
+    min_border_share: float = number(0.3, 0, 1, "share")
+    min_border_px: int = number(2, 0, 1_000_000, "px")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class NearPlane:
+    """A floor or wall plane: the pixels `near` it (h, w), and the signed distance of each to its front, in m (h, w)."""
+
+    distance_m: NDArray[np.float32]
+    near: NDArray[np.bool_]
+    is_floor: bool
+
+
+def raised_patches(
+    planes: Sequence[NearPlane],
+    structure: NDArray[np.bool_],
+    surface: Surface,
+    config: RaisedPatchConfig,
+) -> NDArray[np.bool_]:
+    """Return (h, w) which pixels of `structure` belong to objects: those raised off every plane near them."""
+    things = (~structure & np.isfinite(surface.depth_m)).astype(np.uint8)
+    off, on = np.zeros(structure.shape, dtype=bool), np.zeros(structure.shape, dtype=bool)
+    for plane in planes:
+        patches = _raised(plane, things, surface.sigma_m, surface.lab, config)
+        off |= patches
+        on |= plane.near & ~patches
+    return off & ~on
+
+
+def _raised(
+    plane: NearPlane,
+    things: NDArray[np.uint8],
+    sigma_m: NDArray[np.float32],
+    lab: NDArray[np.float32],
+    config: RaisedPatchConfig,
+) -> NDArray[np.bool_]:
+    mask = np.zeros(plane.near.shape, dtype=bool)
+    side = (config.window_px, config.window_px)
+    values, marks = _marked(plane.distance_m, plane.near)
+    total = cv2.blur(values, side, borderType=cv2.BORDER_CONSTANT)
+    share = cv2.blur(marks, side, borderType=cv2.BORDER_CONSTANT)
+    area, least_m, sigmas = (
+        np.float32(x) for x in (config.window_px * config.window_px, config.least_m, config.sigmas)
+    )
+    high = _is_high(plane.near, total, share, sigma_m, area, least_m, sigmas)
+    if np.count_nonzero(high) < config.min_area_px:
+        return mask
+    # Opening removes rims of a few pixels along the foot of an object.
+    wide = cv2.morphologyEx(high.astype(np.uint8), cv2.MORPH_OPEN, _WIDE)
+    if int(wide.sum()) < config.min_area_px:
+        return mask
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(wide, connectivity=4)
+    ground = plane.near & ~high
+    for i in np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= config.min_area_px).tolist():
+        u, v, width, height = (int(x) for x in stats[i, :4])
+        y, x = max(0, v - config.reach_px), max(0, u - config.reach_px)
+        window = np.s_[y : v + height + config.reach_px, x : u + width + config.reach_px]
+        patch = labels[window] == i
+        if i == 0 or not _borders_objects(patch, things[window], is_floor=plane.is_floor, config=config):
+            continue
+        around = ground[window]
+        color = lab[window][around] if int(around.sum()) >= config.min_area_px else lab[ground]
+        if len(color) and _color_step(lab[window][patch], color) > config.color_step:
+            mask[window] |= patch
+    return mask
+
+
+def _borders_objects(
+    patch: NDArray[np.bool_], things: NDArray[np.uint8], *, is_floor: bool, config: RaisedPatchConfig
+) -> bool:
+    """Return whether enough of a patch's outline borders on objects."""
+    outline = (cv2.dilate(patch.astype(np.uint8), _NEXT) > 0) & ~patch
+    touch = int(things[outline].sum())
+    return touch >= config.min_border_px if is_floor else touch > config.min_border_share * int(outline.sum())
+
+
+@kernel
+def _marked(values, mask):
+    """Return (h, w) the values inside a mask, 0 elsewhere, and the mask as float."""
+    out, marks = np.zeros(values.shape, dtype=np.float32), np.zeros(values.shape, dtype=np.float32)
+    for y in range(values.shape[0]):
+        for x in range(values.shape[1]):
+            if mask[y, x]:
+                out[y, x], marks[y, x] = values[y, x], np.float32(1.0)
+    return out, marks
+
+
+@kernel
+def _is_high(near, total, share, sigma, area, least, sigmas):
+    """Return (h, w) which pixels near a plane lie in windows whose mean offset exceeds the noise.
+
+    `total` and `share` (h, w) are window means, over `area` pixels, of the distance to the plane (0 for pixels that are
+    not near it) and of the mask of pixels near it.
+    """
+    out = np.zeros(near.shape, dtype=np.bool_)
+    for y in range(near.shape[0]):
+        for x in range(near.shape[1]):
+            if near[y, x]:
+                mean = total[y, x] / max(share[y, x], np.float32(1e-6))
+                noise = sigma[y, x] / np.sqrt(max(share[y, x] * area, np.float32(1.0)))
+                out[y, x] = mean > max(least, sigmas * noise)
+    return out
+
+
+def _color_step(patch: NDArray[np.float32], plane: NDArray[np.float32]) -> float:
+    return portable.norm(np.median(patch, axis=0) - np.median(plane, axis=0))
+
+
+_NEXT, _WIDE = np.ones((3, 3), dtype=np.uint8), np.ones((5, 5), dtype=np.uint8)

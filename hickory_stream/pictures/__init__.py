@@ -1,0 +1,1 @@
+"""Pictures of maps, alignments, paths and perception, drawn without a display."""

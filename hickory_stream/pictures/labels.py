@@ -1,0 +1,197 @@
+"""Text on pictures: ids at the objects, the title, the scale.
+
+A label lies on the visible part of its object, near the middle of it. If that is too small, the label stands beside it
+with a leader line to it, where it covers neither another label nor the anchor of another object.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.display import color_of_id
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+_PADDING_PX = 3
+_SIZE, _THICKNESS = 0.45, 1
+# Candidate positions of a label around its anchor: distances, and directions with "above" first.
+_DISTANCES_PX = (22, 30, 40, 52, 66, 82, 100, 120, 145, 175, 210, 250)
+_ANGLES_RAD = np.deg2rad([90, 60, 120, 30, 150, 0, 180, -30, -150, -60, -120, -90])
+# Cost of covering other objects: a label entirely over other objects costs as much as this many pixels of distance.
+_COVERING_PX = 60.0
+# Labels together cover at most this share of the visible objects; so many objects have one in any case.
+_MOST_COVERED, _ALWAYS = 0.5, 30
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Label:
+    """A label: its rectangle `box_px` (x0, y0, x1, y1), end exclusive, and its anchor (x, y) on the object."""
+
+    object_id: int
+    box_px: tuple[int, int, int, int]
+    place_px: tuple[int, int]
+
+    @property
+    def is_beside(self) -> bool:
+        """Whether it stands beside its anchor, so that a leader line is drawn."""
+        return not _holds(self.box_px, self.place_px)
+
+
+def most_visible(ids: Sequence[int], owners: NDArray[np.int32], step_px: int) -> list[int]:
+    """Return the ids to label: all, or as many of the most visible ones as cover half of what is visible.
+
+    `owners` (h, w) is the id of the object visible in each square of `step_px` pixels, -1 for none.
+    """
+    seen, counts = np.unique(owners[owners >= 0], return_counts=True)
+    squares = dict(zip(seen.tolist(), counts.tolist(), strict=True))
+    ordered = sorted(ids, key=lambda i: (-squares.get(i, 0), i))
+    sizes = np.array([_text_size(str(i)) for i in ordered]).reshape(-1, 2).prod(axis=1)
+    room_px2 = _MOST_COVERED * step_px**2 * int(counts.sum())
+    return ordered[: max(_ALWAYS, int(np.searchsorted(np.cumsum(sizes), room_px2)))]
+
+
+def place_labels(
+    ids: Sequence[int], owners: NDArray[np.int32], step_px: int, hidden_px: NDArray[np.float64]
+) -> list[Label]:
+    """Return a label for each of N ids, in their order; no two overlap if there is room.
+
+    `owners` (h, w) is the id of the object visible in each square of `step_px` pixels, -1 for none; `hidden_px` (N, 2)
+    are the anchors of objects that are not visible.
+    """
+    spots = {
+        object_id: _spot(owners == object_id, step_px, _text_size(str(object_id)), hidden)
+        for object_id, hidden in zip(ids, hidden_px, strict=True)
+    }
+    limits = (owners.shape[1] * step_px, owners.shape[0] * step_px)
+    placed: dict[int, Label] = {}
+    # Labels that fit on their objects are placed first, then the others from the bottom of the picture up.
+    ordered = sorted(ids, key=lambda i: (spots[i][1] < _text_size(str(i))[0] / 2, -spots[i][0][1], i))
+    for object_id in ordered:
+        place, depth_px = spots[object_id]
+        others = [spots[i][0] for i in ids if i != object_id]
+        placed[object_id] = _placed(object_id, place, depth_px, list(placed.values()), others, owners, step_px, limits)
+    return [placed[object_id] for object_id in ids]
+
+
+def draw_labels(image: NDArray[np.uint8], labels: Sequence[Label]) -> None:
+    """Draw the labels, each on a patch of its object's colour, and the leader lines of those that stand beside it."""
+    import cv2
+
+    for label in (label for label in labels if label.is_beside):
+        x0, y0, x1, y1 = label.box_px
+        x, y = label.place_px
+        near = (int(np.clip(x, x0, x1 - 1)), int(np.clip(y, y0, y1 - 1)))
+        for color, thickness in (((255, 255, 255), 3), (_dark(label.object_id), 1)):
+            cv2.line(image, near, (x, y), color, thickness, cv2.LINE_AA)
+            cv2.circle(image, (x, y), 1 + thickness // 2, color, cv2.FILLED, cv2.LINE_AA)
+    for label in labels:
+        x0, y0, x1, y1 = label.box_px
+        cv2.rectangle(image, (x0, y0), (x1 - 1, y1 - 1), _dark(label.object_id), cv2.FILLED)
+        place = (x0 + _PADDING_PX, y1 - 1 - _PADDING_PX)
+        text = str(label.object_id)
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, _SIZE, (255, 255, 255), _THICKNESS, cv2.LINE_AA)
+
+
+def _spot(
+    seen: NDArray[np.bool_], step_px: int, size_px: tuple[int, int], hidden_px: NDArray[np.float64]
+) -> tuple[tuple[int, int], float]:
+    """Return the anchor of a visible region, and its distance from the region's edge, in pixels.
+
+    It is the point nearest to the region's centre at which the label fits, else the point farthest from the edge.
+    """
+    import cv2
+
+    if not seen.any():
+        return (round(float(hidden_px[0])), round(float(hidden_px[1]))), 0.0
+    depth = cv2.distanceTransform(np.pad(seen, 1).astype(np.uint8), cv2.DIST_C, 3)[1:-1, 1:-1] * step_px
+    rows, columns = np.nonzero(depth >= min(float(depth.max()), 0.8 * max(size_px)))
+    middle = np.argwhere(seen).mean(axis=0)
+    nearest = int(np.argmin((rows - middle[0]) ** 2 + (columns - middle[1]) ** 2))
+    row, column = int(rows[nearest]), int(columns[nearest])
+    return (round((column + 0.5) * step_px), round((row + 0.5) * step_px)), float(depth[row, column])
+
+
+def _placed(
+    object_id: int,
+    place: tuple[int, int],
+    depth_px: float,
+    labels: list[Label],
+    others: list[tuple[int, int]],
+    owners: NDArray[np.int32],
+    step_px: int,
+    limits: tuple[int, int],
+) -> Label:
+    """Return the label of least cost, which is close to its anchor and covers little of other objects."""
+    width, height = _text_size(str(object_id))
+    offsets = [(0.0, 0.0)] if depth_px >= 0.5 * max(width, height) else []
+    offsets += [(d * np.cos(angle), -d * np.sin(angle)) for d in _DISTANCES_PX for angle in _ANGLES_RAD]
+    best, least = None, np.inf
+    for dx, dy in offsets:
+        x0 = int(np.clip(round(place[0] + dx - width / 2), 0, max(limits[0] - width, 0)))
+        y0 = int(np.clip(round(place[1] + dy - height / 2), 0, max(limits[1] - height, 0)))
+        box = (x0, y0, x0 + width, y0 + height)
+        distance = float(np.hypot(dx, dy))
+        if distance >= least:
+            break
+        below = owners[y0 // step_px : -(-box[3] // step_px), x0 // step_px : -(-box[2] // step_px)]
+        covered = float(((below >= 0) & (below != object_id)).mean()) if below.size else 0.0
+        num_met = sum(_overlap(box, other.box_px) for other in labels) + sum(_holds(box, other) for other in others)
+        cost = distance + _COVERING_PX * covered + 1000.0 * num_met
+        if cost < least:
+            best, least = box, cost
+    assert best is not None
+    return Label(object_id=object_id, box_px=best, place_px=place)
+
+
+def _text_size(text: str) -> tuple[int, int]:
+    """Return the width and height of a label including its padding."""
+    import cv2
+
+    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _SIZE, _THICKNESS)
+    return width + 2 * _PADDING_PX, height + 2 * _PADDING_PX
+
+
+def _dark(object_id: int) -> tuple[int, int, int]:
+    r, g, b = (int(0.55 * c) for c in color_of_id(object_id))
+    return r, g, b
+
+
+def draw_title(image: NDArray[np.uint8], text: str) -> None:
+    """Draw a title into a strip of a picture."""
+    import cv2
+
+    image[:] = (38, 42, 50)
+    cv2.putText(image, text, (16, image.shape[0] - 15), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (240, 240, 240), 1, cv2.LINE_AA)
+
+
+def draw_caption(image: NDArray[np.uint8], text: str) -> None:
+    """Draw a line into the upper left corner of a view."""
+    import cv2
+
+    cv2.putText(image, text, (12, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (70, 75, 85), 1, cv2.LINE_AA)
+
+
+def draw_scale(image: NDArray[np.uint8], pixels_per_m: float) -> None:
+    """Draw a bar of one metre, and the directions of x and y, into the lower left corner of a view from above."""
+    import cv2
+
+    x, y, color = 16, image.shape[0] - 16, (70, 75, 85)
+    length = round(pixels_per_m)
+    cv2.line(image, (x, y), (x + length, y), color, 2, cv2.LINE_AA)
+    for end in (x, x + length):
+        cv2.line(image, (end, y - 4), (end, y + 4), color, 1, cv2.LINE_AA)
+    cv2.putText(image, "1 m", (x + length + 8, y + 5), cv2.FONT_HERSHEY_SIMPLEX, 0.45, color, 1, cv2.LINE_AA)
+
+
+def _overlap(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+
+
+def _holds(box: tuple[int, int, int, int], place: tuple[int, int]) -> bool:
+    return box[0] <= place[0] < box[2] and box[1] <= place[1] < box[3]

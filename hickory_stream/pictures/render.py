@@ -1,0 +1,217 @@
+"""A picture of a map without a screen: from above and from a raised corner, layers selectable.
+
+The second view is the one of eight directions in which the objects occlude one another least.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.pictures.labels import (
+    draw_caption,
+    draw_labels,
+    draw_scale,
+    draw_title,
+    most_visible,
+    place_labels,
+)
+from hickory_stream.pictures.rasterize import first_hits
+from hickory_stream.pictures.render_parts import dots_of, floor_cells, mesh_surface, superquadric_surfaces
+from hickory_stream.pictures.render_storeys import Place, Storey, places_of, storeys_to_draw
+from hickory_stream.pictures.render_view import Floor, Model, draw_view
+from hickory_stream.pictures.viewpoint import Viewpoint, from_above, from_corner
+from hickory_stream.storeys import floors_of
+
+if TYPE_CHECKING:
+    from collections.abc import Set as AbstractSet
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.map_folder.saved_map import SavedMap
+    from hickory_stream.pictures.labels import Label
+    from hickory_stream.pictures.rasterize import Dots
+    from hickory_stream.pictures.raycast import Surface
+    from hickory_stream.records import TrackedObject
+
+_TITLE_PX = 44
+_ELEVATION_RAD = np.deg2rad(38.0)
+_CELL_M = 0.05
+_LABEL_STEP_PX = 3
+
+
+def render_map(
+    saved: SavedMap,
+    layers: AbstractSet[int],
+    size: tuple[int, int],
+    texture_px: int = 0,
+    floor_m: float | None = None,
+) -> NDArray[np.uint8]:
+    """Return an (H, W, 3) uint8 picture of a map: from above on the left, from a corner on the right.
+
+    Of a map with several storeys they are beside one another, at most `MOST_STOREYS` of them.
+
+    Args:
+        saved: the map; tracks that are still tentative are not drawn.
+        layers: the layers to draw, of 1 to 4; an object without a shape is drawn as its points. Layer 4 is translucent,
+        and so is layer 3 if layer 2 is drawn too.
+        size: (W, H) in pixels, at least (480, 240).
+        texture_px: the largest side of a texture of layer 2, 0 for the colours of its vertices.
+        floor_m: draw the storey of this floor alone; without it all storeys, each from above and from a corner.
+
+    Raises:
+        MapFolderError: a mesh, or a view that a texture is made of, cannot be read.
+        ValueError: the size or a layer is out of range.
+    """
+    width, height = size
+    if width < 480 or height < 240:
+        raise ValueError(f"a picture of a map has at least 480 x 240 pixels, found {width} x {height}")
+    if not layers or not set(layers) <= {1, 2, 3, 4}:
+        raise ValueError(f"layers are among 1, 2, 3 and 4, found {sorted(layers)}")
+    storeys = storeys_to_draw(saved.snapshot, floor_m)
+    image = np.full((height, width, 3), 255, dtype=np.uint8)
+    below = image[_TITLE_PX:]
+    # From above all storeys have one place and one scale, so that stairs and walls are above one another.
+    around = _corners([tracked for storey in storeys for tracked in storey.objects])
+    extent_m = np.maximum(np.ptp(around[:, :2], axis=0), 0.5)
+    places = places_of(len(storeys), width, height - _TITLE_PX, extent_m)
+    azimuth_rad: float | None = None
+    # The fullest one first: from where it is seen best, all are seen.
+    for i in sorted(range(len(storeys)), key=lambda i: (-len(storeys[i].objects), i)):
+        storey, (above, corner) = storeys[i], places[i]
+        dots = [dots_of(tracked) for tracked in storey.objects]
+        corners = _corners(storey.objects)
+        if azimuth_rad is None:
+            azimuth_rad = _best_azimuth(dots, corners, corner)
+        model = _model(saved, storey, dots, layers, texture_px)
+        from_here = from_above(around, above.width, above.height, above.margin_px)
+        from_there = from_corner(corners, azimuth_rad, _ELEVATION_RAD, corner.width, corner.height, corner.margin_px)
+        above.of(below)[:] = _panel(model, from_here, storey.objects, dots)
+        corner.of(below)[:] = _panel(model, from_there, storey.objects, dots)
+        draw_scale(above.of(below), from_here.focal_px)
+        if len(storeys) > 1:
+            draw_caption(above.of(below), f"floor at {storey.floor_m:.2f} m: {len(storey.objects)} objects")
+    draw_title(image[:_TITLE_PX], _title(saved, storeys, layers))
+    return image
+
+
+# ---- what to draw ---------------------------------------------------------------------------------------------------
+
+
+def _model(saved: SavedMap, storey: Storey, dots: list[Dots], layers: AbstractSet[int], texture_px: int) -> Model:
+    """Return what is drawn of a storey; `dots` are those of its objects."""
+    solid, translucent = _surfaces(saved, storey.objects, layers, texture_px)
+    return Model(
+        solid=solid,
+        points=[one for one, tracked in zip(dots, storey.objects, strict=True) if 1 in layers or tracked.shape is None],
+        translucent=translucent,
+        submaps=saved.snapshot.submaps,
+        floor=_floor_of(saved, storey.objects, storey.floor_m),
+    )
+
+
+def _surfaces(
+    saved: SavedMap, objects: list[TrackedObject], layers: AbstractSet[int], texture_px: int
+) -> tuple[list[Surface], list[Surface]]:
+    """Return the opaque and the translucent surfaces of the layers 2 to 4."""
+    solid: list[Surface] = []
+    translucent: list[Surface] = []
+    for tracked in objects:
+        if tracked.shape is None:
+            if 3 in layers and tracked.sketch is not None:
+                translucent.extend(superquadric_surfaces(tracked.sketch, tracked.id))
+            continue
+        if 2 in layers:
+            solid.append(mesh_surface(saved, tracked, texture_px))
+        if 3 in layers:
+            (translucent if 2 in layers else solid).extend(superquadric_surfaces(tracked.shape.fitted, tracked.id))
+        if 4 in layers:
+            translucent.extend(superquadric_surfaces(tracked.shape.inflated, tracked.id))
+    return solid, translucent
+
+
+def _corners(objects: list[TrackedObject]) -> NDArray[np.float64]:
+    """Return the corners of all boxes, or those of a cube of 2 m if there is no object."""
+    if not objects:
+        return np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (0.0, 1.0)])
+    return np.concatenate([tracked.box.corners_world() for tracked in objects])
+
+
+def _floor_of(saved: SavedMap, objects: list[TrackedObject], floor_m: float | None) -> Floor:
+    """Return the floor, weighted by how much of it was seen; if none was seen, a floor around the objects."""
+    import cv2
+
+    corners = _corners(objects)
+    heights = [floor_m] if floor_m is not None else floors_of(saved.snapshot)
+    z_m = next(iter(heights), float(corners[:, 2].min()))
+    seen = [floor_cells(submap, z_m) for submap in saved.snapshot.submaps]
+    places = np.concatenate([np.empty((0, 2)), *seen])
+    margin_m = 0.5
+    around = np.concatenate([corners[:, :2], places])
+    origin = around.min(axis=0) - margin_m
+    columns, rows = np.ceil((around.max(axis=0) + margin_m - origin) / _CELL_M).astype(int)
+    weights = np.zeros((rows, columns), dtype=np.float32)
+    if len(places):
+        x, y = ((places - origin) / _CELL_M).astype(int).T
+        weights[y, x] = 1.0
+        weights = cv2.morphologyEx(weights, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
+    else:
+        weights[6:-6, 6:-6] = 1.0
+    return Floor(z_m=z_m, origin_m=origin, cell_m=_CELL_M, weights=cv2.GaussianBlur(weights, (0, 0), 1.2))
+
+
+def _best_azimuth(dots: list[Dots], corners: NDArray[np.float64], place: Place) -> float:
+    """Return the direction, of eight, in which objects occlude one another least, whichever layers are drawn."""
+    small = (place.width // 8, place.height // 8, place.margin_px // 8)
+
+    def visibility(azimuth: float) -> float:
+        viewpoint = from_corner(corners, azimuth, _ELEVATION_RAD, *small)
+        owners = first_hits([], dots, viewpoint)[0].owners
+        _, counts = np.unique(owners[owners >= 0], return_counts=True)
+        return float(np.log1p(counts).sum())
+
+    return float(max(np.deg2rad(np.arange(8) * 45.0 + 25.0), key=visibility))
+
+
+def _title(saved: SavedMap, storeys: list[Storey], layers: AbstractSet[int]) -> str:
+    # What reaches through a ceiling is in two storeys.
+    objects = list({tracked.id: tracked for storey in storeys for tracked in storey.objects}.values())
+    shapes = [tracked.shape for tracked in objects if tracked.shape]
+    sketched = sum(tracked.sketch is not None for tracked in objects)
+    counts = {
+        1: f"{sum(len(tracked.points_world) for tracked in objects):,} points",
+        2: f"{len(shapes)} meshes",
+        3: f"{sum(len(shape.fitted) for shape in shapes)} superquadrics"
+        + (f" and {sketched} from points" if sketched else ""),
+        4: f"{sum(len(shape.inflated) for shape in shapes)} inflated",
+    }
+    name = str(saved.manifest.source.get("uri", saved.folder.name)).rstrip("/").rsplit("/", maxsplit=1)[-1]
+    shown = "  ".join(f"{layer}: {counts[layer]}" for layer in sorted(layers))
+    num_floors = len(floors_of(saved.snapshot))
+    of_all = f" of {num_floors}, --floor draws one" if num_floors > len(storeys) else ""
+    told = f"    {len(storeys)} storeys{of_all}" if len(storeys) > 1 else ""
+    return f"{name}    {len(objects)} objects{told}    layer {shown}"
+
+
+# ---- one panel ------------------------------------------------------------------------------------------------------
+
+
+def _panel(model: Model, viewpoint: Viewpoint, objects: list[TrackedObject], dots: list[Dots]) -> NDArray[np.uint8]:
+    """Return the (H, W, 3) picture from one viewpoint, with labels."""
+    drawn = draw_view(model, viewpoint)
+    draw_labels(drawn, labels_of(viewpoint, objects, dots))
+    return drawn
+
+
+def labels_of(viewpoint: Viewpoint, objects: list[TrackedObject], dots: list[Dots]) -> list[Label]:
+    """Return the labels of objects as seen from a viewpoint, whichever layers are drawn.
+
+    Where labels of all would hide the map, as in a building of hundreds of things, only the most visible ones have one.
+    """
+    columns, rows = viewpoint.width // _LABEL_STEP_PX, viewpoint.height // _LABEL_STEP_PX
+    owners = first_hits([], dots, viewpoint, step_px=_LABEL_STEP_PX)[0].owners.reshape(rows, columns)
+    chosen = set(most_visible([tracked.id for tracked in objects], owners, _LABEL_STEP_PX))
+    labelled = [tracked for tracked in objects if tracked.id in chosen]
+    hidden = np.array([viewpoint.project(tracked.box.center[None])[0] for tracked in labelled]).reshape(-1, 2)
+    return place_labels([tracked.id for tracked in labelled], owners, _LABEL_STEP_PX, hidden)

@@ -1,0 +1,1 @@
+"""Layer 3: superquadrics fitted to a mesh."""

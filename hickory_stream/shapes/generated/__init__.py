@@ -1,0 +1,1 @@
+"""Meshes of generative models: scale, placement and judgement against what was seen."""

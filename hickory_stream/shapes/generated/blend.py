@@ -1,0 +1,131 @@
+"""A generated shape made to agree with what was seen: measured surface where there is some, the generator's elsewhere.
+
+The signed distances of the generated shape are corrected by how far they miss the measured surface, near it fully and
+farther away less and less, so that the two meet without a step. What was seen to be free is cut away. The result is
+closed, of one grid, and every vertex says whether it was seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.ports import NoShape, Reconstruction
+from hickory_stream.shapes.reconstruct.fused import VolumeConfig, view_of
+from hickory_stream.shapes.reconstruct.meshing import extract, in_object_frame, painted, taubin_smoothed
+from hickory_stream.shapes.reconstruct.tsdf import VoxelGrid, gaussian_blurred, integrate
+from hickory_stream.shapes.sdf import distance_grid
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.ports import ShapeInputs
+    from hickory_stream.shapes.reconstruct.tsdf import DepthView, Evidence
+
+_BAND_VOXELS = 8.0
+_MIN_HALF_EXTENT_M = 0.01
+_EDGE_PX = 2
+_FAR_M = 100.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BlendConfig(Ranged):
+    """How a generated shape is joined with the measured surface.
+
+    It is corrected by its distance to the measured surface, which fades over `reach_voxels`; the correction is smoothed
+    over `seam_voxels`. Parts smaller than `min_part` of the largest are left out.
+    """
+
+    reach_voxels: float = number(10.0, 0.1, 100, "voxels")
+    seam_voxels: float = number(1.0, 0.1, 10, "voxels")
+    min_part: float = number(0.02, 0, 1, "share")
+
+
+def blended(
+    placed: Reconstruction, inputs: ShapeInputs, volume: VolumeConfig, config: BlendConfig
+) -> Reconstruction | NoShape:
+    """Return a placed shape that passes through what was measured and keeps out of what was seen to be free."""
+    vertices_world = apply(placed.world_from_object, placed.mesh.vertices.astype(np.float64))
+    try:
+        grid, generated = _generated_field(vertices_world, placed.mesh.faces, inputs, volume)
+    except ValueError as error:
+        return NoShape(reason=str(error))
+    evidence = integrate(grid, [_with_silhouette(view_of(crop, volume)) for crop in inputs.crops])
+    field = _joined(generated, evidence, config)
+    if inputs.support_z_m is not None:
+        # Nothing of an object is below what it stands on.
+        heights = grid.world_from_grid[2, 3] + grid.voxel_m * np.arange(grid.shape[2])
+        field = np.maximum(field, ((inputs.support_z_m - heights) / grid.voxel_m).astype(np.float32))
+    solid = _main_parts(field < 0, config.min_part)
+    if not solid.any():
+        return NoShape(reason="nothing of the generated shape is outside of free space")
+    field = np.where(solid, field, np.maximum(field, np.float32(1e-3)))
+    vertices, faces = extract(field, grid)
+    vertices = taubin_smoothed(vertices, faces, volume.smoothing)
+    reach = volume.seen_voxels * grid.voxel_m
+    colors, is_seen = painted(vertices, inputs.crops, inputs.points_world, inputs.colors, reach)
+    return in_object_frame(vertices, faces, colors, is_seen)
+
+
+def _with_silhouette(view: DepthView) -> DepthView:
+    """Return a view in which pixels beside the mask that have no depth look far: what a mask leaves out is not there.
+
+    For a surface that was made up; the fused shape takes a missing depth for no evidence.
+    """
+    near = ndimage.binary_dilation(view.mask, iterations=_EDGE_PX)
+    return replace(view, depth_m=np.where(~near & np.isnan(view.depth_m), np.float32(_FAR_M), view.depth_m))
+
+
+def _generated_field(
+    vertices_world: NDArray[np.float64], faces: NDArray[np.int32], inputs: ShapeInputs, volume: VolumeConfig
+) -> tuple[VoxelGrid, NDArray[np.float32]]:
+    """Return a grid over the shape and layer 1, and the shape's signed distances on it in voxels."""
+    around = np.concatenate([vertices_world, inputs.points_world.astype(np.float64)])
+    box = gravity_aligned_box(around, _MIN_HALF_EXTENT_M)
+    half = box.half_extents_m
+    area = 8 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])
+    # As for the fused shape: marching cubes yields about two faces per voxel face.
+    voxel = max(2 * float(half.max()) / volume.cells, float(np.sqrt(2 * area / volume.max_faces)))
+    voxel = float(np.clip(voxel, volume.min_voxel_m, volume.max_voxel_m))
+    # Points of layer 1 are vertices that no face uses: the grid reaches over them.
+    own = apply(invert(box.world_from_box), around)
+    cells = max(int(np.ceil(2 * float(half.max()) / voxel)), 4)
+    found = distance_grid(own, faces, cells=cells, band_cells=_BAND_VOXELS)
+    world_from_grid = box.world_from_box.copy()
+    world_from_grid[:3, 3] += portable.matmul(box.world_from_box[:3, :3], found.origin)
+    shape = (found.values.shape[0], found.values.shape[1], found.values.shape[2])
+    grid = VoxelGrid(world_from_grid=world_from_grid, voxel_m=found.step_m, shape=shape)
+    return grid, found.values / np.float32(found.step_m)
+
+
+def _joined(generated: NDArray[np.float32], evidence: Evidence, config: BlendConfig) -> NDArray[np.float32]:
+    """Return the field, in voxels, whose zero is the blended surface."""
+    measured = (evidence.near > evidence.free) & (evidence.near > 0) & (np.abs(evidence.distance) < 1.5)
+    free = (evidence.free > evidence.near) & (evidence.free > 0)
+    field = generated
+    if measured.any():
+        miss = np.where(measured, generated - evidence.distance, np.float32(0))
+        away, nearest = ndimage.distance_transform_edt(~measured, return_indices=True)
+        fade = np.maximum(1.0 - away / config.reach_voxels, 0.0)
+        carried = (miss[tuple(nearest)] * fade).astype(np.float32)
+        smooth = gaussian_blurred(carried, config.seam_voxels, mode="nearest")
+        field = generated - np.where(measured, carried, smooth)
+    # Never exactly zero on a voxel: its level set is then a closed manifold.
+    field = np.where(free, np.maximum(field, np.float32(0.5)), field)
+    return np.where(np.abs(field) < 1e-3, np.float32(1e-3), field).astype(np.float32)
+
+
+def _main_parts(solid: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
+    labels, count = ndimage.label(solid)
+    if count < 2:
+        return solid
+    sizes = np.bincount(labels.reshape(-1))
+    sizes[0] = 0
+    return np.asarray((sizes >= max(least * sizes.max(), 1))[labels] & solid)

@@ -1,0 +1,291 @@
+"""Whether a placed shape is true, by what was seen: each view is compared with what it would have seen of the shape.
+
+The shape is drawn into every view as points with their depth. A pixel then agrees, or the shape is missing there, lies
+behind what was measured, before it, or beside the object's mask, where nothing hides it. That is the share of the seen
+surface that it explains, the free space that it violates, and its silhouettes, in one drawing.
+
+What a generated shape said of surface that it was not shown, checked by the views that it was not made from.
+
+What is joined with the measured surface agrees with it, whoever made the rest. How far the rest can be trusted is told
+by surface that other views saw and the generator's own did not: the shape, placed but not corrected, lies there or not.
+The embedded shape is asked the same: made from those first views alone. No view, no answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
+from hickory_stream.ports import Reconstruction
+from hickory_stream.shapes.generated.distance_field import even_samples
+from hickory_stream.shapes.generated.placement_evidence import (
+    evidence_of,
+    noise_of,
+    shown_surface_of,
+    surface_of,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.ports import Reconstructor, ShapeInputs
+    from hickory_stream.shapes.generated.placement_evidence import Evidence
+
+
+_SAMPLES = 30_000
+_AGREES, _MISSING, _BEHIND, _BEFORE, _BESIDE, _OVERLAP = range(6)
+_NUM_FATES = 6
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JudgementConfig(Ranged):
+    """What a generated shape must fulfil to take the place of the embedded one.
+
+    A depth agrees within `tolerance_share` of the object's size. At least `min_explained` of the seen surface is
+    explained, at most `max_violated` of what the views would see of the shape lies in free space, the silhouettes
+    overlap by `min_silhouette` over all views, by `min_other_silhouette` in each view that it was not made from, and
+    it ends within `max_support_gap` of its size over or under what it stands on. These say whether it is the right
+    thing at all: a good shape whose proportions are wrong by a fifth passes. What is then made of it must be worth what
+    the embedded one is, less at most `most_less`: that one knows nothing of what no view has seen. Of the surface that
+    other views than its own saw, it must have foretold what the embedded one would have, less `most_less_foretold`.
+    """
+
+    tolerance_share: float = number(0.03, 0.001, 1, "share")
+    min_explained: float = number(0.67, 0, 1, "share")
+    max_violated: float = number(0.3, 0, 1, "share")
+    min_silhouette: float = number(0.6, 0, 1, "share")
+    min_other_silhouette: float = number(0.5, 0, 1, "share")
+    max_support_gap: float = number(0.1, 0, 10, "share")
+    most_less: float = number(0.1, 0, 2, "share")
+    most_less_foretold: float = number(0.1, 0, 1, "share")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ShapeEvidence:
+    """What the views say of a shape: shares in 0..1, None where nothing was seen that could say it.
+
+    `explained` of the measured surface agrees; `violated` of what the views would see of the shape lies before the
+    measured surface, or beside the mask with nothing before it; `silhouette` is the IoU of masks over all views, and
+    `other_silhouette` the least of those it was not made from. `support_gap` is how far its foot is from the support,
+    as a share of its size.
+    """
+
+    explained: float
+    violated: float
+    silhouette: float
+    other_silhouette: float | None
+    support_gap: float | None
+
+    @property
+    def worth(self) -> float:
+        """The measure by which two shapes of one object are compared: what it explains less what it violates."""
+        return self.explained - self.violated
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Verdict:
+    """Whether a shape earned its place; `reason` says by which numbers."""
+
+    is_accepted: bool
+    reason: str
+
+
+def judged(shape: ShapeEvidence, config: JudgementConfig) -> Verdict:
+    """Return whether a placed shape can be the object that was seen."""
+    faults = []
+    if shape.explained < config.min_explained:
+        faults.append(f"explains {shape.explained:.2f} of the seen surface (at least {config.min_explained:g})")
+    if shape.violated > config.max_violated:
+        faults.append(f"{shape.violated:.2f} of it in free space (at most {config.max_violated:g})")
+    if shape.silhouette < config.min_silhouette:
+        faults.append(f"silhouettes overlap by {shape.silhouette:.2f} (at least {config.min_silhouette:g})")
+    if shape.other_silhouette is not None and shape.other_silhouette < config.min_other_silhouette:
+        faults.append(f"by {shape.other_silhouette:.2f} in another view (at least {config.min_other_silhouette:g})")
+    if shape.support_gap is not None and shape.support_gap > config.max_support_gap:
+        faults.append(f"{shape.support_gap:.2f} of its size off its support (at most {config.max_support_gap:g})")
+    if faults:
+        return Verdict(is_accepted=False, reason="refused: " + ", ".join(faults))
+    return Verdict(is_accepted=True, reason="accepted: " + told(shape))
+
+
+def replaces(shape: ShapeEvidence, embedded: ShapeEvidence, config: JudgementConfig) -> Verdict:
+    """Return whether what was made of an accepted shape takes the place of the embedded one."""
+    numbers = f"worth {shape.worth:.2f}, the embedded one {embedded.worth:.2f}"
+    if shape.worth < embedded.worth - config.most_less:
+        return Verdict(is_accepted=False, reason=f"refused: {numbers}")
+    return Verdict(is_accepted=True, reason=f"{told(shape)}; {numbers}")
+
+
+def told(shape: ShapeEvidence) -> str:
+    """Return the numbers of a shape for people."""
+    other = "" if shape.other_silhouette is None else f", in another view {shape.other_silhouette:.2f}"
+    gap = "" if shape.support_gap is None else f", support gap {shape.support_gap:.2f}"
+    shares = f"explains {shape.explained:.2f}, free space {shape.violated:.2f}, silhouettes {shape.silhouette:.2f}"
+    return shares + other + gap
+
+
+def shape_evidence(
+    shape: Reconstruction, inputs: ShapeInputs, num_made_from: int, config: JudgementConfig
+) -> ShapeEvidence | None:
+    """Return what the views say of a shape, of which the first `num_made_from` views are those it was made from.
+
+    None where no surface was measured.
+    """
+    evidence = evidence_of(inputs)
+    if evidence is None or not len(evidence.depth):
+        return None
+    samples, _ = even_samples(shape.mesh.vertices, shape.mesh.faces, _SAMPLES)
+    world = apply(shape.world_from_object, samples)
+    size = float(np.sqrt(np.square(np.ptp(world, axis=0)).sum()))
+    tolerance = config.tolerance_share * max(size, evidence.size_m) + 2 * evidence.noise_m
+    counts = np.array([_view_counts(world, evidence, k, tolerance) for k in range(len(evidence.depth))])
+    total = counts.sum(axis=0)
+    others = [_silhouette(one) for one in counts[num_made_from:]]
+    gap = None
+    if np.isfinite(evidence.support_z_m):
+        gap = float(abs(np.quantile(world[:, 2], 0.002) - evidence.support_z_m) / max(size, 1e-9))
+    measured = total[[_AGREES, _MISSING, _BEHIND, _BEFORE]].sum()
+    drawn = total[[_AGREES, _BEHIND, _BEFORE, _BESIDE]].sum()
+    return ShapeEvidence(
+        explained=float(total[_AGREES] / max(measured, 1)),
+        violated=float((total[_BEFORE] + total[_BESIDE]) / max(drawn, 1)),
+        silhouette=_silhouette(total),
+        other_silhouette=min(others) if others else None,
+        support_gap=gap,
+    )
+
+
+def _silhouette(counts: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> float:
+    return float(counts[_OVERLAP] / max(counts[_OVERLAP] + counts[_MISSING] + counts[_BESIDE], 1))
+
+
+def _view_counts(
+    world: np.ndarray[tuple[int, ...], np.dtype[np.float64]], evidence: Evidence, k: int, tolerance: float
+) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    rows, columns = evidence.sizes[k]
+    drawn = np.full((rows, columns), np.inf)
+    _draw(world, evidence.camera_from_world[k], evidence.intrinsics[k], drawn)
+    depth, beside = evidence.depth[k, :rows, :columns], evidence.beside[k, :rows, :columns]
+    return np.asarray(_counted(drawn, depth, beside, tolerance))
+
+
+@kernel
+def _draw(points, pose, intrinsics, out):
+    """Put the least depth of (N, 3) points into an image; each covers the four pixels around its place."""
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
+        if depth <= 0.05:
+            continue
+        right = pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]
+        down = pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]
+        u, v = right / depth * intrinsics[0] + intrinsics[2], down / depth * intrinsics[1] + intrinsics[3]
+        column, row = int(np.floor(u)), int(np.floor(v))
+        for r in (row, row + 1):
+            for c in (column, column + 1):
+                if 0 <= r < out.shape[0] and 0 <= c < out.shape[1] and depth < out[r, c]:
+                    out[r, c] = depth
+
+
+@kernel
+def _counted(drawn, depth, beside, tolerance):
+    """Return (6,) how many pixels agree, miss the shape, have it behind, before, beside; and those of both masks."""
+    counts = np.zeros(_NUM_FATES, np.int64)
+    for r in range(drawn.shape[0]):
+        for c in range(drawn.shape[1]):
+            is_drawn, measured = drawn[r, c] < np.inf, depth[r, c]
+            if beside[r, c] > 0.0:
+                # Beside the mask; a nearer surface hides what is behind it.
+                if is_drawn and not measured < drawn[r, c] - tolerance:
+                    counts[_BESIDE] += 1
+                continue
+            if not is_drawn:
+                counts[_MISSING] += 1
+                continue
+            counts[_OVERLAP] += 1
+            if not measured > 0.0:
+                continue
+            # At an edge a pixel may be of either side: any of its neighbours may agree.
+            least, most = measured, measured
+            for i in range(max(r - 1, 0), min(r + 2, drawn.shape[0])):
+                for j in range(max(c - 1, 0), min(c + 2, drawn.shape[1])):
+                    if depth[i, j] > 0.0:
+                        least, most = min(least, depth[i, j]), max(most, depth[i, j])
+            if drawn[r, c] < least - tolerance:
+                counts[_BEFORE] += 1
+            elif drawn[r, c] > most + tolerance:
+                counts[_BEHIND] += 1
+            else:
+                counts[_AGREES] += 1
+    return counts
+
+
+# As shares of what was seen: surface is new so far from that of the first views, and is looked at in such cells.
+_NEW, _CELL = 0.03, 0.01
+# Fewer cells may be the noise at an edge.
+_LEAST_CELLS = 20
+_MIN_HALF_EXTENT_M = 0.01
+
+
+def by_other_views(
+    placed: Reconstruction, inputs: ShapeInputs, num_made_from: int, embedded: Reconstructor, config: JudgementConfig
+) -> Verdict | None:
+    """Return whether a placed shape foretold the surface that other views saw as well as the embedded one would have.
+
+    The shape was made from the first `num_made_from` views; None where the others saw nothing new.
+    """
+    found = newly_seen(inputs, num_made_from)
+    if found is None:
+        return None
+    first, new, size_m = found
+    reach_m = config.tolerance_share * size_m + 2 * max(noise_of(crop) for crop in inputs.crops)
+    ours = _share_at(placed, new, reach_m)
+    shown = replace(
+        inputs,
+        crops=inputs.crops[:num_made_from],
+        points_world=first.astype(np.float32),
+        colors=np.zeros((len(first), 3), np.uint8),
+        box=gravity_aligned_box(first, _MIN_HALF_EXTENT_M),
+    )
+    other = embedded.reconstruct(shown)
+    theirs = _share_at(other, new, reach_m) if isinstance(other, Reconstruction) else 0.0
+    told = f"foretold {ours:.2f} of what other views saw first, the embedded one {theirs:.2f}"
+    is_trusted = ours >= theirs - config.most_less_foretold
+    return Verdict(is_accepted=is_trusted, reason=told if is_trusted else f"refused: {told}")
+
+
+def newly_seen(
+    inputs: ShapeInputs, num_made_from: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
+    """Return the surface of the first views, what the others saw beside it, both (N, 3), and the size of all in metres.
+
+    None where that is next to nothing.
+    """
+    # Of what was shown all, to the edges of masks; what is asked for leaves them out: they may be another thing's.
+    shown = np.concatenate([np.empty((0, 3)), *(shown_surface_of(crop) for crop in inputs.crops[:num_made_from])])
+    asked = np.concatenate([np.empty((0, 3)), *(surface_of(crop) for crop in inputs.crops[num_made_from:])])
+    if not len(shown) or not len(asked):
+        return None
+    size_m = float(np.sqrt(np.square(np.ptp(np.concatenate([shown, asked]), axis=0)).sum()))
+    cell_m = _CELL * size_m
+    shown, asked = _cells(shown, cell_m), _cells(asked, cell_m)
+    new = asked[cKDTree(shown).query(asked)[0] > _NEW * size_m]
+    return (shown, new, size_m) if len(new) >= _LEAST_CELLS else None
+
+
+def _cells(points: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
+    """Return the (N, 3) centres of the cells that hold points."""
+    return centers_of_keys(np.unique(keys_of_points(points, cell_m)), cell_m).astype(np.float64)
+
+
+def _share_at(shape: Reconstruction, points: NDArray[np.float64], reach_m: float) -> float:
+    samples, _ = even_samples(shape.mesh.vertices, shape.mesh.faces, _SAMPLES)
+    return float((cKDTree(apply(shape.world_from_object, samples)).query(points)[0] <= reach_m).mean())

@@ -1,0 +1,1 @@
+"""Layer 4: superquadrics inflated until they contain the object."""

@@ -1,0 +1,1 @@
+"""Layer 2: complete meshes from fused depth or from a single view."""

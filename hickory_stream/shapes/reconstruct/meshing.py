@@ -1,0 +1,202 @@
+"""Surface extraction: from a solid on a voxel grid to a closed, smooth, coloured mesh in the object's frame.
+
+Distances from the cells of a block to the boundary of a solid, exact up to a reach.
+
+The square of a distance is a sum of three squares of whole numbers: the least one is found axis by axis, of the cells
+within the reach alone. SciPy's transform looks at all of them, and at the nearest cell itself, which nobody asks for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.camera import project
+from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.ports import Reconstruction
+from hickory_stream.shapes.reconstruct.tsdf import gaussian_blurred
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.ports import Crop
+    from hickory_stream.shapes.reconstruct.tsdf import Evidence, VoxelGrid
+
+
+@kernel
+def rough_distance(solid, reach):
+    """Return the signed distances to the faces between solid and other cells, in cells, negative inside, float32.
+
+    They are those between the middles of cells, less half a cell; what is farther away than `reach` cells, that far.
+    """
+    outside, inside = _squared_distance(solid, True, reach), _squared_distance(solid, False, reach)
+    out = np.empty(solid.shape, np.float32)
+    flat, is_solid = out.reshape(-1), solid.reshape(-1)
+    to_solid, to_other = outside.reshape(-1), inside.reshape(-1)
+    for n in range(len(flat)):
+        flat[n] = 0.5 - np.sqrt(np.float64(to_other[n])) if is_solid[n] else np.sqrt(np.float64(to_solid[n])) - 0.5
+    return out
+
+
+@kernel
+def _squared_distance(solid, to_solid, reach):
+    """Return the squared distance of each cell to the nearest that is solid, or the nearest that is not, int32."""
+    nx, ny, nz = solid.shape
+    most = np.int32(reach * reach)
+    along_z = np.empty((nx, ny, nz), np.int32)
+    for i in range(nx):
+        for j in range(ny):
+            since = reach
+            for k in range(nz):
+                since = 0 if solid[i, j, k] == to_solid else min(since + 1, reach)
+                along_z[i, j, k] = since
+            since = reach
+            for k in range(nz - 1, -1, -1):
+                since = 0 if solid[i, j, k] == to_solid else min(since + 1, reach)
+                least = min(along_z[i, j, k], since)
+                along_z[i, j, k] = least * least
+    along_y = np.full((nx, ny, nz), most, np.int32)
+    for i in range(nx):
+        for j in range(ny):
+            for other in range(max(j - reach, 0), min(j + reach + 1, ny)):
+                _lower(along_y[i, j], along_z[i, other], np.int32((j - other) ** 2))
+    # What it was made of is not needed any more.
+    along_z[:] = most
+    for i in range(nx):
+        for other in range(max(i - reach, 0), min(i + reach + 1, nx)):
+            _lower(along_z[i].reshape(-1), along_y[other].reshape(-1), np.int32((i - other) ** 2))
+    return along_z
+
+
+@kernel
+def _lower(values, others, more):
+    for n in range(len(values)):
+        values[n] = min(values[n], np.int32(others[n] + more))
+
+
+_GREY = (150, 150, 150)
+# The surface depends on the cells beside it, and their blurred values on those up to four cells away along each axis:
+# none of them is farther from the solid's boundary than 5 sqrt 3 cells. Where the solid meets the side of its block,
+# the surface lies beside cells of any depth.
+_REACH = 9
+
+
+def surface_field(solid: NDArray[np.bool_], evidence: Evidence) -> NDArray[np.float32]:
+    """Return a signed field in voxels, negative inside, whose zero is the surface.
+
+    Where the surface was measured the field is the measured distance; elsewhere it is the distance to the completed
+    solid, smoothed. It is never exactly zero on a voxel, so that its level set is a closed manifold.
+    """
+    rough = rough_distance(solid, sum(solid.shape) if _meets_a_side(solid) else _REACH)
+    smooth = gaussian_blurred(rough, 1.0, mode="nearest")
+    measured = (evidence.near > evidence.free) & (np.abs(evidence.distance) < 1.0) & ((evidence.distance <= 0) == solid)
+    # Where both are known, the nearer surface counts: a measured front must not move the completed back.
+    magnitude = np.where(measured, np.minimum(np.abs(evidence.distance), np.abs(rough)), np.abs(smooth))
+    # The sign is that of the solid everywhere: smoothing must not open a hole in a plate of one voxel.
+    magnitude = np.where(~measured & ((smooth < 0) != solid), 0.1, np.maximum(magnitude, 1e-3))
+    return np.where(solid, -magnitude, magnitude).astype(np.float32)
+
+
+def _meets_a_side(solid: NDArray[np.bool_]) -> bool:
+    return any(bool(np.take(solid, (0, -1), axis=axis).any()) for axis in range(solid.ndim))
+
+
+def extract(field: NDArray[np.float32], grid: VoxelGrid) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the closed surface of a field that is negative inside: (V, 3) world vertices, (F, 3) outward faces."""
+    from skimage.measure import marching_cubes
+
+    padded = np.pad(field, 1, constant_values=1.0)
+    vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="descent")
+    return grid.points_world(vertices - 1.0), faces.astype(np.int32)
+
+
+def taubin_smoothed(vertices: NDArray[np.float64], faces: NDArray[np.int32], iterations: int) -> NDArray[np.float64]:
+    """Return the vertices after Taubin's lambda-mu smoothing (0.5, -0.53), which does not shrink the shape."""
+    for _ in range(iterations):
+        for factor in (0.5, -0.53):
+            vertices = vertices + factor * (_means_of_neighbours(vertices, faces) - vertices)
+    return vertices
+
+
+@kernel
+def _means_of_neighbours(vertices, faces):
+    """Return (V, 3) the mean of the vertices that follow each one in a face; the vertex itself if it is in no face."""
+    means, counts = np.zeros(vertices.shape), np.zeros(len(vertices), np.int64)
+    for f in range(len(faces)):
+        for corner in range(3):
+            here, there = faces[f, corner], faces[f, (corner + 1) % 3]
+            counts[here] += 1
+            for i in range(3):
+                means[here, i] += vertices[there, i]
+    for v in range(len(vertices)):
+        for i in range(3):
+            means[v, i] = means[v, i] / counts[v] if counts[v] else vertices[v, i]
+    return means
+
+
+def painted(
+    vertices: NDArray[np.float64],
+    crops: tuple[Crop, ...],
+    points_world: NDArray[np.float32],
+    point_colors: NDArray[np.uint8],
+    reach_m: float,
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Return per vertex its colour and whether it was seen.
+
+    A vertex is seen if a crop measured the surface within `reach_m` of it, or if it is that close to a layer-1 point.
+    Its colour is the mean over those crops, else the point's; a generated vertex has that of the nearest seen vertex.
+    """
+    total = np.zeros((len(vertices), 3))
+    weight = np.zeros(len(vertices))
+    for crop in crops:
+        here, colors, weights = _seen_in(vertices, crop, reach_m)
+        total[here] += colors * weights[:, None]
+        weight[here] += weights
+    is_seen = weight > 0
+    colors = total / np.maximum(weight, 1e-12)[:, None]
+    unseen = np.flatnonzero(~is_seen)
+    if len(points_world) and len(unseen):
+        near, which = cKDTree(points_world).query(vertices[unseen], distance_upper_bound=reach_m)
+        is_found = np.isfinite(near)
+        colors[unseen[is_found]] = point_colors[which[is_found]]
+        is_seen[unseen[is_found]] = True
+    if is_seen.any() and not is_seen.all():
+        _, nearest = cKDTree(vertices[is_seen]).query(vertices[~is_seen])
+        colors[~is_seen] = colors[is_seen][nearest]
+    elif not is_seen.any():
+        colors[:] = _GREY
+    return np.round(colors).clip(0, 255).astype(np.uint8), is_seen
+
+
+def in_object_frame(
+    vertices_world: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    colors: NDArray[np.uint8],
+    is_seen: NDArray[np.bool_],
+) -> Reconstruction:
+    """Return the mesh in the frame of its own gravity-aligned box, the origin at the box's centre."""
+    world_from_object = gravity_aligned_box(vertices_world, 1e-4).world_from_box
+    mesh = Mesh(vertices=apply(invert(world_from_object), vertices_world), faces=faces, colors=colors, is_seen=is_seen)
+    return Reconstruction(mesh=mesh, world_from_object=world_from_object)
+
+
+def _seen_in(
+    vertices: NDArray[np.float64], crop: Crop, reach_m: float
+) -> tuple[NDArray[np.int64], NDArray[Any], NDArray[np.float64]]:
+    """Return the vertices that a crop measured, their colours (n, 3) and weights 1/z^2."""
+    points = apply(invert(crop.world_from_camera), vertices)
+    pixels = project(points, crop.camera)
+    inside = np.isfinite(pixels).all(axis=1)
+    columns = np.round(np.where(inside, pixels[:, 0], 0)).astype(np.int64)
+    rows = np.round(np.where(inside, pixels[:, 1], 0)).astype(np.int64)
+    inside &= (columns >= 0) & (rows >= 0) & (columns < crop.camera.width) & (rows < crop.camera.height)
+    candidates = np.nonzero(inside)[0]
+    rows, columns = rows[candidates], columns[candidates]
+    depth = crop.depth_m[rows, columns]
+    kept = crop.mask[rows, columns] & (np.abs(depth - points[candidates, 2]) <= reach_m)
+    return candidates[kept], crop.rgb[rows[kept], columns[kept]], 1 / np.square(depth[kept].astype(np.float64))

@@ -1,0 +1,201 @@
+"""The vertical plane about which an object seen from one side is most plausibly symmetric.
+
+A mirror plane is scored by how much of the mirrored surface lies in observed free space (a contradiction), by how much
+of it coincides with measured surface, and by how much larger it makes the object.
+
+Detection of solids of revolution with a vertical axis, whose unseen side is completed by rotation.
+
+In the view from above, the visible front of a round object is a semicircle: half as deep as it is wide. The front of a
+box is a line or a corner. If an arc fits the front better than a line, the front is rotated by 180 degrees to form the
+back, unless the views observed free space there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.base.compiled import kernel
+from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.portable_kernels import cos, sin
+from hickory_stream.geometry.rigid import apply
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hickory_stream.shapes.reconstruct.tsdf import DepthView
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SymmetryConfig(Ranged):
+    """How mirror planes are searched.
+
+    Tried are `num_yaws` directions over 180 degrees and `num_offsets` positions along each, from the middle of the
+    visible extent to its ends. A plane is rejected if more than `max_contradiction` of the mirrored points lie in
+    observed free space. The score is the share of mirrored points on measured surface, minus `growth_penalty` for each
+    doubling of the extent, minus `contradiction_penalty` times the share in free space; a second plane must reach
+    `min_second_score`. At most `max_points` points are mirrored.
+    """
+
+    num_yaws: int = number(36, 1, 720, "directions")
+    num_offsets: int = number(9, 1, 1000, "places")
+    max_contradiction: float = number(0.1, 0, 1, "share")
+    growth_penalty: float = number(0.6, 0, 100, "score")
+    min_second_score: float = number(0.25, 0, 1, "score")
+    contradiction_penalty: float = number(4.0, 0, 1000, "score")
+    max_points: int = number(800, 1, 1_000_000, "points")
+
+
+def mirror_plane(
+    points_world: NDArray[np.float64],
+    views: list[DepthView],
+    tolerance_m: float,
+    min_score: float,
+    config: SymmetryConfig,
+) -> NDArray[np.float64] | None:
+    """Return world_from_mirrored (4, 4), the reflection about the best vertical plane; None if none is plausible."""
+    points = points_world[:: max(len(points_world) // config.max_points, 1)]
+    best, best_score = None, min_score
+    for yaw in np.pi * np.arange(config.num_yaws) / config.num_yaws:
+        normal = np.array([cos(float(yaw)), sin(float(yaw)), 0.0])
+        along = portable.matmul(points, normal)
+        low, high = np.quantile(along, [0.01, 0.99])
+        for offset in _offsets(low, high, config.num_offsets):
+            reflection = reflection_about(normal, offset)
+            mirrored = apply(reflection, points)
+            overlap, contradiction = shares_against(mirrored, views, tolerance_m)
+            if contradiction > config.max_contradiction:
+                continue
+            grown = (max(high, 2 * offset - low) - min(low, 2 * offset - high)) / max(high - low, tolerance_m) - 1
+            score = overlap - config.growth_penalty * grown - config.contradiction_penalty * contradiction
+            if score > best_score:
+                best, best_score = reflection, score
+    return best
+
+
+def reflection_about(normal: NDArray[np.float64], offset_m: float) -> NDArray[np.float64]:
+    """Return the (4, 4) reflection about the plane normal . p = offset; the normal has unit length."""
+    reflection = np.eye(4)
+    reflection[:3, :3] -= 2 * np.outer(normal, normal)
+    reflection[:3, 3] = 2 * offset_m * normal
+    return reflection
+
+
+def _offsets(low: float, high: float, count: int) -> NDArray[np.float64]:
+    """Return the positions of a plane: at the middle, and from there to either end of the extent."""
+    return np.concatenate([np.linspace((low + high) / 2, end, count // 2 + 1)[i:] for i, end in ((0, low), (1, high))])
+
+
+def shares_against(mirrored: NDArray[np.float64], views: list[DepthView], tolerance_m: float) -> tuple[float, float]:
+    """Return the shares of (N, 3) world points on measured surface and in observed free space, by any view."""
+    on_surface = np.zeros(len(mirrored), dtype=bool)
+    in_free = np.zeros(len(mirrored), dtype=bool)
+    for view in views:
+        camera = view.camera
+        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        states = _against(apply(view.camera_from_world, mirrored), view.depth_m, view.mask, intrinsics, tolerance_m)
+        on_surface |= states == 1
+        in_free |= states == 2
+    return float(on_surface.mean()), float(in_free.mean())
+
+
+@kernel
+def _against(points, depth, mask, intrinsics, tolerance):
+    """Compare camera points with a depth image: 1 on the object's surface, 2 in free space, 0 occluded or unknown."""
+    fx, fy, cx, cy = intrinsics
+    out = np.zeros(len(points), np.uint8)
+    for n in range(len(points)):
+        x, y, z = points[n]
+        if z <= 0.05:
+            continue
+        column, row = int(np.floor(x / z * fx + cx + 0.5)), int(np.floor(y / z * fy + cy + 0.5))
+        if row < 0 or column < 0 or row >= depth.shape[0] or column >= depth.shape[1]:
+            # The crop contains the whole mask: beside the mask there is no object.
+            out[n] = 2
+            continue
+        ahead = depth[row, column] - z
+        if ahead > tolerance:
+            out[n] = 2
+        elif abs(ahead) <= tolerance and mask[row, column]:
+            out[n] = 1
+    return out
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RevolutionConfig(Ranged):
+    """The criteria for round fronts.
+
+    The front is measured in `num_bins` across the width. The RMS misfit of the arc may be at most `max_misfit` of the
+    radius and `max_ratio` of the misfit of a line. At most `max_contradiction` of the rotated points may lie in
+    observed free space; for open objects, such as a bin seen from above, some do.
+    """
+
+    num_bins: int = number(13, 3, 1000, "bins")
+    max_misfit: float = number(0.11, 0, 10, "ratio")
+    max_ratio: float = number(0.7, 0, 10, "ratio")
+    max_contradiction: float = number(0.3, 0, 1, "share")
+
+
+def half_turn_of(
+    points_world: NDArray[np.float64],
+    camera_world: NDArray[np.float64],
+    views: list[DepthView],
+    tolerance_m: float,
+    config: RevolutionConfig,
+) -> NDArray[np.float64] | None:
+    """Return world_from_turned (4, 4), the rotation by 180 degrees about an object's axis; None if it is not round.
+
+    `points_world` (N, 3) were seen from `camera_world` (3,); `views` define free space, `tolerance_m` is their noise.
+    """
+    forward = points_world[:, :2].mean(axis=0) - camera_world[:2]
+    distance = portable.norm(forward)
+    if distance < 1e-6:
+        return None
+    forward /= distance
+    sideways = np.array([-forward[1], forward[0]])
+    seen = points_world[:, :2] - camera_world[:2]
+    axis = _axis(portable.matmul(seen, sideways), portable.matmul(seen, forward), config)
+    if axis is None:
+        return None
+    middle, depth = axis
+    center = camera_world[:2] + depth * forward + middle * sideways
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    turn[:2, 3] = 2 * center
+    _, in_free = shares_against(apply(turn, points_world[:: max(len(points_world) // 800, 1)]), views, tolerance_m)
+    return turn if in_free <= config.max_contradiction else None
+
+
+def _axis(
+    across: NDArray[np.float64], ahead: NDArray[np.float64], config: RevolutionConfig
+) -> tuple[float, float] | None:
+    """Return the position of the axis in the view from above, across and ahead; None if the front is not round."""
+    low, high = np.quantile(across, [0.01, 0.99])
+    radius, middle = (high - low) / 2, (high + low) / 2
+    if not radius > 0:
+        return None
+    place = (across - low) / (2 * radius) * config.num_bins
+    fronts, places = [], []
+    for n in range(config.num_bins):
+        mine = ahead[(place >= n) & (place < n + 1)]
+        if len(mine) >= 3:
+            fronts.append(float(np.quantile(mine, 0.1)))
+            places.append(low + (n + 0.5) / config.num_bins * 2 * radius - middle)
+    if len(fronts) < 0.8 * config.num_bins:
+        return None
+    front, offset = np.array(fronts), np.array(places)
+    arc = np.sqrt(np.maximum(np.square(1.02 * radius) - np.square(offset), 0.0))
+    depth = float(np.median(front + arc))
+    misfit = float(np.sqrt(np.mean(np.square(front + arc - depth))))
+    flat_misfit = float(np.sqrt(np.mean(np.square(_off_the_line(offset, front)))))
+    if misfit > config.max_misfit * radius or misfit > config.max_ratio * flat_misfit:
+        return None
+    return float(middle), depth
+
+
+def _off_the_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the residuals (N,) of y from the least-squares line through (x, y)."""
+    x, y = x - x.mean(), y - y.mean()
+    return np.asarray(y - portable.dot(x, y) / max(portable.dot(x, x), 1e-300) * x)

@@ -1,0 +1,1 @@
+"""The Rerun sink: every layer of the map on a timeline."""

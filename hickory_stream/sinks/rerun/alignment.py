@@ -1,0 +1,151 @@
+"""Two maps and their alignment as a Rerun recording: laid over one another, and one lifted off with a line per pair.
+
+Map a is blue, map b orange, what has no partner is pale. Where the maps lie over one another both are translucent: what
+they share are surfaces in nearly one place, which otherwise fight for the pixels.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.alignment.answer import Alignment
+from hickory_stream.geometry.display import color_of_id
+from hickory_stream.geometry.rigid import apply, from_rotation_translation
+from hickory_stream.geometry.superquadric import moved
+from hickory_stream.sinks.rerun.items import new_stream
+from hickory_stream.sinks.rerun.piped_file import recorded_to
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.alignment.answer import NoAlignment
+    from hickory_stream.alignment.object_map import ObjectMap
+
+_BLUE, _ORANGE = (58, 118, 190), (238, 138, 48)
+_PALE = 0.55
+_GAP = 1.2
+_ALPHA = 140
+
+
+def write_alignment(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment) -> None:
+    """Write an .rrd: map b lies where the alignment puts it and above that, or beside map a where there is none.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    import rerun as rr
+
+    from hickory_stream.sinks.rerun.blueprint import side_by_side
+
+    stream = new_stream(f"alignment-{path.stem}")
+    with recorded_to(path, stream):
+        stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        if isinstance(answer, Alignment):
+            views = _log_joined(stream, map_a, map_b, answer)
+        else:
+            b_from = _beside(map_a, map_b)
+            _log_map(stream, "world/a", map_a, np.eye(4), _BLUE, set(map_a.ids.tolist()), 255)
+            _log_map(stream, "world/b", map_b, b_from, _ORANGE, set(map_b.ids.tolist()), 255)
+            corners = np.concatenate([_corners(map_a, np.eye(4)), _corners(map_b, b_from)])
+            views = {"Not aligned: map a (blue), map b (orange)": (["/**"], corners)}
+        stream.send_blueprint(side_by_side(views), make_active=True, make_default=True)
+
+
+def _log_joined(
+    stream: Any, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment
+) -> dict[str, tuple[list[str], NDArray[np.float64]]]:
+    """Log both maps twice, with the lines between them; return what the two views show."""
+    in_a, in_b = {pair.id_a for pair in answer.pairs}, {pair.id_b for pair in answer.pairs}
+    corners_a, corners_b = _corners(map_a, np.eye(4)), _corners(map_b, answer.a_from_b)
+    both = np.concatenate([corners_a, corners_b])
+    # As high as shows both.
+    lift_m = 0.4 * float(np.ptp(both[:, :2], axis=0).max()) + float(np.ptp(both[:, 2]))
+    lifted = from_rotation_translation(np.eye(3), np.array([0.0, 0.0, lift_m])) @ answer.a_from_b
+    _log_map(stream, "world/joined/a", map_a, np.eye(4), _BLUE, in_a, _ALPHA)
+    _log_map(stream, "world/joined/b", map_b, answer.a_from_b, _ORANGE, in_b, _ALPHA)
+    _log_map(stream, "world/apart/a", map_a, np.eye(4), _BLUE, in_a, 255)
+    _log_map(stream, "world/apart/b", map_b, lifted, _ORANGE, in_b, 255)
+    apart = np.concatenate([corners_a, _corners(map_b, lifted)])
+    _log_pairs(stream, map_a, map_b, answer, lifted, apart)
+    return {
+        "Joined: map a (blue), map b (orange)": (["/world/joined/**"], both),
+        "Pairs: map b lifted off map a": (["/world/apart/**"], apart),
+    }
+
+
+def _log_pairs(
+    stream: Any,
+    map_a: ObjectMap,
+    map_b: ObjectMap,
+    answer: Alignment,
+    lifted: NDArray[np.float64],
+    in_view: NDArray[np.float64],
+) -> None:
+    """Log a line for each pair, and its label above the object of the lifted map."""
+    import rerun as rr
+
+    from hickory_stream.sinks.rerun.eye import SIDE_ASPECT, eye_on
+    from hickory_stream.sinks.rerun.labels import label_item, label_threads
+
+    place_a = dict(zip(map_a.ids.tolist(), map_a.centroids, strict=True))
+    place_b = dict(zip(map_b.ids.tolist(), apply(lifted, map_b.centroids), strict=True))
+    box_b = dict(zip(map_b.ids.tolist(), map_b.boxes, strict=True))
+    colors = [color_of_id(pair.id_a) for pair in answer.pairs]
+    texts = [f"{pair.id_a} = {pair.id_b}" for pair in answer.pairs]
+    ends = [[place_a[pair.id_a], place_b[pair.id_b]] for pair in answer.pairs]
+    stream.log("world/apart/pairs", rr.LineStrips3D(ends, colors=colors, radii=-1.0), static=True)
+    boxes = [apply(lifted, box_b[pair.id_b].corners_world()) for pair in answer.pairs]
+    tops = np.array([[*box.mean(axis=0)[:2], box[:, 2].max()] for box in boxes]).reshape(-1, 3)
+    threads = label_threads(tops, texts, eye_on(in_view, SIDE_ASPECT))
+    for i, pair in enumerate(answer.pairs):
+        item = label_item(f"world/apart/labels/{pair.id_a}", threads[i], texts[i], colors[i])
+        stream.log(item.path, *item.archetypes, static=True)
+
+
+def _log_map(
+    stream: Any,
+    path: str,
+    objects: ObjectMap,
+    frame_from_map: NDArray[np.float64],
+    color: tuple[int, int, int],
+    matched: set[int],
+    alpha: int,
+) -> None:
+    """Log layer 3 of every object, its box where it has none."""
+    import rerun as rr
+
+    from hickory_stream.geometry.rigid import quaternion_from_rotation
+    from hickory_stream.sinks.rerun.meshes import superquadric_mesh
+
+    r, g, b = (round(c + (205 - c) * _PALE) for c in color)
+    for object_id, shape, box in zip(objects.ids.tolist(), objects.shapes, objects.boxes, strict=True):
+        own = color if object_id in matched else (r, g, b)
+        if shape is None:
+            pose = frame_from_map @ box.world_from_box
+            item: Any = rr.Boxes3D(
+                centers=[pose[:3, 3]],
+                half_sizes=[box.half_extents_m],
+                quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(pose[:3, :3]))],
+                colors=own,
+                fill_mode=rr.components.FillMode.MajorWireframe,
+            )
+        else:
+            item = superquadric_mesh(moved(shape, frame_from_map), own, alpha=alpha, is_shaded=False)
+        stream.log(f"{path}/{object_id}", item, static=True)
+
+
+def _corners(objects: ObjectMap, frame_from_map: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (N, 3) corners of all boxes."""
+    return np.concatenate([np.empty((0, 3)), *(apply(frame_from_map, b.corners_world()) for b in objects.boxes)])
+
+
+def _beside(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
+    """Return the shift that puts map b to the right of map a."""
+    pose = np.eye(4)
+    if len(map_a) and len(map_b):
+        pose[0, 3] = map_a.centroids[:, 0].max() - map_b.centroids[:, 0].min() + _GAP
+    return pose

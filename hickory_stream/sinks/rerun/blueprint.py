@@ -1,0 +1,144 @@
+"""The default arrangement of the viewer: all four layers, the camera, the plots and the decisions on one screen."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import rerun.blueprint as rrb
+
+from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, SIDE_ASPECT, WHOLE_ASPECT, eye_on
+from hickory_stream.sinks.rerun.frame import CAMERA, TRAJECTORY
+from hickory_stream.sinks.rerun.graph import GRAPH
+from hickory_stream.sinks.rerun.items import KEYFRAME
+from hickory_stream.sinks.rerun.labels import LABELS
+from hickory_stream.sinks.rerun.objects import FILLED, FITTED_LAYER, INFLATED_LAYER, MESH_LAYER, POINTS_LAYER
+from hickory_stream.sinks.rerun.plots import DECISIONS, OBJECT_DECISIONS, PLOTS
+from hickory_stream.sinks.rerun.structure import FLOOR
+from hickory_stream.sinks.rerun.views import VIEWS, sheet_px
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+BACKGROUND = (22, 25, 31)
+ROBOT = "robot"
+"""The entity that says how a live route and its topics are."""
+
+
+def default_blueprint(corners: NDArray[np.float64], *, num_views: int, is_live: bool = False) -> rrb.Blueprint:
+    """Return the arrangement, with all of (N, 3) points in view where there are any, and as many best views.
+
+    `is_live`: with a view of how the robot's topics are.
+    """
+    main, side = (eye_on(corners, aspect).controls() if len(corners) else None for aspect in (MAIN_ASPECT, SIDE_ASPECT))
+    width_px, height_px = sheet_px(num_views)
+    layers = _map_view("Layers 1 and 2: points, boxes, meshes", [POINTS_LAYER, MESH_LAYER], main, is_main=True)
+    superquadrics = rrb.Vertical(
+        _map_view("Layer 3: superquadrics", [FITTED_LAYER], side),
+        _map_view("Layer 4: inflated, over the meshes", [INFLATED_LAYER, MESH_LAYER], side),
+    )
+    images = rrb.Vertical(
+        rrb.Tabs(
+            _camera_view("Camera", ["color", "masks", "boxes", "labels"]),
+            _camera_view("Rejected masks", ["color", "rejected/masks", "rejected/boxes"]),
+            _camera_view("Features", ["features"]),
+            _camera_view("Depth", ["depth"]),
+        ),
+        rrb.Tabs(
+            rrb.Spatial2DView(
+                origin=VIEWS,
+                name="Best views",
+                background=BACKGROUND,
+                visual_bounds=rrb.VisualBounds2D(x_range=(0, width_px), y_range=(0, height_px)),
+            ),
+            _plot("Score S", "score"),
+            _plot("S: variance", "variance"),
+            _plot("S: area", "area"),
+            _plot("S: depth", "depth"),
+            _plot("Stage times [s]", "time"),
+            _plot("Objects by phase", "objects"),
+            _plot("Queues", "queue"),
+            _plot("Pose graph", "graph"),
+        ),
+    )
+    # As wide as the window: a list of candidates is one long line.
+    robot = [rrb.TextDocumentView(origin=ROBOT, name="Robot")] if is_live else []
+    decisions = rrb.Tabs(_log(DECISIONS, "Decisions"), _log(OBJECT_DECISIONS, "Decisions by object"), *robot)
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(layers, superquadrics, images, column_shares=[10, 4, 6]), decisions, row_shares=[4, 1]
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=KEYFRAME, play_state="following"),
+        auto_views=False,
+    )
+
+
+def one_map(name: str, corners: NDArray[np.float64], *, timeline: str) -> rrb.Blueprint:
+    """Return the arrangement of a single view of everything, with (N, 3) points in it, on a timeline of its own."""
+    return rrb.Blueprint(
+        _bare_view(name, ["/**"], corners, WHOLE_ASPECT),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=timeline),
+        auto_views=False,
+    )
+
+
+def side_by_side(views: dict[str, tuple[list[str], NDArray[np.float64]]]) -> rrb.Blueprint:
+    """Return the arrangement of still views beside one another: by name, the entities and (N, 3) points in view."""
+    aspect = WHOLE_ASPECT if len(views) == 1 else SIDE_ASPECT
+    return rrb.Blueprint(
+        rrb.Horizontal(*(_bare_view(name, paths, corners, aspect) for name, (paths, corners) in views.items())),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="hidden"),
+        auto_views=False,
+    )
+
+
+def _bare_view(name: str, paths: list[str], corners: NDArray[np.float64], aspect: float) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        origin="world",
+        name=name,
+        contents=[f"+ {path}" for path in paths],
+        background=BACKGROUND,
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=eye_on(corners, aspect).controls() if len(corners) else None,
+    )
+
+
+def _map_view(
+    name: str, layers: list[str], eye: rrb.EyeControls3D | None, *, is_main: bool = False
+) -> rrb.Spatial3DView:
+    extras = [f"+ {FLOOR}/**"]
+    if is_main:
+        # The images are left out: they would hang in the room at the camera and hide what is behind them.
+        extras += [f"+ {TRAJECTORY}/**", f"+ {GRAPH}/**", f"+ {CAMERA}", f"+ {LABELS}/**", f"+ {FILLED}/**"]
+    return rrb.Spatial3DView(
+        origin="world",
+        name=name,
+        contents=[f"+ {layer}/**" for layer in layers] + extras,
+        background=BACKGROUND,
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=eye,
+        overrides={FILLED: rrb.EntityBehavior(visible=False)} if is_main else None,
+    )
+
+
+def _camera_view(name: str, images: list[str]) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        origin=CAMERA, name=name, contents=[f"+ {CAMERA}/{image}" for image in images], background=BACKGROUND
+    )
+
+
+def _plot(name: str, group: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=f"{PLOTS}/{group}", name=name, plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
+    )
+
+
+def _log(origin: str, name: str) -> rrb.TextLogView:
+    columns = rrb.TextLogColumns(timeline_columns=[KEYFRAME], text_log_columns=["loglevel", "body"])
+    return rrb.TextLogView(origin=origin, name=name, columns=columns)

@@ -1,0 +1,49 @@
+"""The initial viewpoint of the viewer: above a corner of the room, so near that the map fills the view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from hickory_stream.geometry.display import looking, nearest_eye
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# How much wider than high the views are at least, in a window of usual shape.
+MAIN_ASPECT, SIDE_ASPECT, WHOLE_ASPECT = 1.15, 0.9, 1.6
+# Steep enough that objects do not hide one another.
+ROTATION = looking(np.deg2rad(-126.0), np.deg2rad(42.0))
+# Half the viewer's own angle of view, 55 degrees from top to bottom; less a rim, for labels.
+_HALF_TANGENT = float(np.tan(np.deg2rad(27.5)))
+_RIM = 0.9
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Eye:
+    """A place (3,) in the world, and what it looks at."""
+
+    position: NDArray[np.float64]
+    target: NDArray[np.float64]
+
+    def controls(self) -> rrb.EyeControls3D:
+        """Return the eye for a blueprint."""
+        return rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=self.position, look_target=self.target, eye_up=(0.0, 0.0, 1.0)
+        )
+
+    def project(self, points_world: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (N, 2) places of (N, 3) points in the view, x right and y down, as shares of its height."""
+        local = (np.asarray(points_world) - self.position) @ ROTATION
+        return np.asarray(local[:, :2] / (2 * _HALF_TANGENT * np.maximum(local[:, 2:], 1e-3)))
+
+
+def eye_on(points_world: NDArray[np.float64], aspect: float) -> Eye:
+    """Return the nearest eye that has (N, 3) points in a view `aspect` times as wide as high, or wider."""
+    position = nearest_eye(points_world, ROTATION, (aspect * _RIM * _HALF_TANGENT, _RIM * _HALF_TANGENT))
+    # What the eye turns about when it is dragged: the middle of what it sees.
+    depth = float(np.mean((points_world - position) @ ROTATION[:, 2]))
+    return Eye(position=position, target=position + depth * ROTATION[:, 2])

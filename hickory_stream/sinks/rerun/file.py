@@ -1,0 +1,77 @@
+"""The .rrd file: written in the caller's thread, complete, until it reaches its cap or the disk refuses."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.errors import OutputError, ViewerError
+from hickory_stream.sinks.rerun.items import LogItem, Moment, Weight, emit, new_stream
+from hickory_stream.sinks.rerun.piped_file import PipedFile
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+# Fewer and larger pieces than the SDK would write: each costs about a kilobyte beside what is in it.
+_BATCH_S = 1.0
+
+logger = logging.getLogger(__name__)
+
+
+class RrdFile:
+    """Writes items to a file; from `cap_mb` on the light ones only, so that the plots and decisions stay complete."""
+
+    def __init__(self, path: Path, *, recording_id: str, cap_mb: float) -> None:
+        self._path = path
+        self._cap_mb = cap_mb
+        self._is_full = False
+        self._is_lost = False
+        self._stream = new_stream(recording_id, batch_s=_BATCH_S)
+        try:
+            self._piped = PipedFile(path, self._stream)
+        except OSError as error:
+            raise ViewerError(f"{path} cannot be written ({error}); name a file in an existing folder") from error
+
+    def send_blueprint(self, blueprint: Any) -> None:
+        """Store an arrangement; the last one that was stored is shown."""
+        self._stream.send_blueprint(blueprint, make_active=True, make_default=True)
+
+    def write(self, moment: Moment, items: list[LogItem]) -> None:
+        """Write the items, without the heavy ones once the cap was reached.
+
+        Raises:
+            OutputError: the disk refused; what was written is removed.
+        """
+        if self._piped.error is not None:
+            self.close()
+        if not self._is_full and self._num_bytes() >= self._cap_mb * 1e6:
+            self._is_full = True
+            logger.warning(
+                "%s has reached its cap of %g MB: images, clouds and meshes are left out from frame %d on",
+                self._path,
+                self._cap_mb,
+                moment.frame,
+            )
+        emit(self._stream, moment, (i for i in items if i.weight is Weight.LIGHT or not self._is_full))
+
+    def close(self) -> None:
+        """Write what is buffered, and the footer.
+
+        Raises:
+            OutputError: the disk refused; what was written is removed. Raised once.
+        """
+        if self._is_lost:
+            return
+        try:
+            self._piped.close()
+        except OSError as error:
+            self._is_lost = True
+            cause = error.strerror or type(error).__name__
+            removed = "" if self._path.exists() else " and was removed"
+            raise OutputError(
+                f"the recording {self._path} could not be written to its end ({cause}){removed}; "
+                "`hickory-stream replay MAP --rrd FILE` makes it from the map"
+            ) from error
+
+    def _num_bytes(self) -> int:
+        return self._piped.num_bytes or (self._path.stat().st_size if self._path.is_file() else 0)

@@ -1,0 +1,293 @@
+"""A fleet in Rerun: every robot in a colour of its own, and one frame for those that were joined.
+
+A robot's objects hang on its entity, in its own frame; when it is joined, that entity moves. Robots that are in no
+other's frame stand beside those that are. The timeline `keyframe` counts every robot's own keyframes, since clocks need
+not agree; `log_time` has the stamps.
+"""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from hickory_stream.geometry.display import shaded
+from hickory_stream.geometry.rigid import apply, from_rotation_translation, quaternion_from_rotation
+from hickory_stream.sinks.rerun.file import RrdFile
+from hickory_stream.sinks.rerun.items import KEYFRAME, LogItem, Moment, Span, Weight
+from hickory_stream.sinks.rerun.viewer import start_viewer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+    from types import TracebackType
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import TrackedObject
+    from hickory_stream.sinks.rerun.config import RerunConfig
+    from hickory_stream.sinks.rerun.viewer import ViewerChoice
+
+_CLOSE_TIMEOUT_S = 2.0
+_COLORS = ((58, 140, 226), (238, 138, 48), (72, 186, 106), (222, 84, 120), (160, 120, 226), (214, 196, 64),
+           (64, 192, 196), (196, 140, 104))  # fmt: skip
+_SHADES = (1.0, 0.78, 1.35)
+# Frames that stand beside one another do so in steps: a map that grows does not move the others each time.
+_GAP_M, _STEP_M = 1.0, 2.0
+# What several robots have mapped are surfaces in nearly one place, which otherwise fight for the pixels.
+_ALPHA = 170
+_PATH_RADIUS, _LABEL_ABOVE_M = -2.0, 0.4
+TEXTS, OBJECTS, FRAMES = "fleet/joins", "plots/objects", "plots/frames"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ShownRobot:
+    """A robot at one moment: what is new of its path (N, 4, 4), its objects, and where its frame lies.
+
+    `frame` is the name of the robot in whose frame it is, `frame_from_robot` (4, 4) its place there.
+    """
+
+    name: str
+    stamp_ns: int
+    objects: tuple[TrackedObject, ...]
+    world_from_camera: NDArray[np.float64]
+    frame: str
+    frame_from_robot: NDArray[np.float64]
+
+
+class FleetRecording:
+    """Writes the recording of a fleet, and shows it in a viewer; entered with `with`, and whole when that is left.
+
+    Raises:
+        ViewerError: the file cannot be written, or the viewer that was asked for cannot be had.
+        OutputError: the disk refused.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str], config: RerunConfig, viewer: ViewerChoice) -> None:
+        self._names = tuple(names)
+        self._path = path
+        recording_id = str(uuid.uuid4())
+        self._viewer = start_viewer(viewer, bind=config.bind, server_memory_limit=config.server_memory_limit)
+        self._file = RrdFile(path, recording_id=recording_id, cap_mb=config.rrd_cap_mb)
+        self._feed: Any = None
+        if self._viewer is not None:
+            from hickory_stream.sinks.rerun.live import LiveFeed
+
+            self._feed = LiveFeed(
+                url=self._viewer.url,
+                recording_id=recording_id,
+                capacity=config.live_queue_length,
+                blueprint=_blueprint(np.empty((0, 3)), np.empty((0, 3))),
+            )
+        self._paths: dict[str, list[NDArray[np.float64]]] = {name: [] for name in names}
+        self._shown: dict[str, dict[int, TrackedObject]] = {name: {} for name in names}
+        self._last: Moment | None = None
+        self._corners = np.empty((0, 3))
+        self._ever = np.empty((0, 3))
+
+    @property
+    def web_url(self) -> str | None:
+        """The page that shows the fleet in a browser, where there is one."""
+        return None if self._viewer is None else self._viewer.web_url
+
+    def __enter__(self) -> Self:
+        """Return the recording."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Finish the file, which is removed where the fleet has failed, and give the viewer a moment."""
+        try:
+            self._file.send_blueprint(_blueprint(self._corners, self._ever))
+            self._file.close()
+        finally:
+            if error is not None and self._path.is_file():
+                self._path.unlink(missing_ok=True)
+            if self._feed is not None:
+                self._feed.close(_CLOSE_TIMEOUT_S)
+            if self._viewer is not None and self._viewer.process is not None and not self._viewer.outlives_us:
+                self._viewer.process.kill()
+                self._viewer.process.wait(_CLOSE_TIMEOUT_S)
+
+    def show(self, keyframe: int, robots: Sequence[ShownRobot], texts: Sequence[str]) -> None:
+        """Log the robots after so many keyframes, and what happened: robots that were joined."""
+        import rerun as rr
+
+        if self._last is None and robots:
+            self._log(Moment(stamp_ns=robots[0].stamp_ns, frame=keyframe, keyframe=keyframe), self._first_items())
+        places = _places(robots)
+        self._corners = np.concatenate(
+            [np.empty((0, 3)), *(apply(places[robot.name], _corners_of(robot.objects)) for robot in robots)]
+        )
+        ends = [self._corners.min(axis=0), self._corners.max(axis=0)] if len(self._corners) else []
+        self._ever = np.concatenate([self._ever, *(end[None] for end in ends)])
+        for robot in robots:
+            is_alone = sum(other.frame == robot.frame for other in robots) == 1
+            items = self._robot_items(robot, places[robot.name], is_alone=is_alone)
+            self._log(Moment(stamp_ns=robot.stamp_ns, frame=keyframe, keyframe=keyframe), items)
+        if self._last is not None:
+            said = [LogItem(path=TEXTS, archetypes=(rr.TextLog(text, level=rr.TextLogLevel.INFO),)) for text in texts]
+            frames = rr.Scalars([float(len({robot.frame for robot in robots}))])
+            self._log(self._last, [*said, LogItem(path=FRAMES, archetypes=(frames,))])
+
+    def _log(self, moment: Moment, items: list[LogItem]) -> None:
+        self._last = moment
+        self._file.write(moment, items)
+        if self._feed is not None:
+            self._feed.put(moment, items)
+
+    def _first_items(self) -> list[LogItem]:
+        import rerun as rr
+
+        lines = [
+            LogItem(
+                path=f"{OBJECTS}/{name}",
+                archetypes=(rr.SeriesLines(colors=color_of_robot(place), names=name),),
+                span=Span.STATIC,
+            )
+            for place, name in enumerate(self._names)
+        ]
+        # How many frames there are stays until robots are joined: no slope from one round to the next.
+        steps = rr.SeriesLines(names="frames", interpolation_mode=rr.components.InterpolationMode.StepAfter)
+        lines.append(LogItem(path=FRAMES, archetypes=(steps,), span=Span.STATIC))
+        return [LogItem(path="world", archetypes=(rr.ViewCoordinates.RIGHT_HAND_Z_UP,), span=Span.STATIC), *lines]
+
+    def _robot_items(
+        self, robot: ShownRobot, scene_from_robot: NDArray[np.float64], *, is_alone: bool
+    ) -> list[LogItem]:
+        import rerun as rr
+
+        color = color_of_robot(self._names.index(robot.name))
+        root = f"world/{robot.name}"
+        rotation = rr.Quaternion(xyzw=quaternion_from_rotation(scene_from_robot[:3, :3]))
+        place = rr.Transform3D(translation=scene_from_robot[:3, 3], quaternion=rotation)
+        items = [LogItem(path=root, archetypes=(place,), span=Span.LASTING)]
+        items += self._object_items(robot, root, color)
+        path = self._paths[robot.name]
+        path.extend(robot.world_from_camera[:, :3, 3])
+        if path:
+            line = rr.LineStrips3D([np.array(path)], colors=color, radii=_PATH_RADIUS)
+            told = f"{robot.name}, alone" if is_alone else robot.name
+            above = path[-1] + np.array([0.0, 0.0, _LABEL_ABOVE_M])
+            label = rr.Points3D([above], colors=color, radii=-6.0, labels=[told], show_labels=True)
+            items.append(LogItem(path=f"{root}/path", archetypes=(line,), span=Span.LASTING))
+            items.append(LogItem(path=f"{root}/robot", archetypes=(label,), span=Span.LASTING))
+        count = rr.Scalars([float(len(robot.objects))])
+        return [*items, LogItem(path=f"{OBJECTS}/{robot.name}", archetypes=(count,))]
+
+    def _object_items(self, robot: ShownRobot, root: str, color: tuple[int, int, int]) -> list[LogItem]:
+        """Return what has changed of a robot's objects."""
+        import rerun as rr
+
+        def cleared(object_id: int) -> LogItem:
+            path = f"{root}/objects/{object_id}"
+            return LogItem(path=path, archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
+
+        shown, items = self._shown[robot.name], []
+        for gone in sorted(shown.keys() - {item.id for item in robot.objects}):
+            del shown[gone]
+            items.append(cleared(gone))
+        for item in robot.objects:
+            before = shown.get(item.id)
+            if before is not None and _looks_the_same(before, item):
+                continue
+            if before is not None and before.superquadrics is None:
+                items.append(cleared(item.id))  # of its box, which the shape does not replace
+            drawn = _drawn(item, shaded(color, _SHADES[item.id % 3]))
+            items.append(
+                LogItem(path=f"{root}/objects/{item.id}", archetypes=(drawn,), weight=Weight.HEAVY, span=Span.LASTING)
+            )
+            shown[item.id] = item
+        return items
+
+
+def color_of_robot(place: int) -> tuple[int, int, int]:
+    """Return the colour of a robot by its place in the fleet."""
+    return shaded(_COLORS[place % len(_COLORS)], (1.0, 0.7, 1.5)[place // len(_COLORS) % 3])
+
+
+def _drawn(item: TrackedObject, color: tuple[int, int, int]) -> Any:
+    """Return layer 3 of an object, or its sketch, or its box: what is known of it."""
+    import rerun as rr
+
+    from hickory_stream.sinks.rerun.meshes import superquadric_mesh
+
+    if item.superquadrics is not None:
+        return superquadric_mesh(item.superquadrics, color, alpha=_ALPHA, is_shaded=False)
+    return rr.Boxes3D(
+        centers=[item.box.center],
+        half_sizes=[item.box.half_extents_m],
+        quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(item.box.world_from_box[:3, :3]))],
+        colors=color,
+        fill_mode=rr.components.FillMode.MajorWireframe,
+    )
+
+
+def _looks_the_same(a: TrackedObject, b: TrackedObject) -> bool:
+    one, other = a.superquadrics, b.superquadrics
+    if one is None or other is None:
+        return one is other and np.array_equal(a.box.world_from_box, b.box.world_from_box)
+    return len(one) == len(other) and np.array_equal(one.world_from_local, other.world_from_local)
+
+
+def _places(robots: Sequence[ShownRobot]) -> dict[str, NDArray[np.float64]]:
+    """Return where every robot's frame is drawn, scene_from_robot (4, 4): frames stand beside one another along x."""
+    places: dict[str, NDArray[np.float64]] = {}
+    next_m, middle = 0.0, np.zeros(3)
+    for i, frame in enumerate(dict.fromkeys(robot.frame for robot in robots)):
+        members = [robot for robot in robots if robot.frame == frame]
+        corners = np.concatenate([apply(one.frame_from_robot, _corners_of(one.objects)) for one in members])
+        low, high = (corners.min(axis=0), corners.max(axis=0)) if len(corners) else (np.zeros(3), np.zeros(3))
+        shift = np.zeros(3)
+        if i == 0:
+            middle = (low + high) / 2
+        else:
+            shift = np.round((middle - (low + high) / 2) / _STEP_M) * _STEP_M
+            shift[0] = np.ceil((next_m - low[0]) / _STEP_M) * _STEP_M
+        next_m = high[0] + shift[0] + _GAP_M
+        for one in members:
+            places[one.name] = from_rotation_translation(np.eye(3), shift) @ one.frame_from_robot
+    return places
+
+
+def _corners_of(objects: Sequence[TrackedObject]) -> NDArray[np.float64]:
+    return np.concatenate([np.empty((0, 3)), *(item.box.corners_world() for item in objects)])
+
+
+def _blueprint(corners: NDArray[np.float64], ever: NDArray[np.float64]) -> Any:
+    """Return the arrangement: (N, 3) corners of the map in the end, and of all there was at any time."""
+    import rerun.blueprint as rrb
+
+    from hickory_stream.sinks.rerun.blueprint import BACKGROUND
+    from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, SIDE_ASPECT, eye_on
+
+    main, wide = (
+        rrb.Spatial3DView(
+            origin="world",
+            name=name,
+            background=BACKGROUND,
+            line_grid=rrb.LineGrid3D(visible=False),
+            eye_controls=eye_on(points, aspect).controls() if len(points) else None,
+        )
+        for name, points, aspect in (
+            ("Robots, a colour each, where they are in the end", corners, MAIN_ASPECT),
+            ("All frames beside one another", ever, SIDE_ASPECT),
+        )
+    )
+    columns = rrb.TextLogColumns(timeline_columns=[KEYFRAME], text_log_columns=["body"])
+    below = rrb.Horizontal(
+        rrb.TextLogView(origin=TEXTS, name="Joins", columns=columns),
+        rrb.TimeSeriesView(origin=OBJECTS, name="Objects"),
+        rrb.TimeSeriesView(origin=FRAMES, name="Frames: 1 when all are joined"),
+        column_shares=[2, 1, 1],
+    )
+    return rrb.Blueprint(
+        rrb.Vertical(rrb.Horizontal(main, wide, column_shares=[3, 2]), below, row_shares=[4, 1]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=KEYFRAME),
+        auto_views=False,
+    )

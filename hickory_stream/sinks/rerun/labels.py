@@ -1,0 +1,110 @@
+"""The labels of the objects: above each one, joined to it by a line, without overlap in the initial view.
+
+A label in a 3D view hangs below its point, over everything else that is drawn: the points have to be apart.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from hickory_stream.geometry.display import color_of_id, readable_on_dark, rises
+from hickory_stream.records import Phase
+from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, eye_on
+from hickory_stream.sinks.rerun.items import LogItem, Span
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.records import TrackedObject
+    from hickory_stream.sinks.rerun.eye import Eye
+
+LABELS = "world/labels"
+# Of a label, as shares of the height of the main view: 24 pixels of 670.
+_HEIGHT, _WIDTH, _WIDTH_PER_LETTER = 0.036, 0.015, 0.012
+_GAP = 0.01
+# A label that would move by less stays where it is.
+_STILL_M = 0.02
+
+
+class ObjectLabels:
+    """Knows where the number of each object is shown, and returns what has to be logged to keep them apart.
+
+    At most once per `period_ns`, unless there are new objects; `finish` catches up. Tentative tracks have none.
+    """
+
+    def __init__(self, *, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._objects: tuple[TrackedObject, ...] = ()
+        self._shown: dict[int, NDArray[np.float64]] = {}
+        self._shown_ns = 0
+
+    def update(self, objects: tuple[TrackedObject, ...], stamp_ns: int) -> list[LogItem]:
+        """Return the items that bring the viewer to these objects."""
+        self._objects = tuple(o for o in objects if o.phase is not Phase.TENTATIVE)
+        ids = {o.id for o in self._objects}
+        gone = sorted(self._shown.keys() - ids)
+        for object_id in gone:
+            del self._shown[object_id]
+        items = [
+            LogItem(path=f"{LABELS}/{i}", archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
+            for i in gone
+        ]
+        # A log that starts over has stamps before the last one: abs() lets it through.
+        if ids == self._shown.keys() and abs(stamp_ns - self._shown_ns) < self._period_ns:
+            return items
+        self._shown_ns = stamp_ns
+        return items + self.finish()
+
+    def finish(self) -> list[LogItem]:
+        """Return the labels that have to move since they were last logged."""
+        if not self._objects:
+            return []
+        eye = eye_on(np.concatenate([o.box.corners_world() for o in self._objects]), MAIN_ASPECT)
+        tops = np.array([_top_of(o) for o in self._objects])
+        threads = label_threads(tops, [str(o.id) for o in self._objects], eye)
+        items = []
+        for seen, thread in zip(self._objects, threads, strict=True):
+            if seen.id in self._shown and np.abs(thread - self._shown[seen.id]).max() < _STILL_M:
+                continue
+            self._shown[seen.id] = thread
+            items.append(label_item(f"{LABELS}/{seen.id}", thread, str(seen.id), color_of_id(seen.id)))
+        return items
+
+
+def label_size(text: str) -> tuple[float, float]:
+    """Return the width and height of a label as shares of the height of a view of usual size."""
+    return _WIDTH + _WIDTH_PER_LETTER * len(text), _HEIGHT
+
+
+def label_threads(tops: NDArray[np.float64], texts: Sequence[str], eye: Eye) -> NDArray[np.float64]:
+    """Return (N, 3, 3) for labels above (N, 3) points: the point, where its label begins, and where it ends.
+
+    No two labels overlap when seen by the eye.
+    """
+    if len(tops) == 0:
+        return np.empty((0, 3, 3))
+    seen = eye.project(tops)
+    # How far up one metre leads in the view, there.
+    per_m = np.maximum(seen[:, 1] - eye.project(tops + np.array([0.0, 0.0, 0.01]))[:, 1], 1e-6) / 0.01
+    below = _GAP + rises(seen, np.array([label_size(text) for text in texts]))
+    up = np.stack([np.zeros(len(tops)), below, below + _HEIGHT], axis=1) / per_m[:, None]
+    return np.asarray(tops[:, None] + up[..., None] * np.array([0.0, 0.0, 1.0]))
+
+
+def label_item(path: str, thread: NDArray[np.float64], text: str, color: tuple[int, int, int]) -> LogItem:
+    """Return a label and its thread, as `label_threads` has them."""
+    color = readable_on_dark(color)
+    point = rr.Points3D(thread[2:], radii=-0.1, colors=color, labels=text, show_labels=True)
+    line = rr.LineStrips3D([thread[:2]], radii=-0.5, colors=color)
+    return LogItem(path=path, archetypes=(point, line), span=Span.LASTING)
+
+
+def _top_of(seen: TrackedObject) -> NDArray[np.float64]:
+    """Return the middle of the top of an object's box."""
+    corners = seen.box.corners_world()
+    return np.array([*seen.box.center[:2], corners[:, 2].max()])

@@ -1,0 +1,105 @@
+"""Meshes for the viewer: layer 2 where its object lies, superquadrics, cells of a floor."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import rerun as rr
+
+from hickory_stream.base.confined import read_within
+from hickory_stream.geometry.codecs.mesh_file import mesh_of_file
+from hickory_stream.geometry.display import shaded
+from hickory_stream.geometry.superquadric import outward_normals
+from hickory_stream.geometry.superquadric_surface import display_mesh
+from hickory_stream.map_folder.layout import SHAPES, VIEWS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.records import TrackedObject
+
+
+def placed_mesh(path: Path, world_from_object: NDArray[np.float64]) -> Any:
+    """Return a layer-2 mesh in the world; not as the GLB itself, which has no normals and would be drawn flat."""
+    mesh = mesh_of_file(read_within(path.parent, path.name))
+    vertices = mesh.vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
+    return rr.Mesh3D(
+        vertex_positions=vertices.astype(np.float32),
+        triangle_indices=mesh.faces,
+        vertex_normals=_vertex_normals(vertices, mesh.faces),
+        vertex_colors=mesh.colors,
+    )
+
+
+def textured_layer2(folder: Path, tracked: TrackedObject, texture_px: int) -> Any:
+    """Return layer 2 in the world with a texture of at most so many pixels on a side; the object must have a shape.
+
+    Raises:
+        OSError, ValueError, MapFolderError: the mesh or a view in the map's folder is missing or damaged.
+    """
+    from hickory_stream.map_folder.textured_objects import textured_object
+
+    assert tracked.shape is not None
+    mesh = mesh_of_file(read_within(folder / SHAPES, tracked.shape.mesh_name))
+    textured = textured_object(folder / VIEWS, tracked, mesh, texture_px)
+    pose = tracked.shape.world_from_object
+    # The normals are those of the mesh, whose vertices are not apart at the borders of charts.
+    normals = _vertex_normals(mesh.vertices @ pose[:3, :3].T, mesh.faces)
+    vertices = textured.mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
+    return rr.Mesh3D(
+        vertex_positions=vertices.astype(np.float32),
+        triangle_indices=textured.mesh.faces,
+        vertex_normals=normals[textured.source],
+        vertex_texcoords=textured.uv,
+        albedo_texture=textured.image,
+    )
+
+
+def superquadric_mesh(
+    primitives: Superquadrics, color: tuple[int, int, int], *, alpha: int = 255, is_shaded: bool = True
+) -> Any:
+    """Return all primitives of an object as one mesh; where `is_shaded`, neighbours in the list differ in shade."""
+    parts = [display_mesh(primitives, i) for i in range(len(primitives))]
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    vertices = np.concatenate([np.zeros((0, 3), np.float32), *(vertices for vertices, _ in parts)])
+    faces = np.concatenate(
+        [np.zeros((0, 3), np.int32), *(f + start for (_, f), start in zip(parts, starts[:-1], strict=True))]
+    )
+    normals = [outward_normals(primitives, i, vertices) for i, (vertices, _) in enumerate(parts)]
+    shades = [shaded(color, (1.0, 0.72, 1.6)[i % 3]) for i in range(len(parts))]
+    colors = np.repeat(np.array(shades, np.uint8).reshape(-1, 3), np.diff(starts), axis=0)
+    return rr.Mesh3D(
+        vertex_positions=vertices,
+        triangle_indices=faces,
+        vertex_normals=np.concatenate([np.zeros((0, 3)), *normals]).astype(np.float32),
+        vertex_colors=colors if is_shaded else None,
+        albedo_factor=(*((255, 255, 255) if is_shaded else color), alpha),
+    )
+
+
+def tiles_mesh(rectangles: NDArray[np.float64], z_m: float, color: tuple[int, int, int]) -> Any:
+    """Return level rectangles (N, 4), low and high corner, at one height as a mesh."""
+    x0, y0, x1, y1 = rectangles.T
+    corners = np.stack([x0, y0, x1, y0, x1, y1, x0, y1], axis=1).reshape(-1, 2)
+    first = 4 * np.arange(len(rectangles))[:, None, None]
+    return rr.Mesh3D(
+        vertex_positions=np.column_stack([corners, np.full(len(corners), z_m)]).astype(np.float32),
+        triangle_indices=(first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3),
+        vertex_normals=np.tile(np.array([0, 0, 1], dtype=np.float32), (len(corners), 1)),
+        albedo_factor=color,
+    )
+
+
+def _vertex_normals(vertices: NDArray[Any], faces: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Return (V, 3) unit normals, each the mean of the adjacent faces' weighted by area."""
+    a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
+    per_face = np.cross(b - a, c - a)
+    normals = np.stack(
+        [np.bincount(faces.ravel(), np.repeat(per_face[:, k], 3), minlength=len(vertices)) for k in range(3)], axis=1
+    )
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.where(lengths > 0, lengths, 1.0), dtype=np.float32)

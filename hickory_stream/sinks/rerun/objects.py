@@ -1,0 +1,215 @@
+"""The four layers of every object, logged only when they changed.
+
+Entities are layer first (`world/layer2/7`, not `world/7/layer2`): the eye of one entity in the viewer's tree switches a
+layer on and off for the whole map, and each 3D view names the layers that it shows.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import rerun as rr
+
+from hickory_stream.errors import MapFolderError
+from hickory_stream.geometry.display import color_of_id, shaded
+from hickory_stream.geometry.rigid import quaternion_from_rotation
+from hickory_stream.records import Phase
+from hickory_stream.sinks.rerun.items import LogItem, Span, Weight
+from hickory_stream.sinks.rerun.meshes import placed_mesh, superquadric_mesh, textured_layer2
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.superquadric import Superquadrics
+    from hickory_stream.records import ObjectShape, TrackedObject
+
+LAYERS = ("world/layer1", "world/layer2", "world/layer3", "world/layer4")
+POINTS_LAYER, MESH_LAYER, FITTED_LAYER, INFLATED_LAYER = LAYERS
+# The boxes once more, filled: the arrangement hides them, since they veil what is in them, until one is switched on.
+FILLED = "world/filled"
+_INFLATED_ALPHA = 96
+# What is known from points alone is drawn as lightly.
+_SKETCH_ALPHA = 112
+_FADED = {Phase.TENTATIVE: 0.45, Phase.ACTIVE: 1.0, Phase.DORMANT: 0.75, Phase.ARCHIVED: 0.55}
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Shown:
+    """What was last logged of an object; `cloud_of` has the cloud that was logged, at the stamp `cloud_ns`."""
+
+    object: TrackedObject
+    cloud_of: TrackedObject
+    cloud_ns: int
+
+
+class ObjectLayers:
+    """Knows what the viewer shows of each object, and returns what has to be logged to make it true.
+
+    A growing cloud is logged at most once per `cloud_period_ns`; `finish` catches up, and gives layer 2 its textures.
+    Records never change: of an object that has the one that was shown last nothing is looked at.
+    """
+
+    def __init__(self, *, folder: Path, max_points: int, cloud_period_ns: int, texture_px: int) -> None:
+        self._folder = folder
+        self._texture_px = texture_px
+        self._max_points = max_points
+        self._cloud_period_ns = cloud_period_ns
+        self._shown: dict[int, _Shown] = {}
+
+    def update(self, objects: tuple[TrackedObject, ...], stamp_ns: int) -> list[LogItem]:
+        """Return the items that bring the viewer to these objects."""
+        items = self._gone({o.id for o in objects})
+        for seen in objects:
+            shown = self._shown.get(seen.id)
+            if shown is not None and shown.object is seen and shown.cloud_of is seen:
+                continue
+            items += self._changed_cloud(seen, shown, stamp_ns)
+            if shown is None or not _same_box(seen, shown.object):
+                items += _box_items(seen)
+            if seen.shape is not None and (shown is None or not _same_shape(seen.shape, shown.object.shape)):
+                items += self._shape_items(seen.id, seen.shape)
+            elif seen.sketch is not None and (shown is None or shown.object.sketch is not seen.sketch):
+                items.append(_sketch_item(seen.id, seen.sketch))
+            self._shown[seen.id] = replace(self._shown[seen.id], object=seen)
+        return items
+
+    def finish(self) -> list[LogItem]:
+        """Return the clouds that have changed since they were last logged, and meshes with textures."""
+        clouds = [
+            _cloud_item(shown.object, self._max_points)
+            for _, shown in sorted(self._shown.items())
+            if not _same_cloud(shown.object, shown.cloud_of)
+        ]
+        return clouds + self._textured_items() if self._texture_px else clouds
+
+    def corners(self) -> NDArray[np.float64]:
+        """Return the (N, 3) corners of the boxes of all objects that are more than tentative."""
+        known = [s.object for s in self._shown.values() if s.object.phase is not Phase.TENTATIVE]
+        return np.concatenate([np.empty((0, 3)), *(o.box.corners_world() for o in known)])
+
+    def _gone(self, present: set[int]) -> list[LogItem]:
+        gone = sorted(self._shown.keys() - present)
+        for object_id in gone:
+            del self._shown[object_id]
+        return [
+            LogItem(path=f"{layer}/{i}", archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
+            for i in gone
+            for layer in (*LAYERS, FILLED)
+        ]
+
+    def _changed_cloud(self, seen: TrackedObject, shown: _Shown | None, stamp_ns: int) -> list[LogItem]:
+        # A log that starts over has stamps before the last one: abs() lets it through.
+        if shown is not None and abs(stamp_ns - shown.cloud_ns) < self._cloud_period_ns:
+            return []
+        if shown is not None and _same_cloud(seen, shown.cloud_of):
+            self._shown[seen.id] = replace(shown, cloud_of=seen)
+            return []
+        self._shown[seen.id] = _Shown(object=seen, cloud_of=seen, cloud_ns=stamp_ns)
+        return [_cloud_item(seen, self._max_points)]
+
+    def _textured_items(self) -> list[LogItem]:
+        items = []
+        for object_id, shown in sorted(self._shown.items()):
+            if shown.object.shape is None:
+                continue
+            try:
+                mesh = textured_layer2(self._folder, shown.object, self._texture_px)
+            except (OSError, ValueError, MapFolderError) as error:
+                logger.warning("object %d: its mesh has no texture: %s", object_id, error)
+                continue
+            path = f"{MESH_LAYER}/{object_id}"
+            items.append(LogItem(path=path, archetypes=(mesh,), weight=Weight.HEAVY, span=Span.LASTING))
+        return items
+
+    def _shape_items(self, object_id: int, shape: ObjectShape) -> list[LogItem]:
+        color = color_of_id(object_id)
+        path = self._folder / "shapes" / shape.mesh_name
+        layers: list[tuple[str, tuple[Any, ...]]] = []
+        try:
+            layers = [(MESH_LAYER, (placed_mesh(path, shape.world_from_object),))]
+        except (OSError, ValueError) as error:
+            # The picture misses one mesh; the map does not.
+            logger.warning("object %d: its mesh %s cannot be shown: %s", object_id, path, error)
+        layers.append((FITTED_LAYER, (superquadric_mesh(shape.fitted, color), _facts(shape))))
+        layers.append((INFLATED_LAYER, (superquadric_mesh(shape.inflated, color, alpha=_INFLATED_ALPHA),)))
+        return [
+            LogItem(path=f"{layer}/{object_id}", archetypes=shown, weight=Weight.HEAVY, span=Span.LASTING)
+            for layer, shown in layers
+        ]
+
+
+def _cloud_item(seen: TrackedObject, max_points: int) -> LogItem:
+    points, colors = seen.points_world, seen.colors
+    if len(points) > max_points:
+        kept = np.linspace(0, len(points) - 1, max_points).astype(np.int64)
+        points, colors = points[kept], colors[kept]
+    cloud = rr.Points3D(points, colors=colors, radii=0.006)
+    path = f"{POINTS_LAYER}/{seen.id}/points"
+    return LogItem(path=path, archetypes=(cloud,), weight=Weight.HEAVY, span=Span.LASTING)
+
+
+def _facts(shape: ObjectShape) -> rr.DynamicArchetype:
+    """Return what a selected shape is said of: who made it and why, what was fitted, whether layer 4 is certified."""
+    facts = {
+        "reconstructor": shape.reconstructor,
+        "verdict": shape.verdict or "none was asked for",
+        "layer_3_of": shape.fit_kind,
+        "is_certified": shape.containment.is_certified,
+    }
+    return rr.DynamicArchetype("hickory_stream.Shape", components=facts)
+
+
+def _sketch_item(object_id: int, sketch: Superquadrics) -> LogItem:
+    """Return the sketch in the place of layer 3, which replaces it when it comes."""
+    mesh = superquadric_mesh(sketch, color_of_id(object_id), alpha=_SKETCH_ALPHA)
+    return LogItem(path=f"{FITTED_LAYER}/{object_id}", archetypes=(mesh,), span=Span.LASTING)
+
+
+def _box_items(seen: TrackedObject) -> list[LogItem]:
+    """Return an object's box as lines, and filled; the label, with its phase, shows when it is pointed at."""
+    label = str(seen.id) if seen.phase is Phase.ACTIVE else f"{seen.id} {seen.phase}"
+
+    box: dict[str, Any] = {
+        "centers": [seen.box.center],
+        "half_sizes": [seen.box.half_extents_m],
+        "quaternions": [rr.Quaternion(xyzw=quaternion_from_rotation(seen.box.world_from_box[:3, :3]))],
+        "colors": shaded(color_of_id(seen.id), _FADED[seen.phase]),
+        "radii": -1.5 if seen.phase is Phase.ACTIVE else -0.7,
+        "labels": [label],
+        "show_labels": False,
+    }
+    lines, filled = rr.components.FillMode.MajorWireframe, rr.components.FillMode.TransparentFillMajorWireframe
+    return [
+        LogItem(
+            path=f"{POINTS_LAYER}/{seen.id}/box", archetypes=(rr.Boxes3D(**box, fill_mode=lines),), span=Span.LASTING
+        ),
+        LogItem(path=f"{FILLED}/{seen.id}", archetypes=(rr.Boxes3D(**box, fill_mode=filled),), span=Span.LASTING),
+    ]
+
+
+def _same_box(a: TrackedObject, b: TrackedObject) -> bool:
+    return (
+        a.phase is b.phase
+        and _same(a.box.world_from_box, b.box.world_from_box)
+        and _same(a.box.half_extents_m, b.box.half_extents_m)
+    )
+
+
+def _same_shape(a: ObjectShape, b: ObjectShape | None) -> bool:
+    """Return whether it is the same shape at the same place: a corrected submap takes its shapes along."""
+    return b is not None and a.revision == b.revision and _same(a.world_from_object, b.world_from_object)
+
+
+def _same_cloud(a: TrackedObject, b: TrackedObject) -> bool:
+    return a is b or np.array_equal(a.points_world, b.points_world)
+
+
+def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:
+    return a is b or np.array_equal(a, b)

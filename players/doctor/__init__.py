@@ -1,0 +1,1 @@
+"""The doctor: what a log lacks before it is mapped."""

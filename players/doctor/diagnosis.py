@@ -1,0 +1,448 @@
+"""Diagnosis of a log before it is mapped: its contents, its flaws, and how many frames could be mapped.
+
+Two passes are made: one over every message, for stamps and damage, and one like that of `play`, which decodes a few
+frames.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.config import MapperConfig
+from hickory_stream.errors import InputError, NoPosesError, RecordingError
+from hickory_stream.geometry.depth_sensor import DepthSensor
+from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe, motion
+from hickory_stream.poses.hand_eye import NoHandEye
+from players.doctor.depth_color_alignment import BorderScores, border_scores, color_agreement
+from players.doctor.depth_noise import FlatPatches, depth_bias, depth_noise, flat_patches
+from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
+from players.doctor.image_brightness import Light, light_of, light_of_all
+from players.doctor.stream_stats import StreamStats, nearest_ms
+from players.logs.folder import FolderSource
+from players.logs.log_opening import open_log, read_opening
+from players.logs.log_source import LogSource
+from players.opening import open_container, open_source
+from players.poses.camera_poses import body_from_camera_of
+from players.poses.extrinsics import estimated_mounting, is_assumed, mounting_text
+from players.poses.odometry_source import OdometrySource, with_odometry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.mapping.rules.keyframes import KeyframeConfig
+    from hickory_stream.ports import Source
+    from players.doctor.depth_color_alignment import ColorAgreement
+    from players.doctor.depth_noise import DepthBias, DepthNoise
+    from players.logs.containers import Log
+    from players.logs.log_damage import Flaws
+    from players.options import SourceOptions
+
+SOUND, UNUSABLE, WITH_LOSSES = 0, 2, 3
+
+_ENDS_S = 2.0
+_SAMPLES = 12
+# A frame with a larger share of missing depth is not examined for a floor.
+_NO_DEPTH = 0.9
+_KEYFRAME_S, _MEGAPIXEL_S, _SHAPE_S = 0.12, 0.9, 0.05
+_BASE_MB, _MEGAPIXEL_MB, _KEYFRAME_MB = 550.0, 260.0, 0.35
+"""Time and memory of `play` on two shared cores without a GPU, for a rough estimate."""
+
+
+# For a walking camera, a log of 5 Hz has about 0.62 of the keyframes that an unlimited rate would give, 2 Hz half.
+_DUE_SHARE, _LEAST_DUE = 0.55, 8.0
+
+
+@dataclass(slots=True)
+class Diagnosis:
+    """The findings. `problems` cost messages or frames, `notes` do not; `refusal` is why the log cannot be mapped."""
+
+    uri: str
+    kind: str = ""
+    num_bytes: int = 0
+    checksum: str = ""
+    streams: dict[str, str] = field(default_factory=dict)
+    topics: dict[str, dict[str, Any]] = field(default_factory=dict)
+    tf: dict[str, Any] = field(default_factory=dict)
+    images: dict[str, Any] = field(default_factory=dict)
+    sync: dict[str, Any] = field(default_factory=dict)
+    frames: dict[str, Any] = field(default_factory=dict)
+    ledger: dict[str, Any] = field(default_factory=dict)
+    damage: list[dict[str, Any]] = field(default_factory=list)
+    damaged_bytes: int = 0
+    estimate: dict[str, float] = field(default_factory=dict)
+    live: dict[str, Any] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    refusal: str | None = None
+
+    @property
+    def status(self) -> int:
+        """The exit status: 0 sound, 3 usable with losses, 2 unusable."""
+        return UNUSABLE if self.refusal is not None else WITH_LOSSES if self.problems else SOUND
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything, for machines."""
+        verdict = {SOUND: "sound", UNUSABLE: "unusable", WITH_LOSSES: "usable with losses"}[self.status]
+        return {"verdict": verdict, "status": self.status, **asdict(self)}
+
+
+def examine(
+    uris: Sequence[str | Path],
+    options: SourceOptions,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> Diagnosis:
+    """Return the diagnosis of a log or an image folder; faults of the log are part of the result, not exceptions."""
+    paths = [Path(uri) for uri in uris]
+    found = Diagnosis(uri=" ".join(str(path) for path in paths))
+    log: Log | None = None
+    try:
+        if not _is_image_folder(paths):
+            log = open_container(*paths)
+    except InputError as error:
+        found.refusal = str(error)
+        return found
+    if log is None:
+        return _examine_folder(found, paths, options, progress)
+    return examine_log(found, log, options, progress)
+
+
+def examine_log(
+    found: Diagnosis, log: Log, options: SourceOptions, progress: Callable[[str], None], *, is_heard: bool = False
+) -> Diagnosis:
+    """Complete a diagnosis with the contents of a log; `is_heard`: it was just recorded from a live route."""
+    found.kind, found.checksum = log.kind, log.checksum
+    found.num_bytes = sum(file.stat().st_size for file in log.files)
+    for reason in getattr(log, "unreadable", ()):
+        found.problems.append(reason)
+    progress("reading every message")
+    stats = {topic.name: StreamStats(topic) for topic in log.topics}
+    for message in log.messages(list(stats)):
+        stats[message.topic].add(message)
+    found.topics = {name: stats[name].as_dict() for name in sorted(stats)}
+    _tell_stamps(found, is_heard=is_heard)
+    try:
+        source = _as_play_opens(found, log, options, is_heard=is_heard)
+        progress("reading as play does")
+        examine_frames(found, source, stats)
+        if isinstance(source, LogSource) and not is_heard and options.extrinsics == "log":
+            progress("looking where the camera sits")
+            judge_mounting(found, source)
+    except InputError as error:
+        found.refusal = str(error)
+    _tell_damage(found, log.flaws)
+    if not found.checksum and not is_heard:
+        found.notes.append(f"{found.kind} has no checksums: altered bytes within a message cannot be seen")
+    return found
+
+
+def _is_image_folder(paths: Sequence[Path]) -> bool:
+    if len(paths) != 1 or not paths[0].is_dir():
+        return False
+    suffixes = {file.suffix for file in paths[0].rglob("*") if file.is_file()}
+    return bool(suffixes & {".png", ".jpg", ".jpeg"}) and not suffixes & {".mcap", ".bag", ".db3"}
+
+
+def _examine_folder(
+    found: Diagnosis, paths: Sequence[Path], options: SourceOptions, progress: Callable[[str], None]
+) -> Diagnosis:
+    try:
+        source = open_source(list(paths), options)
+        progress("reading as play does")
+        found.kind, found.streams = source.info.kind, dict(source.info.streams)
+        found.num_bytes = source.num_bytes() if isinstance(source, FolderSource) else 0
+        examine_frames(found, source, {})
+    except InputError as error:
+        found.refusal = str(error)
+    return found
+
+
+def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions, *, is_heard: bool) -> Source:
+    """Return the source to be played; poses are estimated for a log without poses, but not for a live route."""
+    try:
+        _examine_opening(found, log, options)
+        source = open_log(log, options)
+    except NoPosesError as error:
+        if options.odometry != "auto" or is_heard:
+            raise
+        found.notes.append(f"{error}, as play will do (--odometry)")
+        estimating = replace(options, odometry="depth")
+        _examine_opening(found, log, estimating)
+        return with_odometry(open_log(log, estimating), "auto")
+    return with_odometry(source, options.odometry) if options.estimates_poses else source
+
+
+def _examine_opening(found: Diagnosis, log: Log, options: SourceOptions) -> None:
+    """Note the image topics and coordinate frames at the beginning, also of a log that will be refused."""
+    opening = read_opening(log, options)
+    for role, probe in (("color", opening.color), ("depth", opening.depth)):
+        first = probe.first
+        found.images[role] = {
+            "topic": probe.topic.name,
+            "encoding": first.encoding if first else None,
+            "size": list(first.size) if first and first.size else None,
+            "frame": first.frame if first else None,
+        }
+    tree = opening.reader.tree()
+    found.tf = {
+        "edges": [
+            {"parent": e.parent, "child": e.child, "static": isinstance(e.parent_from_child, np.ndarray)}
+            for _, e in sorted(tree.edges.items())
+        ],
+        "pose_streams": [
+            {"topic": s.topic, "parent": s.parent, "child": s.child, "poses": s.num_poses}
+            for s in opening.reader.streams()
+        ],
+    }
+    if opening.profile.name:
+        found.streams["profile"] = opening.profile.name + (" (guessed)" if opening.is_profile_guessed else "")
+        found.streams["profile_title"] = opening.profile.title
+
+
+def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStats]) -> None:
+    """Play the source without mapping it; decode a few frames."""
+    found.streams |= dict(source.info.streams)
+    config = MapperConfig()
+    expected = source.info.num_frames or 100
+    step = max(1, expected // _SAMPLES)
+    last: Keyframe | None = None
+    num_frames, num_keyframes, num_torn, jumps = 0, 0, 0, 0
+    due, first_ns, last_ns = 0.0, 0, 0
+    invalid: list[float] = []
+    borders: list[BorderScores] = []
+    patches: list[FlatPatches] = []
+    lights: list[Light] = []
+    floors: list[SeenFloor] = []
+    sensor = DepthSensor()
+    started_s = time.perf_counter()
+    for raw in source.frames():
+        num_frames += 1
+        jumps += raw.after_from_before is not None
+        first_ns, last_ns = first_ns or raw.stamp_ns, raw.stamp_ns
+        if is_keyframe(last, raw.stamp_ns, raw.world_from_camera, config.keyframes):
+            num_keyframes += 1
+            keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+            if last is not None and raw.after_from_before is None:
+                due += _keyframes_due(last, keyframe, config.keyframes)
+            last = keyframe
+        if raw.index % step == 0 and len(invalid) < 2 * _SAMPLES:
+            try:
+                frame = raw.decode()
+                invalid.append(float(1.0 - np.isfinite(frame.depth_m).mean()))
+                sensor = config.sensor.over(frame.sensor)
+                patches.append(flat_patches(frame))
+                lights.append(light_of(frame.rgb))
+                if invalid[-1] < _NO_DEPTH:
+                    floors.append(floor_in(frame))
+                if (scores := border_scores(frame)) is not None:
+                    borders.append(scores)
+            except RecordingError as error:
+                num_torn += 1
+                found.notes.append(str(error))
+    source.close()
+    ledger, played = dict(source.ledger()), source.played if isinstance(source, OdometrySource) else source
+    camera = source.info.camera
+    agreement = color_agreement(borders)
+    noise, bias, light = depth_noise(patches), depth_bias(patches), light_of_all(lights)
+    found.frames = {
+        "frames": num_frames,
+        "keyframes": num_keyframes,
+        "keyframes_due": round(due, 1),
+        "color_on_depth": {"is_off": agreement.is_off, **asdict(agreement)} if agreement is not None else None,
+        "depth_noise": {"ratio": round(noise.ratio_to(sensor), 3), **asdict(noise)} if noise is not None else None,
+        "depth_bias": {"is_off": bias.is_off, **asdict(bias)} if bias is not None else None,
+        "sensor": asdict(sensor),
+        "light": asdict(light) if light is not None else None,
+        "size": [camera.width, camera.height],
+        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "pose_jumps": jumps,
+        "sampled": len(invalid) + num_torn,
+        "torn": num_torn,
+        "depth_invalid_median": round(float(np.median(invalid)), 3) if invalid else None,
+        "depth_invalid": [round(share, 3) for share in invalid],
+        "read_s": round(time.perf_counter() - started_s, 2),
+    }
+    _estimate(found, camera.width * camera.height / 1e6, num_keyframes)
+    found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
+    _tell_frames(found, ledger)
+    judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
+    judge_color(found, agreement)
+    judge_depth(found, noise, bias, sensor)
+    judge_light(found, light)
+    found.notes += gravity_notes(floors)
+    if isinstance(played, LogSource):
+        setup = played.setup
+        color, depth = (
+            stats[t.name].stamps(uses_log_time=setup.uses_log_time) for t in (setup.topics.color, setup.topics.depth)
+        )
+        judge_ends(found, color, depth)
+        apart_ms = nearest_ms(color, depth)
+        counts, edges = np.histogram(np.clip(apart_ms, -250, 250), bins=50)
+        within = np.abs(apart_ms) <= setup.tolerance_ns / 1e6
+        found.sync = {
+            "tolerance_ms": setup.tolerance_ns / 1e6,
+            "within": round(float(within.mean()), 4) if len(within) else 0.0,
+            "median_ms": round(float(np.median(np.abs(apart_ms))), 3) if len(apart_ms) else None,
+            "p95_ms": round(float(np.percentile(np.abs(apart_ms), 95)), 3) if len(apart_ms) else None,
+            "histogram": {"edges_ms": [round(float(edge), 3) for edge in edges], "counts": counts.tolist()},
+        }
+
+
+def _keyframes_due(last: Keyframe, now: Keyframe, config: KeyframeConfig) -> float:
+    """Return the number of keyframes that an unlimited frame rate would give between two keyframes."""
+    if now.stamp_ns <= last.stamp_ns:
+        return 0.0
+    elapsed = (now.stamp_ns - last.stamp_ns) / 1e9 / config.min_interval_s
+    distance_m, turned_rad = motion(last.world_from_camera, now.world_from_camera)
+    moved = max(distance_m / config.min_distance_m, float(np.rad2deg(turned_rad)) / config.min_angle_deg)
+    return max(1.0, min(elapsed, moved))
+
+
+def judge_keyframes(found: Diagnosis, number: int, due: float, seconds: float, confirm: int) -> None:
+    """Report too few keyframes for the motion of the camera, or for any object to be confirmed."""
+    if number < confirm:
+        found.problems.append(f"{number} keyframes: a thing is mapped that is seen in {confirm}; record for longer")
+    elif due >= _LEAST_DUE and number - 1 < _DUE_SHARE * due:
+        found.problems.append(
+            f"{number} keyframes in {seconds:.1f} s, {due:.0f} would be due at this motion: frames come too seldom. "
+            f"A thing is mapped that is seen in {confirm}; record at 5 Hz or more, or move slower"
+        )
+
+
+def judge_ends(found: Diagnosis, color_ns: NDArray[np.int64], depth_ns: NDArray[np.int64]) -> None:
+    """Say where one of the two cameras stops long before the other: nothing is mapped from then on."""
+    if len(color_ns) == 0 or len(depth_ns) == 0:
+        return
+    early_s = (int(color_ns.max()) - int(depth_ns.max())) / 1e9
+    if abs(early_s) > _ENDS_S:
+        name, other = ("depth", "colour") if early_s > 0 else ("colour", "depth")
+        found.problems.append(
+            f"{name} stops {abs(early_s):.1f} s before {other} does: what comes then cannot be mapped; see why the "
+            "camera stopped"
+        )
+
+
+def judge_color(found: Diagnosis, agreement: ColorAgreement | None) -> None:
+    """Report a wrong registration of colour and depth."""
+    if agreement is None or not agreement.is_off:
+        return
+    x_mm, y_mm = (1e3 * value for value in agreement.offset_m)
+    found.problems.append(
+        f"colour does not lie on depth: it fits best {x_mm:+.0f} mm to the right and {y_mm:+.0f} mm down of where the "
+        f"calibration has it ({agreement.offset_px:.1f} pixels); correct the link between the two cameras"
+    )
+
+
+def judge_depth(found: Diagnosis, noise: DepthNoise | None, bias: DepthBias | None, sensor: DepthSensor) -> None:
+    """Report a constant bias of depth, or a noise that differs much from that of the sensor model."""
+    if bias is not None and bias.is_off:
+        long = "long" if bias.bias_m > 0 else "short"
+        found.problems.append(
+            f"depth is {1e3 * abs(bias.bias_m):.0f} mm too {long} at every distance: {bias.num_frames} floors are "
+            f"straight without it; map with --set mapper.sensor.bias_m={sensor.bias_m + bias.bias_m:.3f}, or put "
+            f"bias_m under [sensor] in a profile"
+        )
+    if noise is not None and noise.is_other_than(sensor):
+        found.notes.append(
+            f"depth has {noise.ratio_to(sensor):.1f} times the noise that the sensor is believed to have; map with "
+            f"--set mapper.sensor.noise_per_m={noise.noise_per_m:.4f} --set mapper.sensor.noise_m={noise.noise_m:.4f}, "
+            f"or put them under [sensor] in a profile"
+        )
+
+
+def judge_mounting(found: Diagnosis, source: LogSource) -> None:
+    """Report a camera pose on the body that differs from the profile's; one from TF is not checked."""
+    if not is_assumed(source):
+        return
+    estimated = estimated_mounting(source)
+    if isinstance(estimated, NoHandEye):
+        found.notes.append(
+            f"where the camera sits is taken from the profile, and cannot be checked: {estimated.reason}"
+        )
+        return
+    off = estimated.disagrees_with(body_from_camera_of(source.setup.plan))
+    left_open = f" (its motion leaves open: {', '.join(estimated.open_names())})" if estimated.open_names() else ""
+    if off is None:
+        found.notes.append(f"by its motion the camera sits where the profile has it{left_open}")
+    else:
+        found.problems.append(
+            f"by its motion the camera sits {off[0]:.2f} m and {np.degrees(off[1]):.1f} degrees from where the profile "
+            f"has it{left_open}: {mounting_text(estimated)}; map with --extrinsics estimate, or put it into a profile"
+        )
+
+
+def judge_light(found: Diagnosis, light: Light | None) -> None:
+    """Report images that are dark or without colour."""
+    if light is not None and light.is_dark:
+        found.problems.append(
+            f"colour is black or nearly so (half of the pixels are below {light.median:.0f} of 255): things are told "
+            f"apart by depth alone, and those of one surface are one; record with light, or check the exposure"
+        )
+    elif light is not None and light.is_grey:
+        found.notes.append("the camera has no colour, only brightness: things are told apart by that and by depth")
+
+
+def _estimate(found: Diagnosis, megapixels: float, num_keyframes: int) -> None:
+    found.estimate = {
+        "map_s": round(num_keyframes * (_KEYFRAME_S + _MEGAPIXEL_S * megapixels + _SHAPE_S), 0),
+        "memory_mb": round(_BASE_MB + _MEGAPIXEL_MB * megapixels + _KEYFRAME_MB * num_keyframes, -1),
+    }
+
+
+def _tell_stamps(found: Diagnosis, *, is_heard: bool) -> None:
+    for name, figures in found.topics.items():
+        if figures.get("unset_stamps"):
+            found.notes.append(f"{name}: {figures['unset_stamps']} of {figures['messages']} header stamps are zero")
+        if figures.get("worst_step_back_s", 0) > 1.0:
+            found.notes.append(
+                f"{name}: stamps go back by {figures['worst_step_back_s']} s: a looped log or a set clock"
+            )
+        # How far a robot's clock is from ours is one figure, which its status has.
+        if abs(figures.get("log_offset_s") or 0) > 1.0 and not figures.get("unset_stamps") and not is_heard:
+            found.notes.append(f"{name}: recorded {figures['log_offset_s']} s after its header stamps")
+        if figures["type"] == "":
+            found.notes.append(f"{name}: its type is not known; it is skipped")
+
+
+def _tell_frames(found: Diagnosis, fates: dict[str, int]) -> None:
+    """Report messages that became no frame as problems, except for colour images at a higher rate than depth."""
+    total = found.frames["frames"] + sum(
+        fates.get(name, 0) for name in ("no_pose", "color_without_depth", "frame_of_other_size", "late_color")
+    )
+    for name in sorted(fates):
+        number = fates[name]
+        if name in ("frames", "odometry_scans") or not number:
+            continue
+        if name in ("color_without_depth", "depth_without_color"):
+            found.notes.append(f"{number} {name.replace('_', ' ')} within the tolerance")
+        elif name == "no_pose" and number <= max(3.0, 0.02 * total):
+            found.notes.append(f"{number} of {total} frames have no pose (the ends of the poses)")
+        elif name == "odometry_degenerate":
+            found.notes.append(
+                f"{number} of {fates['odometry_scans']} scans do not determine the motion along some direction (a bare "
+                "wall, a corridor): there it is taken to go on as before"
+            )
+        elif name in ("depth_without_returns", "pose_jumps", "duplicate_pose"):
+            found.notes.append(f"{number} {name.replace('_', ' ')}")
+        else:
+            found.problems.append(f"{number} {name.replace('_', ' ')}")
+    if found.streams.get("stamps", "").startswith("log time:"):
+        found.problems.append(found.streams["stamps"])
+
+
+def _tell_damage(found: Diagnosis, flaws: Flaws) -> None:
+    found.damage = [
+        {"file": f.file, "offset": f.offset, "what": f.what, "bytes": f.num_bytes, "messages": f.num_lost}
+        for f in flaws
+    ]
+    found.damaged_bytes = flaws.num_bytes
+    if len(flaws):
+        lost = sum(flaw.num_lost for flaw in flaws)
+        share = f"{flaws.num_bytes} of {found.num_bytes} bytes"
+        found.problems.append(f"{len(flaws)} damaged places, {share}; {lost} messages known to be lost")

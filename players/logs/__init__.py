@@ -1,0 +1,1 @@
+"""Logs: containers, topics, clocks and synchronised frames."""

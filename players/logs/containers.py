@@ -1,0 +1,153 @@
+"""What all recorded logs have in common: topics, raw messages in the order of the file, and their types.
+
+A message type is compiled from the definition in the log, or from ROS 2's own if the log has none. A definition that
+cannot be parsed makes only its topic unreadable.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator, Mapping
+    from pathlib import Path
+
+    from players.logs.log_damage import Flaws
+
+DefinitionFormat = Literal["msg", "idl", "protobuf", "jsonschema", "none"]
+Wire = Literal["cdr", "ros1", "protobuf", "json", "other"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Topic:
+    """A topic of a log; `type_name` is package/msg/Name for ROS 1 and ROS 2, `num_messages` is None if unknown."""
+
+    name: str
+    type_name: str
+    num_messages: int | None
+    wire: Wire
+    definition_format: DefinitionFormat
+    definition: str
+    foreign_type: str = ""
+    """The name of a type from outside ROS; `type_name` is then its equivalent in ROS."""
+
+
+class LogMessage(NamedTuple):
+    """A serialised message; `log_ns` is the time at which it was received, which may be much later than its stamp."""
+
+    topic: str
+    log_ns: int
+    data: Any
+
+
+class UnreadableMessageError(Exception):
+    """One message cannot be deserialised. The reader counts it; it is not shown to the user."""
+
+
+class Log(Protocol):
+    """A container of messages."""
+
+    @property
+    def path(self) -> Path | str:
+        """The file, the folder, or the address."""
+        ...
+
+    @property
+    def kind(self) -> str:
+        """What it is, in words."""
+        ...
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files of the log, in order."""
+        ...
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """The topics, sorted by name."""
+        ...
+
+    @property
+    def flaws(self) -> Flaws:
+        """The damage found so far; complete after a pass over all topics."""
+        ...
+
+    @property
+    def checksum(self) -> str:
+        """The checksum that protects the messages against altered bytes, in words; "" if there is none."""
+        ...
+
+    def declared(self) -> Mapping[str, int] | None:
+        """Return the declared number of messages of each topic, None if the log declares none."""
+        ...
+
+    def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
+        """Yield the messages of some topics, from the beginning, reading each chunk of the file once.
+
+        Unreadable messages are skipped and noted in `flaws`.
+        """
+        ...
+
+
+def normalized_type(name: str) -> str:
+    """Return a message type as package/msg/Name; ROS 1 leaves out the middle."""
+    package, _, rest = name.partition("/")
+    return f"{package}/msg/{rest}" if rest and "/" not in rest else name
+
+
+def merged_topics(topics: Iterable[Topic]) -> tuple[Topic, ...]:
+    """Return one topic per name, sorted; several channels or connections of a topic are several publishers of it."""
+    by_name: dict[str, Topic] = {}
+    for topic in topics:
+        known = by_name.get(topic.name)
+        if known is None:
+            by_name[topic.name] = topic
+        elif topic.num_messages is not None and known.num_messages is not None:
+            by_name[topic.name] = replace(known, num_messages=known.num_messages + topic.num_messages)
+    return tuple(by_name[name] for name in sorted(by_name))
+
+
+def deserialize(topic: Topic, data: Any) -> Any:
+    """Return the message of raw bytes; arrays in it are read-only views of them.
+
+    Raises:
+        UnreadableMessageError: the type cannot be compiled, or the bytes do not fit it.
+    """
+    from rosbags.serde import SerdeError
+    from rosbags.typesys import TypesysError
+
+    if topic.wire in ("protobuf", "json") and topic.foreign_type:
+        from players.messages.foxglove import decode_foxglove
+
+        try:
+            return decode_foxglove(topic.foreign_type, topic.wire, topic.definition, data)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise UnreadableMessageError(f"{topic.name}: {error!r}") from error
+    try:
+        store = _typestore(topic.type_name, topic.definition_format, topic.definition)
+        if topic.wire == "cdr":
+            return store.deserialize_cdr(data, topic.type_name)
+        if topic.wire == "ros1":
+            return store.deserialize_ros1(data, topic.type_name)
+    # The generated code raises errors of any kind on damaged bytes.
+    except (SerdeError, TypesysError, struct.error, LookupError, ValueError, AssertionError) as error:
+        raise UnreadableMessageError(f"{topic.name}: {error!r}") from error
+    raise UnreadableMessageError(f"{topic.name}: messages are neither CDR nor ROS 1, nor Foxglove's")
+
+
+@lru_cache(maxsize=64)
+def _typestore(type_name: str, definition_format: DefinitionFormat, definition: str) -> Any:
+    """Return a store that knows one type and all that it consists of."""
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    if definition_format == "none" or not definition.strip():
+        return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.EMPTY)
+    if definition_format == "msg":
+        store.register(get_types_from_msg(definition, type_name))
+    else:
+        store.register(get_types_from_idl(definition))
+    return store

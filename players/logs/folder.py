@@ -1,0 +1,206 @@
+"""Image folders as a source: the part that all layouts of `folder_layouts` share.
+
+Every file was found and paired when the folder was opened; images are read when a frame is reached (colour) or decoded
+(depth). Frames are those of the colour camera, and the poses are its poses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.records import Frame, RawFrame, SourceInfo
+from players.logs.counts import Ledger
+from players.logs.identity import files_identity
+from players.logs.message_account import Account, TopicAccount
+from players.messages.depth_registration import Registration, register_depth
+from players.messages.image_decoding import compressed_size, decode_color, decode_depth_png
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hickory_stream.geometry.camera import Camera
+    from hickory_stream.geometry.depth_sensor import DepthSensor
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FolderFrame:
+    """A pair of image files with its stamp and the colour camera's pose, None if odometry has to estimate it."""
+
+    stamp_ns: int
+    color: Path
+    depth: Path
+    world_from_camera: NDArray[np.float64] | None
+
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """The pose (4, 4), the identity if there is none."""
+        return self.world_from_camera if self.world_from_camera is not None else np.eye(4)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FolderContent:
+    """What a layout found in a folder.
+
+    `frames` are in the order of their stamps. `fates` counts, by reason, the files that became no frame. `text_files`
+    hold poses and intrinsics; with the names and sizes of the images they identify the folder.
+    """
+
+    kind: str
+    registration: Registration
+    depth_units_per_m: float
+    sensor: DepthSensor
+    frames: tuple[FolderFrame, ...]
+    fates: Mapping[str, int]
+    streams: tuple[tuple[str, str], ...]
+    text_files: tuple[Path, ...]
+
+
+class FolderSource:
+    """A `Source` of an image folder."""
+
+    def __init__(self, folder: Path, content: FolderContent) -> None:
+        """Check that the folder has frames.
+
+        Raises:
+            RecordingError: no frame has colour, depth and a pose.
+        """
+        if not content.frames:
+            found = ", ".join(f"{count} {fate}" for fate, count in content.fates.items() if count) or "no images"
+            raise RecordingError(f"{folder}: no frame has colour, depth and a pose; found {found}")
+        self._content = content
+        self._ledger = Ledger()
+        self._info = SourceInfo(
+            uri=str(folder),
+            kind=content.kind,
+            identity=_identity(content),
+            camera=content.registration.color_camera,
+            num_frames=len(content.frames),
+            start_ns=content.frames[0].stamp_ns,
+            end_ns=content.frames[-1].stamp_ns,
+            streams=content.streams,
+        )
+
+    @property
+    def info(self) -> SourceInfo:
+        """The diagnosis of the folder when it was opened."""
+        return self._info
+
+    def frames(self) -> Iterator[RawFrame]:
+        """Yield the frames from the beginning; a frame whose colour has another size is counted and skipped.
+
+        Raises:
+            CalibrationError: no frame has the size that the intrinsics are for.
+        """
+        ledger = self._ledger = Ledger()
+        for fate, number in self._content.fates.items():
+            ledger.count(fate, number)
+        camera = self._content.registration.color_camera
+        index = 0
+        for files in self._content.frames:
+            color_bytes = _read(files.color)
+            size = compressed_size(color_bytes)
+            if size is not None and size != (camera.width, camera.height):
+                ledger.count("frame_of_other_size")
+                continue
+            ledger.count("frames")
+            yield RawFrame(
+                index=index,
+                stamp_ns=files.stamp_ns,
+                camera=camera,
+                world_from_camera=files.pose,
+                decode=partial(_decode, self._content, files, index, color_bytes, ledger),
+                color_bytes=color_bytes or None,
+                is_posed=files.world_from_camera is not None,
+            )
+            index += 1
+        if index == 0:
+            raise CalibrationError(
+                f"{self._info.uri}: the intrinsics are for {camera.width}x{camera.height} pixels; no image is"
+            )
+
+        ledger.is_complete = True
+
+    def ledger(self) -> Mapping[str, int]:
+        """Return the counts of the latest pass: frames, and files that became none."""
+        return self._ledger.as_dict()
+
+    def account(self) -> Account:
+        """Return the ledger of all image files in the latest pass."""
+        counts, content = self._ledger.as_dict(), self._content
+        frames, other_size = counts.get("frames", 0), counts.get("frame_of_other_size", 0)
+        not_played = len(content.frames) - frames - other_size
+        streams, topics = dict(content.streams), []
+        for role, lonely in (("color", "color_without_depth"), ("depth", "depth_without_color")):
+            became_none = {fate: content.fates.get(fate, 0) for fate in (lonely, "no_pose")}
+            rejected = {**became_none, "frame_of_other_size": other_size}
+            topics.append(
+                TopicAccount(
+                    topic=streams.get(role, role),
+                    declared=len(content.frames) + sum(became_none.values()),
+                    used=frames,
+                    not_played=not_played,
+                    rejected={fate: number for fate, number in rejected.items() if number},
+                )
+            )
+        return Account(topics=tuple(topics), is_complete=self._ledger.is_complete, unit="files")
+
+    def num_bytes(self) -> int:
+        """Return the size of everything that is played: images, poses and intrinsics."""
+        content = self._content
+        images = [file for frame in content.frames for file in (frame.color, frame.depth)]
+        return sum(file.stat().st_size for file in {*content.text_files, *images})
+
+    def close(self) -> None:
+        """Do nothing: no file stays open between frames."""
+
+
+def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes: bytes, ledger: Ledger) -> Frame:
+    """Return the decoded frame: colour, and depth registered into it."""
+    try:
+        rgb = decode_color(color_bytes, str(files.color))
+        depth_m = content.sensor.returns(
+            decode_depth_png(_read(files.depth), content.depth_units_per_m, str(files.depth))
+        )
+        _check_size(depth_m, content.registration.depth_camera, files.depth)
+    except RecordingError:
+        ledger.count("unreadable_image")
+        raise
+    if not np.isfinite(depth_m).any():
+        ledger.count("depth_without_returns")
+    return Frame(
+        index=index,
+        stamp_ns=files.stamp_ns,
+        rgb=rgb,
+        depth_m=register_depth(depth_m, content.registration),
+        camera=content.registration.color_camera,
+        world_from_camera=files.pose,
+        sensor=content.sensor,
+    )
+
+
+def _check_size(depth_m: NDArray[np.float32], camera: Camera, file: Path) -> None:
+    """Check that depth has the size that its intrinsics are for; raises `RecordingError`."""
+    height, width = depth_m.shape
+    if (width, height) != (camera.width, camera.height):
+        raise RecordingError(f"{file} has {width}x{height} pixels; expected {camera.width}x{camera.height}")
+
+
+def _read(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{file} cannot be read: {error.strerror}") from error
+
+
+def _identity(content: FolderContent) -> str:
+    images = [file for frame in content.frames for file in (frame.color, frame.depth)]
+    sampled = [*content.text_files, *images[:2], *images[-2:]]
+    return files_identity([*content.text_files, *images], sampled)

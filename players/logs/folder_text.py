@@ -1,0 +1,198 @@
+"""The text files of image folders: intrinsics, poses, gravity, lists of stamped images."""
+
+from __future__ import annotations
+
+import json
+from decimal import Decimal, InvalidOperation
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.geometry import portable
+from hickory_stream.geometry.rigid import invert
+from players.poses.interpolation import PoseTrack, is_pose_row, nearest_rigid, track_of, world_from_down
+from players.profile import Intrinsics
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+GRAVITY = "gravity-direction.txt"
+
+
+def read_text(file: Path) -> str:
+    """Return the text of a file.
+
+    Raises:
+        RecordingError: it cannot be read, or holds no text.
+    """
+    try:
+        return file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{file} cannot be read: {error}") from error
+
+
+def read_numbers(file: Path) -> NDArray[np.float64]:
+    """Return all numbers of a file (N,), separated by space or commas.
+
+    Raises:
+        RecordingError: something in it is no number.
+    """
+    try:
+        return np.array([float(word) for word in read_text(file).replace(",", " ").split()])
+    except ValueError as error:
+        raise RecordingError(f"{file}: {error}; expected numbers") from error
+
+
+def read_intrinsics(file: Path) -> Intrinsics:
+    """Return the intrinsics of a text file with a 3x3 matrix K, row by row.
+
+    Raises:
+        CalibrationError: the file is missing or holds no such matrix.
+    """
+    if not file.is_file():
+        raise CalibrationError(f"{file.parent} has no {file.name}; it must hold the 3x3 intrinsics of the depth camera")
+    numbers = read_numbers(file)
+    if numbers.size != 9 or not (numbers[0] > 0 and numbers[4] > 0 and np.isfinite(numbers).all()):
+        raise CalibrationError(f"{file}: {numbers.size} numbers; expected a 3x3 matrix with positive focal lengths")
+    return Intrinsics(fx=float(numbers[0]), fy=float(numbers[4]), cx=float(numbers[2]), cy=float(numbers[5]))
+
+
+def read_cam_params(file: Path) -> tuple[Intrinsics, float]:
+    """Return the intrinsics and the depth units per metre of a `cam_params.json`.
+
+    Accepted are fx, fy, cx, cy or a 3x3 K, at the top or under `camera`; `scale`, `depth_scale` or
+    `depth_units_per_m` (default 1000).
+
+    Raises:
+        CalibrationError: the file cannot be read or a value is missing.
+    """
+    try:
+        table: dict[str, Any] = json.loads(read_text(file))
+        table = table.get("camera", table)
+        if "K" in table:
+            (fx, _, cx), (_, fy, cy) = np.asarray(table["K"], dtype=np.float64).reshape(3, 3)[:2].tolist()
+        else:
+            fx, fy, cx, cy = (float(table[name]) for name in ("fx", "fy", "cx", "cy"))
+        names = ("depth_units_per_m", "depth_scale", "scale")
+        units_per_m = next((float(table[name]) for name in names if name in table), 1000.0)
+    except (ValueError, TypeError, AttributeError, KeyError) as error:
+        raise CalibrationError(f"{file}: {error!r}; expected fx, fy, cx, cy (or K) and scale, in JSON") from error
+    # Some files give the scale as metres per unit, which is below one.
+    units_per_m = 1.0 / units_per_m if 0 < units_per_m < 1 else units_per_m
+    if not (fx > 0 and fy > 0 and units_per_m > 0):
+        raise CalibrationError(f"{file}: fx {fx}, fy {fy}, scale {units_per_m}; all must be positive")
+    return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy), units_per_m
+
+
+def read_world_from_log(folder: Path) -> NDArray[np.float64]:
+    """Return the rotation (4, 4) that turns z up: from `gravity-direction.txt`, else the identity.
+
+    Raises:
+        RecordingError: the file holds no direction.
+    """
+    file = folder / GRAVITY
+    if not file.is_file():
+        return np.eye(4)
+    down = read_numbers(file)
+    if down.shape != (3,) or not 0.5 < portable.norm(down) < 2.0:
+        raise RecordingError(f"{file} must hold the unit vector down in the world; found {down}")
+    return world_from_down(down)
+
+
+def read_pose_file(file: Path) -> NDArray[np.float64] | None:
+    """Return the pose of a file with a 4x4 or 3x4 matrix, None if it is invalid (NaN where tracking was lost)."""
+    return _rigid_of_row(read_numbers(file))
+
+
+def read_hope_camera(file: Path, units_per_m: float) -> tuple[Intrinsics, NDArray[np.float64] | None]:
+    """Return the intrinsics and world_from_camera (4, 4) of a HOPE json; None if its extrinsics are no rigid transform.
+
+    Raises:
+        CalibrationError: it cannot be read, or has no intrinsics.
+    """
+    try:
+        camera = json.loads(read_text(file))["camera"]
+        k = np.asarray(camera["intrinsics"], dtype=np.float64).reshape(3, 3)
+        camera_from_world = np.asarray(camera["extrinsics"], dtype=np.float64).reshape(4, 4)
+    except (KeyError, TypeError, ValueError) as error:
+        raise CalibrationError(
+            f"{file}: {error!r}; expected camera.intrinsics (3x3) and camera.extrinsics (4x4, camera from world)"
+        ) from error
+    rigid = nearest_rigid(camera_from_world)
+    if rigid is None or not (k[0, 0] > 0 and k[1, 1] > 0):
+        return Intrinsics(fx=k[0, 0], fy=k[1, 1], cx=k[0, 2], cy=k[1, 2]), None
+    rigid[:3, 3] /= units_per_m
+    intrinsics = Intrinsics(fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]), cy=float(k[1, 2]))
+    return intrinsics, invert(rigid)
+
+
+def read_pose_rows(file: Path) -> list[NDArray[np.float64] | None]:
+    """Return a pose per line of 16 or 12 numbers, row by row; None for a line that is no rigid transform.
+
+    Raises:
+        RecordingError: a line has another number of numbers.
+    """
+    poses = []
+    for number, line in enumerate(read_text(file).splitlines(), start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        try:
+            row = np.array([float(word) for word in line.replace(",", " ").split()])
+        except ValueError as error:
+            raise RecordingError(f"{file}, line {number}: {error}; expected 16 or 12 numbers") from error
+        if row.size not in (12, 16):
+            raise RecordingError(
+                f"{file}, line {number}: {row.size} numbers; expected 16 or 12, world_from_camera by rows"
+            )
+        poses.append(_rigid_of_row(row))
+    return poses
+
+
+def read_stamped_rows(file: Path, columns: int) -> list[tuple[int, list[str]]]:
+    """Return the rows of a TUM list: the stamp in nanoseconds, exactly, and the words behind it.
+
+    Raises:
+        RecordingError: a row has fewer columns, or does not begin with seconds.
+    """
+    rows = []
+    for number, line in enumerate(read_text(file).splitlines(), start=1):
+        words = line.split()
+        if not words or line.startswith("#"):
+            continue
+        try:
+            stamp_ns = int(Decimal(words[0]) * 1_000_000_000)
+        except (InvalidOperation, ValueError, OverflowError) as error:
+            raise RecordingError(f"{file}, line {number}: {words[0]!r} is no stamp in seconds") from error
+        if len(words) < columns:
+            raise RecordingError(f"{file}, line {number}: {len(words)} columns; expected {columns}")
+        rows.append((stamp_ns, words[1:]))
+    return rows
+
+
+def read_tum_track(file: Path, max_gap_ns: int) -> PoseTrack:
+    """Return the trajectory of a TUM file: `stamp tx ty tz qx qy qz qw`; rows that are no pose are left out.
+
+    Raises:
+        RecordingError: no row is a pose.
+    """
+    stamps_ns, rows = [], []
+    for stamp_ns, words in read_stamped_rows(file, 8):
+        try:
+            row = [float(word) for word in words[:7]]
+        except ValueError:
+            continue
+        if is_pose_row(row):
+            stamps_ns.append(stamp_ns)
+            rows.append(row)
+    track = track_of(stamps_ns, rows, max_gap_ns)
+    if track is None:
+        raise RecordingError(f"{file} holds no pose; expected rows of: stamp tx ty tz qx qy qz qw")
+    return track
+
+
+def _rigid_of_row(row: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the pose of 12 or 16 numbers, row by row, or None if they are no rigid transform."""
+    return nearest_rigid(row.reshape(-1, 4)[:3]) if row.size in (12, 16) else None

@@ -1,0 +1,149 @@
+"""The ledger of a log: every message in exactly one bucket, checked against the counts that the container declares.
+
+Used: part of a frame, or a pose, transform or calibration that frames need. Not needed: of a topic that was not asked
+for. Rejected, with the reason. Unreadable: in damaged bytes, or in bytes that do not fit the message type. Not played:
+behind the end of the pass. What remains is the difference to the declared count, 0 for a sound log.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from players.logs.containers import Log
+    from players.logs.counts import Ledger
+    from players.logs.log_setup import LogSetup
+
+
+_FLAWS_TOLD = 5
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicAccount:
+    """The messages of one topic by bucket; `declared` is None if the container does not declare a count."""
+
+    topic: str
+    declared: int | None
+    used: int = 0
+    not_needed: int = 0
+    unreadable: int = 0
+    not_played: int = 0
+    rejected: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def total(self) -> int:
+        """The sum of the buckets."""
+        return self.used + self.not_needed + self.unreadable + self.not_played + sum(self.rejected.values())
+
+    @property
+    def difference(self) -> int:
+        """How many messages the container declares that are in no bucket."""
+        return 0 if self.declared is None else self.declared - self.total
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Account:
+    """The messages of a log by topic and bucket; `is_complete`: the pass reached the end of the log.
+
+    `flaws` describes the first damaged places. For a folder of images, files are counted instead of messages.
+    """
+
+    topics: tuple[TopicAccount, ...]
+    is_complete: bool
+    num_flaws: int = 0
+    flaws: tuple[str, ...] = ()
+    explanation: str = ""
+    unit: str = "messages"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it for `ledger.json`."""
+        total: Counter[str] = Counter()
+        rejected: Counter[str] = Counter()
+        for entry in self.topics:
+            total["used"] += entry.used
+            total["not_needed"] += entry.not_needed
+            total["unreadable"] += entry.unreadable
+            total["not_played"] += entry.not_played
+            total["difference"] += entry.difference
+            rejected.update(entry.rejected)
+        return {
+            "unit": self.unit,
+            "declared": None
+            if any(e.declared is None for e in self.topics)
+            else sum(e.declared or 0 for e in self.topics),
+            **total,
+            "rejected": dict(sorted(rejected.items())),
+            "is_complete": self.is_complete,
+            "damaged_places": self.num_flaws,
+            "damage": list(self.flaws),
+            "explanation": self.explanation,
+            "topics": {
+                entry.topic: {
+                    "declared": entry.declared,
+                    "used": entry.used,
+                    "not_needed": entry.not_needed,
+                    "rejected": dict(sorted(entry.rejected.items())),
+                    "unreadable": entry.unreadable,
+                    "not_played": entry.not_played,
+                }
+                for entry in self.topics
+            },
+        }
+
+
+def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
+    """Return the ledger of one pass over a log."""
+    declared, lost = log.declared(), log.flaws.lost()
+    needed = {setup.topics.color.name, setup.topics.depth.name, *(topic.name for topic in setup.small_topics)}
+    entries = []
+    # A copy, since another thread may still be reading the log.
+    rejected_of = dict(ledger.rejected)
+    for topic in log.topics:
+        claimed = topic.num_messages if declared is None else declared.get(topic.name, 0)
+        unreadable = lost.get(topic.name, 0)
+        if topic.name not in needed:
+            readable = max(0, (claimed or 0) - unreadable)
+            entries.append(TopicAccount(topic=topic.name, declared=claimed, not_needed=readable, unreadable=unreadable))
+            continue
+        rejected = Counter(
+            {reason: number for (name, reason), number in rejected_of.items() if name == topic.name and number}
+        )
+        read = ledger.read[topic.name]
+        bad = ledger.unreadable[topic.name]
+        not_played = 0 if ledger.is_complete or claimed is None else max(0, claimed - read - unreadable)
+        entries.append(
+            TopicAccount(
+                topic=topic.name,
+                declared=claimed,
+                used=read - bad - rejected.total(),
+                unreadable=unreadable + bad,
+                not_played=not_played,
+                rejected=dict(rejected),
+            )
+        )
+    if lost.get(""):
+        entries.append(TopicAccount(topic="(topic not known)", declared=0, unreadable=lost[""]))
+    return Account(
+        topics=tuple(entries),
+        is_complete=ledger.is_complete,
+        num_flaws=len(log.flaws),
+        flaws=tuple(f"{f.file} at byte {f.offset}: {f.what}" for f in islice(log.flaws, _FLAWS_TOLD)),
+        explanation=_explanation(log, entries),
+    )
+
+
+def _explanation(log: Log, entries: list[TopicAccount]) -> str:
+    """Return why the sum of the buckets differs from the declared count, "" if they agree."""
+    difference = sum(entry.difference for entry in entries)
+    if log.declared() is None:
+        return "the container declares no totals (its index is missing or damaged): they are those that were found"
+    if difference > 0:
+        return f"{difference} messages lay in damaged bytes of which no index tells the topic"
+    if difference < 0:
+        return f"{-difference} messages more than the container declares were found: its index is older than its data"
+    return ""

@@ -1,0 +1,117 @@
+"""ROS 2 bags as folders: sqlite3 or MCAP, whole or split, with or without metadata.yaml, compressed by file or message.
+
+Only the order of the files is taken from `metadata.yaml`. Without one, or if it names files that are missing, the files
+of the folder are read in the order of their names.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.errors import RecordingError
+from players.logs.joined_log import JoinedLog
+
+if TYPE_CHECKING:
+    from players.logs.containers import Log
+
+METADATA = "metadata.yaml"
+SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
+_MAX_FILE_BYTES = 1 << 37
+
+
+def open_ros2_bag(folder: Path) -> Log:
+    """Return the log of a ROS 2 bag folder.
+
+    Raises:
+        RecordingError: it holds no files of a bag, or none of them can be read.
+    """
+    files = bag_files(folder)
+    if not files:
+        raise RecordingError(f"{folder} has a {METADATA} and no file of a bag ({', '.join(SUFFIXES)}) beside it")
+    logs, errors = [], []
+    for file in files:
+        try:
+            logs.append(open_bag_file(file))
+        except RecordingError as error:
+            errors.append(error)
+    if not logs:
+        raise RecordingError(f"{folder}: none of its {len(files)} files can be read: {errors[0]}") from errors[0]
+    kinds = sorted({"MCAP" if log.kind == "MCAP" else "sqlite3" for log in logs})
+    joined = JoinedLog(folder, f"ROS 2 bag ({', '.join(kinds)})", logs)
+    joined.files = tuple(sorted(file for file in folder.iterdir() if file.is_file()))
+    joined.unreadable = tuple(str(error) for error in errors)
+    return joined
+
+
+def bag_files(folder: Path) -> list[Path]:
+    """Return the files of a bag in order."""
+    present = [file for file in folder.iterdir() if file.is_file() and file.name.endswith(SUFFIXES)]
+    metadata = folder / METADATA
+    listed = _listed(metadata) if metadata.is_file() else []
+    named = [folder / name for name in listed if (folder / name).is_file()]
+    # Files that are not listed belong to the bag too: a recorder that was killed does not list all of them.
+    return named + sorted((file for file in present if file not in named), key=_natural)
+
+
+def open_bag_file(file: Path) -> Log:
+    """Return the log of one file of a ROS 2 bag; one that is compressed as a whole is unpacked to a temporary file."""
+    from players.logs.mcap_log import McapLog
+    from players.logs.mcap_records import MAGIC
+    from players.logs.sqlite_log import SqliteLog
+
+    path = _unpacked_file(file) if file.name.endswith(".zstd") else file
+    with path.open("rb") as stream:
+        head = stream.read(16)
+    if not head:
+        raise RecordingError(f"{file} is empty")
+    return McapLog(path) if head.startswith(MAGIC[:5]) else SqliteLog(path)
+
+
+def _listed(metadata: Path) -> list[str]:
+    """Return the files that a metadata.yaml names, even if the rest of it is damaged."""
+    text = metadata.read_text(encoding="utf-8", errors="replace")
+    block = re.search(r"relative_file_paths:\s*\n((?:\s*-\s*\S.*\n?)+)", text)
+    if block is None:
+        return []
+    names = re.findall(r"-\s*[\"']?([^\"'\n]+?)[\"']?\s*(?:\n|$)", block.group(1))
+    return [Path(name).name for name in names]
+
+
+def _natural(file: Path) -> list[Any]:
+    """Return a key by which bag_10 comes after bag_9."""
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
+
+
+def _unpacked_file(file: Path) -> Path:
+    """Return a temporary copy of a file that was compressed as a whole.
+
+    Raises:
+        RecordingError: it is damaged.
+    """
+    import shutil
+
+    import zstandard
+
+    target = Path(tempfile.mkdtemp(prefix="hickory-bag-")) / file.name.removesuffix(".zstd")
+    _removed_at_exit(target.parent)
+    try:
+        with file.open("rb") as packed, target.open("wb") as unpacked:
+            for block in zstandard.ZstdDecompressor().read_to_iter(packed):
+                if unpacked.tell() + len(block) > min(_MAX_FILE_BYTES, shutil.disk_usage(target.parent).free):
+                    raise RecordingError(f"{file} unpacks to more than there is room for on {target.parent}")
+                unpacked.write(block)
+    except zstandard.ZstdError as error:
+        # The part before the damage is read like a truncated file.
+        if target.stat().st_size == 0:
+            raise RecordingError(f"{file} cannot be unpacked: {error}") from error
+    return target
+
+
+def _removed_at_exit(folder: Path) -> None:
+    import atexit
+    import shutil
+
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)

@@ -1,0 +1,192 @@
+"""The sqlite3 files of ROS 2 bags, whole or damaged.
+
+A sound file is read by SQLite, in the order of its rows. If SQLite reports damage, the pages are read one by one
+(`sqlite_pages`): every message whose own pages are whole is found again. SQLite files have no checksums.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from hickory_stream.errors import RecordingError
+from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type
+from players.logs.decompression import UnpackError, unpack
+from players.logs.log_damage import Flaw, Flaws
+from players.logs.sqlite_pages import PageFile
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+    from pathlib import Path
+
+MAGIC = b"SQLite format 3\0"
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_TOPIC_COLUMNS = ("id", "name", "type", "serialization_format")
+
+
+class SqliteLog:
+    """A `Log` in one sqlite3 file of rosbag2."""
+
+    kind = "ROS 2 bag (sqlite3)"
+    checksum = ""
+
+    def __init__(self, path: Path, definitions: dict[str, str] | None = None) -> None:
+        """Read the topics; `definitions` are message definitions by type, for types missing from the bag's own table.
+
+        Raises:
+            RecordingError: no topic can be read, or it is a database of something else.
+        """
+        self.path = path
+        self.files = (path,)
+        self.flaws = Flaws()
+        self._definitions = definitions or {}
+        self._is_sound = True
+        self._counts: dict[int, int] | None = None
+        try:
+            self.topic_rows, self._counts = self._read_topics()
+        except sqlite3.DatabaseError as error:
+            self._give_up(error)
+            pages = PageFile(path)
+            self.topic_rows = {}
+            for row in pages.rows("topics"):
+                values = row.values()
+                if values is None or len(values) < 4 or not all(isinstance(value, str) for value in values[1:4]):
+                    continue
+                # Rows of topics and of message definitions have the same columns; a topic's name begins with a slash.
+                if values[1].startswith("/"):
+                    self.topic_rows[row.rowid] = (values[1], values[2], values[3])
+                elif values[2] in ("ros2msg", "ros2idl"):
+                    self._definitions.setdefault(values[1], values[3])
+            if not self.topic_rows:
+                raise RecordingError(
+                    f"{path} cannot be read as a ROS 2 bag: {error}, and no page of it holds topics"
+                ) from error
+        self.topics = merged_topics([self._topic(number) for number in sorted(self.topic_rows)])
+
+    def declared(self) -> dict[str, int] | None:
+        """Return the number of messages of each topic in the database, None if it is damaged."""
+        if self._counts is None:
+            return None
+        by_topic: Counter[str] = Counter()
+        for number, count in self._counts.items():
+            name = self.topic_rows[number][0] if number in self.topic_rows else ""
+            by_topic[name] += count
+        return dict(by_topic)
+
+    def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
+        """Yield the messages of some topics in the order of the rows; unreadable ones are noted in `flaws`."""
+        names = {number: row[0] for number, row in self.topic_rows.items() if row[0] in topics}
+        last = -(1 << 63)
+        if self._is_sound:
+            try:
+                for rowid, topic_id, log_ns, data in self._select(names):
+                    last = rowid
+                    message = self._message(names[topic_id], log_ns, data, rowid)
+                    if message is not None:
+                        yield message
+            except sqlite3.DatabaseError as error:
+                self._give_up(error)
+            else:
+                return
+        for row in PageFile(self.path).rows("messages"):
+            if row.rowid <= last:
+                continue
+            values = row.values()
+            if values is None:
+                self._flaw(row.offset, f"row {row.rowid} lies in pages that are damaged", 0, num_unknown=1)
+            elif (
+                len(values) >= 4 and values[1] in names and isinstance(values[2], int) and isinstance(values[3], bytes)
+            ):
+                message = self._message(names[values[1]], values[2], values[3], row.rowid)
+                if message is not None:
+                    yield message
+            elif len(values) < 4 or values[1] not in self.topic_rows:
+                self._flaw(row.offset, f"row {row.rowid} is no message", 0, num_unknown=1)
+
+    def _message(self, name: str, log_ns: int, data: Any, rowid: int) -> LogMessage | None:
+        """Return a message, unpacked if it is zstd, which CDR data cannot be mistaken for."""
+        if not isinstance(data, bytes):
+            self._flaw(rowid, f"row {rowid} holds no bytes", 0, lost=((name, 1),))
+            return None
+        if data[:4] == _ZSTD:
+            try:
+                data = unpack("zstd", data, None)
+            except UnpackError as error:
+                self._flaw(rowid, f"the message in row {rowid} {error}", len(data), lost=((name, 1),))
+                return None
+        return LogMessage(name, log_ns, data)
+
+    def _select(self, names: dict[int, str]) -> Iterator[tuple[int, int, int, Any]]:
+        marks = ",".join("?" * len(names))
+        with _connected(self.path) as connection:
+            yield from connection.execute(
+                f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY id",
+                tuple(names),
+            )
+
+    def _read_topics(self) -> tuple[dict[int, tuple[str, str, str]], dict[int, int]]:
+        with _connected(self.path) as connection:
+            tables = {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+            if not {"topics", "messages"} <= tables:
+                found = ", ".join(sorted(tables)) or "none"
+                raise RecordingError(
+                    f"{self.path} is a database, but no ROS 2 bag: expected the tables topics and messages, "
+                    f"found {found}"
+                )
+            rows = {
+                row[0]: (row[1], row[2], row[3])
+                for row in connection.execute(f"SELECT {', '.join(_TOPIC_COLUMNS)} FROM topics")
+            }
+            if "message_definitions" in tables:
+                found_definitions = connection.execute(
+                    "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+                )
+                for type_name, encoding, definition in found_definitions:
+                    if encoding in ("ros2msg", "ros2idl") and definition:
+                        self._definitions.setdefault(type_name, definition)
+            counts = dict(connection.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
+        return rows, counts
+
+    def _topic(self, number: int) -> Topic:
+        name, type_name, wire = self.topic_rows[number]
+        definition = self._definitions.get(type_name, "")
+        is_idl = "IDL:" in definition[:400]
+        return Topic(
+            name=name,
+            type_name=normalized_type(type_name),
+            num_messages=None if self._counts is None else self._counts.get(number, 0),
+            wire="cdr" if wire == "cdr" else "other",
+            definition_format="none" if not definition else "idl" if is_idl else "msg",
+            definition=definition,
+        )
+
+    def _give_up(self, error: Exception) -> None:
+        self._is_sound = False
+        self._flaw(0, f"SQLite gives up ({error}); its pages are read one by one", 0)
+
+    def _flaw(
+        self, offset: int, what: str, num_bytes: int, *, lost: tuple[tuple[str, int], ...] = (), num_unknown: int = 0
+    ) -> None:
+        self.flaws.add(
+            Flaw(file=self.path.name, offset=offset, what=what, num_bytes=num_bytes, lost=lost, num_unknown=num_unknown)
+        )
+
+
+class _connected:  # used as a function
+    """A read-only connection: a log is never changed, and may lie on a read-only medium."""
+
+    def __init__(self, path: Path) -> None:
+        wal = path.with_name(path.name + "-wal")
+        # A write-ahead log beside the file may hold messages too.
+        mode = "mode=ro" if wal.is_file() and wal.stat().st_size else "mode=ro&immutable=1"
+        self._connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True)
+        # The schema of a bag is fixed; triggers and functions in a damaged or hostile file must not run.
+        self._connection.execute("PRAGMA trusted_schema = OFF")
+
+    def __enter__(self) -> sqlite3.Connection:
+        return self._connection
+
+    def __exit__(self, *_: object) -> None:
+        self._connection.close()

@@ -1,0 +1,48 @@
+"""The choice of a log's time base: header stamps, unless they are unusable, else the recorder's.
+
+The header stamp is the time at which an image was taken; the log time is that at which the recorder received it. Header
+stamps are unusable if they were never set (all zero, or all equal) or if colour and depth are far apart by them; then
+the log time is used for all streams.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from players.messages.images import Probe
+    from players.options import Clock
+    from players.poses.camera_poses import PosePlan, RigReader
+
+_APART_NS = 60_000_000_000
+"""Streams whose first header stamps differ by more than this, but whose log times do not, have different clocks."""
+
+
+def choose_clock(
+    asked: Clock, color: Probe, depth: Probe, reader: RigReader, plan: PosePlan
+) -> tuple[Literal["header", "log"], str]:
+    """Return which clock is used, and the reason in words."""
+    if asked == "log":
+        return "log", "log time, as asked"
+    if asked == "header":
+        return "header", "header stamps, as asked"
+    for probe in (color, depth):
+        if _is_unset(probe.stamps_ns):
+            return "log", f"log time: the header stamps of {probe.topic.name} are not set (all {probe.stamps_ns[0]})"
+    if color.stamps_ns and depth.stamps_ns:
+        header_ns = abs(color.stamps_ns[0] - depth.stamps_ns[0])
+        log_ns = abs(color.log_ns[0] - depth.log_ns[0])
+        if header_ns > _APART_NS > log_ns:
+            apart = f"{header_ns / 1e9:.0f} s"
+            return "log", f"log time: the header stamps of {color.topic.name} and {depth.topic.name} are {apart} apart"
+    for key in plan.keys:
+        track = reader.track(key, 0)
+        if track is not None and track.num_added == 1 and track.num_duplicates > 20:
+            return "log", f"log time: the header stamps of {key[0]} are not set"
+    return "header", "header stamps"
+
+
+def _is_unset(stamps_ns: Sequence[int]) -> bool:
+    return len(stamps_ns) > 0 and (max(stamps_ns) == 0 or (len(stamps_ns) > 2 and len(set(stamps_ns)) == 1))

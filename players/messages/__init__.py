@@ -1,0 +1,1 @@
+"""Messages: decoding of images, depth, calibration and point clouds."""

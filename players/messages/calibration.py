@@ -1,0 +1,94 @@
+"""Pinhole cameras from `CameraInfo` messages, and the rectification of images.
+
+In ROS, `K` and `D` describe the raw image and `P` the rectified one, in the same message; the topic's name tells which
+of the two an image is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from hickory_stream.errors import CalibrationError
+from hickory_stream.geometry.camera import Camera
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from players.messages.records import CameraInfo
+
+_FISHEYE = ("equidistant", "fisheye", "kannala_brandt4")
+_RADIAL = ("plumb_bob", "rational_polynomial", "")
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A pinhole camera and, if its images are distorted, the distortion coefficients."""
+
+    camera: Camera
+    distortion: tuple[float, ...] = ()
+    is_fisheye: bool = False
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether images have to be rectified."""
+        return any(self.distortion)
+
+    def rectified_color(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the image (H, W, 3) as the pinhole camera sees it; black where it saw nothing."""
+        if not self.is_distorted:
+            return rgb
+        map_x, map_y = self._maps
+        return np.asarray(cv2.remap(rgb, map_x, map_y, cv2.INTER_LINEAR))
+
+    def rectified_depth(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the depth (H, W) as the pinhole camera sees it: nearest pixels, since depth must not be blended."""
+        if not self.is_distorted:
+            return depth_m
+        map_x, map_y = self._maps
+        return np.asarray(cv2.remap(depth_m, map_x, map_y, cv2.INTER_NEAREST, borderValue=float("nan")))
+
+    @cached_property
+    def _maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        size, k, d = (self.camera.width, self.camera.height), self.camera.K, np.array(self.distortion)
+        module = cv2.fisheye if self.is_fisheye else cv2
+        x, y = module.initUndistortRectifyMap(k, d, np.eye(3), k, size, cv2.CV_32FC1)
+        return np.asarray(x), np.asarray(y)
+
+
+def lens_of(info: CameraInfo, *, topic: str, image_size: tuple[int, int] | None, is_rectified: bool) -> Lens:
+    """Return the lens of a calibration; `image_size` is used if the message leaves the size unset.
+
+    Raises:
+        CalibrationError: it has no focal length, no size, or an unknown distortion model.
+    """
+    distortion = tuple(float(d) for d in info.D)
+    matrix = info.P if is_rectified and info.P[0, 0] > 0 and any(distortion) else info.K
+    size = info.size if all(info.size) else image_size
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.isfinite(matrix).all()):
+        raise CalibrationError(
+            f"{topic} holds no intrinsics (K = {np.array2string(info.K.ravel(), precision=1)}); "
+            "name another topic with --color-info-topic or --depth-info-topic"
+        )
+    if size is None:
+        raise CalibrationError(f"{topic} says no image size, and the first image of its camera is torn")
+    camera = Camera(
+        width=size[0],
+        height=size[1],
+        fx=float(matrix[0, 0]),
+        fy=float(matrix[1, 1]),
+        cx=float(matrix[0, 2]),
+        cy=float(matrix[1, 2]),
+    )
+    if is_rectified or not any(distortion):
+        return Lens(camera)
+    if info.distortion_model not in (*_FISHEYE, *_RADIAL):
+        raise CalibrationError(
+            f"{topic} has the distortion model {info.distortion_model!r}; "
+            f"known are {', '.join((*_RADIAL[:2], *_FISHEYE))}"
+        )
+    return Lens(camera, distortion, info.distortion_model in _FISHEYE)

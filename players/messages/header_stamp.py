@@ -1,0 +1,45 @@
+"""The header stamp of a message, read from its bytes without deserialising it."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any
+
+from players.logs.containers import UnreadableMessageError, deserialize
+from players.messages.records import HEADER_FIRST, TF, header_stamp_ns
+
+if TYPE_CHECKING:
+    from players.logs.containers import Topic
+
+_LITTLE, _BIG = struct.Struct("<II"), struct.Struct(">II")
+
+
+def peek_stamp_ns(topic: Topic, data: Any) -> int | None:
+    """Return the stamp of a message whose type begins with a header, or of its first transform; None for others."""
+    if topic.foreign_type:
+        return _foreign_stamp_ns(topic, data)
+    if topic.type_name in HEADER_FIRST:
+        at = 4
+    elif topic.type_name in TF:
+        at = 8
+    else:
+        return None
+    if len(data) < at + 8:
+        return None
+    # ROS 1 has a sequence number before the stamp; CDR has four bytes for the byte order, of which 1 is little endian.
+    layout = _BIG if topic.wire == "cdr" and not data[1] & 1 else _LITTLE
+    if topic.wire not in ("cdr", "ros1"):
+        return None
+    seconds, nanoseconds = layout.unpack_from(data, at)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+def _foreign_stamp_ns(topic: Topic, data: Any) -> int | None:
+    """Return the stamp of a message whose fields have no fixed offsets."""
+    try:
+        message = deserialize(topic, data)
+    except UnreadableMessageError:
+        return None
+    if topic.type_name in TF:
+        return header_stamp_ns(message.transforms[0]) if message.transforms else None
+    return header_stamp_ns(message)

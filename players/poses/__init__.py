@@ -1,0 +1,1 @@
+"""Poses: transforms, tracks, extrinsics and pose files, interpolated to frames."""

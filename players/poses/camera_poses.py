@@ -1,0 +1,440 @@
+"""Camera poses of a log: from pose messages and TF frames to poses of the colour camera's optical frame.
+
+By default, the pose comes from an odometry topic whose body frame is connected to the camera by static TF links; else
+from a TF chain that starts at a fixed frame. If the log has no TF, the links are those of its profile. An unknown link
+is an error that names both ends: frames are never guessed.
+
+`RigReader` collects these messages as the log streams by; a `PosePlan`, made when the log is opened, defines which of
+them form the camera's pose.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.errors import CalibrationError, NoPosesError
+from hickory_stream.geometry.rigid import compose, invert
+from players.logs.containers import UnreadableMessageError, deserialize
+from players.logs.timeline import Order, Timeline
+from players.messages.header_stamp import peek_stamp_ns
+from players.messages.records import CAMERA_INFO, TF, CameraInfo, StampedPose, camera_info_of, poses_of
+from players.poses.interpolation import is_pose_row, pose_of_row
+from players.poses.tf import Edge, FrameTree
+from players.poses.tracks import GrowingTrack, JumpLimits
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from players.logs.containers import LogMessage, Topic
+    from players.poses.tf import Chain
+    from players.poses.tracks import Jump
+    from players.profile import RigLinks
+
+Key = tuple[str, str, str]
+"""The key of a moving link: the topic (or "tf"), parent and child."""
+
+_FIXED_FRAMES = ("odom", "world", "map", "earth")
+"""Fixed frames for poses from TF alone: odom first, since it does not jump when a loop is closed."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PoseStream:
+    """A pose topic: parent_from_child over time; `child` is "" if the topic does not name it."""
+
+    topic: str
+    type_name: str
+    parent: str
+    child: str
+    num_poses: int
+
+    @property
+    def key(self) -> Key:
+        """The key of its link."""
+        return self.topic, self.parent, self.child
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Link:
+    """A link of a plan: static, or the key of a moving one with its value when the log was opened."""
+
+    static: NDArray[np.float64]
+    key: Key | None
+    is_inverted: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PosePlan:
+    """The composition of `world_from_camera`: a stream (None: TF alone), then the links from its body to the camera.
+
+    `path` names the frames, for people; `extrinsics` says where the links come from. `is_static`: no link moves.
+    """
+
+    stream: PoseStream | None
+    links: tuple[_Link, ...]
+    is_static: bool
+    source: str
+    path: str
+    extrinsics: str
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The moving links."""
+        moving = tuple(link.key for link in self.links if link.key is not None)
+        return moving if self.stream is None else (self.stream.key, *moving)
+
+    def at(self, stamp_ns: int, epoch: int, reader: RigReader) -> NDArray[np.float64] | None:
+        """Return the pose (4, 4) at a stamp, or None where there is none."""
+        world_from_camera = np.eye(4)
+        if self.stream is not None:
+            track = reader.track(self.stream.key, epoch)
+            pose = track.at(stamp_ns) if track is not None else None
+            if pose is None:
+                return None
+            world_from_camera = pose
+        for link in self.links:
+            pose = link.static if link.key is None else _moving(link, stamp_ns, epoch, reader)
+            if pose is None:
+                return None
+            world_from_camera = compose(world_from_camera, invert(pose) if link.is_inverted else pose)
+        return world_from_camera
+
+    def reaches(self, stamp_ns: int, epoch: int, reader: RigReader) -> bool:
+        """Return whether the pose at a stamp is final: no later message can change it."""
+        for key in self.keys:
+            if reader.epoch_of(key) > epoch:
+                continue
+            track = reader.track(key, epoch)
+            if track is None or not track.reaches(stamp_ns):
+                return False
+        return True
+
+    def jump_between(self, start_ns: int, end_ns: int, epoch: int, reader: RigReader) -> Jump | None:
+        """Return the last jump of a link between two stamps."""
+        for key in self.keys:
+            track = reader.track(key, epoch)
+            jump = track.jump_between(start_ns, end_ns) if track is not None else None
+            if jump is not None:
+                return jump
+        return None
+
+
+UNPOSED = PosePlan(stream=None, links=(), is_static=True, source="none", path="none", extrinsics="none")
+"""The plan of a log without poses: each frame has the identity as its pose until odometry estimates one."""
+
+
+def _moving(link: _Link, stamp_ns: int, epoch: int, reader: RigReader) -> NDArray[np.float64] | None:
+    """Return a TF link at a stamp; one that never changed is valid at any time, like static links on /tf in ROS 1."""
+    assert link.key is not None
+    track = reader.track(link.key, epoch)
+    if track is None or not track.num_added:
+        return link.static
+    return track.any_pose() if track.is_constant else track.at(stamp_ns)
+
+
+class RigReader:
+    """Takes pose, TF and calibration messages as they stream by."""
+
+    def __init__(
+        self, topics: Iterable[Topic], max_gap_ns: int, limits: JumpLimits, *, uses_log_time: bool = False
+    ) -> None:
+        self._topics = {topic.name: topic for topic in topics}
+        self._max_gap_ns = max_gap_ns
+        self._limits = limits
+        self._uses_log_time = uses_log_time
+        self._timelines: dict[str, Timeline] = {}
+        self._tracks: dict[tuple[Key, int], GrowingTrack] = {}
+        self._topic_of: dict[Key, str] = {}
+        self._statics: dict[tuple[str, str], NDArray[np.float64]] = {}
+        self._info_bytes: dict[str, bytes] = {}
+        self._loaded: list[PoseStream] = []
+        self.infos: dict[str, CameraInfo] = {}
+        self.seen: set[str] = set()
+        self.fates: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
+
+    def add(self, message: LogMessage) -> None:
+        """Take one message of one of the topics."""
+        topic = self._topics[message.topic]
+        self.seen.add(topic.name)
+        if topic.type_name == CAMERA_INFO:
+            self._add_info(topic, message)
+            return
+        stamp_ns = None if self._uses_log_time else peek_stamp_ns(topic, message.data)
+        if topic.name.endswith("tf_static") or stamp_ns is None:
+            self._add_poses(topic, message, 0 if topic.name.endswith("tf_static") else None)
+            return
+        for placed in self._timelines.setdefault(topic.name, Timeline()).add(stamp_ns, message):
+            if placed.order is Order.OFF:
+                self._reject(topic, "pose_stamp_off")
+            else:
+                self._add_poses(topic, placed.item, placed.epoch)
+
+    def load(self, stream: PoseStream, stamps_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> None:
+        """Take a whole trajectory, as from a file."""
+        track = self._tracks[stream.key, 0] = GrowingTrack(self._max_gap_ns, None)
+        for stamp_ns, row in sorted(zip(stamps_ns, rows, strict=True)):
+            track.add(stamp_ns, row)
+        self._loaded.append(stream)
+
+    def end(self) -> None:
+        """Add the messages that were held back for want of a later one."""
+        for name, timeline in self._timelines.items():
+            for _ in timeline.end():
+                self._reject(self._topics[name], "pose_stamp_off")
+
+    def track(self, key: Key, epoch: int) -> GrowingTrack | None:
+        """Return the poses of a moving link in an epoch."""
+        return self._tracks.get((key, epoch))
+
+    def epoch_of(self, key: Key) -> int:
+        """Return the current epoch of a link."""
+        timeline = self._timelines.get(self._topic_of.get(key, ""))
+        return timeline.epoch if timeline else 0
+
+    def forget(self, before_ns: int) -> None:
+        """Drop poses that no later frame needs."""
+        for track in self._tracks.values():
+            track.forget(before_ns)
+
+    def forget_older(self, kept_ns: int) -> None:
+        """Drop the poses of each link that are older than its newest by more than this."""
+        for track in self._tracks.values():
+            if track.newest_ns is not None:
+                track.forget(track.newest_ns - kept_ns)
+
+    def tracks(self) -> Iterable[tuple[Key, GrowingTrack]]:
+        """Yield all tracks with their keys."""
+        return [(key, track) for (key, _), track in self._tracks.items()]
+
+    def streams(self) -> tuple[PoseStream, ...]:
+        """Return the pose streams so far, each with the declared number of its poses."""
+        found = {stream.key: stream for stream in self._loaded}
+        for key, epoch in self._tracks:
+            name, parent, child = key
+            if name != "tf" and name in self._topics:
+                topic, track = self._topics[name], self._tracks[key, epoch]
+                number = topic.num_messages if topic.num_messages is not None else track.num_added
+                found[key] = PoseStream(
+                    topic=name, type_name=topic.type_name, parent=parent, child=child, num_poses=number
+                )
+        return tuple(found.values())
+
+    def tree(self) -> FrameTree:
+        """Return the current TF tree; links that have not changed so far are static."""
+        edges = [Edge(parent=p, child=c, parent_from_child=pose) for (p, c), pose in self._statics.items()]
+        for ((name, parent, child), epoch), track in self._tracks.items():
+            if name == "tf" and epoch == 0 and track.num_added:
+                link = track.any_pose() if track.is_constant else track
+                edges.append(Edge(parent=parent, child=child, parent_from_child=link, is_published_static=False))
+        return FrameTree(edges)
+
+    def _add_info(self, topic: Topic, message: LogMessage) -> None:
+        # The bytes behind the stamp are equal in every message of one calibration.
+        content = bytes(message.data[12:]) if not topic.foreign_type else bytes(message.data)
+        if self._info_bytes.get(topic.name) == content:
+            return
+        try:
+            info = camera_info_of(deserialize(topic, message.data))
+        except (UnreadableMessageError, ValueError):
+            self._unreadable(topic)
+            return
+        self._info_bytes[topic.name] = content
+        known = self.infos.get(topic.name)
+        is_set = info.K[0, 0] > 0
+        if known is None or (is_set and not known.K[0, 0] > 0):
+            self.infos[topic.name] = info
+        elif is_set and (known.size != info.size or np.abs(known.K - info.K).max() > 1e-6):
+            self.fates["camera_info_changed"] += 1
+
+    def _add_poses(self, topic: Topic, message: LogMessage, epoch: int | None) -> None:
+        try:
+            poses = poses_of(topic.type_name, deserialize(topic, message.data))
+        except UnreadableMessageError:
+            self._unreadable(topic)
+            return
+        num_bad = 0
+        for pose in poses:
+            if not is_pose_row(pose.row):
+                num_bad += 1
+            elif topic.name.endswith("tf_static") and topic.type_name in TF:
+                self._statics[pose.parent, pose.child] = pose_of_row(np.array(pose.row))
+            else:
+                self._add_pose(topic, pose, message.log_ns if self._uses_log_time else pose.stamp_ns, epoch or 0)
+        if num_bad:
+            self.fates["bad_pose"] += num_bad
+            self.rejected[topic.name] += num_bad == len(poses)
+
+    def _add_pose(self, topic: Topic, pose: StampedPose, stamp_ns: int, epoch: int) -> None:
+        is_tf = topic.type_name in TF
+        key = ("tf" if is_tf else topic.name, pose.parent, pose.child)
+        self._topic_of[key] = topic.name
+        track = self._tracks.get((key, epoch))
+        if track is None:
+            track = self._tracks[key, epoch] = GrowingTrack(self._max_gap_ns, self._limits)
+        before, doubles = track.num_teleports, track.num_duplicates
+        track.add(stamp_ns, pose.row)
+        self.fates["pose_teleport"] += track.num_teleports - before
+        if not is_tf:
+            self.fates["duplicate_pose"] += track.num_duplicates - doubles
+            self.rejected[topic.name] += track.num_teleports - before + track.num_duplicates - doubles
+
+    def _reject(self, topic: Topic, fate: str) -> None:
+        self.fates[fate] += 1
+        self.rejected[topic.name] += 1
+
+    def _unreadable(self, topic: Topic) -> None:
+        self.fates["unreadable_message"] += 1
+
+
+def mounted(plan: PosePlan, body_from_camera: NDArray[np.float64], told: str) -> PosePlan:
+    """Return the plan with another camera pose on its body; `told` states its origin."""
+    link = _Link(static=body_from_camera, key=None, is_inverted=False)
+    return replace(plan, links=(link,), is_static=True, extrinsics=told)
+
+
+def body_from_camera_of(plan: PosePlan) -> NDArray[np.float64]:
+    """Return `body_from_camera` (4, 4) of a plan without moving links."""
+    body_from_camera = np.eye(4)
+    for link in plan.links:
+        body_from_camera = compose(body_from_camera, invert(link.static) if link.is_inverted else link.static)
+    return body_from_camera
+
+
+def plan_poses(
+    path: object,
+    reader: RigReader,
+    camera_frame: str,
+    *,
+    pose_frame: str | None,
+    is_named: bool,
+    rig: RigLinks | None,
+    rig_topics: Collection[str],
+    profile_name: str,
+) -> PosePlan:
+    """Return the plan of the camera's pose; `is_named`: a pose topic was asked for, so that TF does not replace it.
+
+    `rig` is the profile's and is valid for `rig_topics` only, since a profile does not know the body of other topics.
+
+    Raises:
+        CalibrationError: no pose is connected to the camera's frame.
+        NoPosesError: there is no pose.
+    """
+    tree, streams = reader.tree(), reader.streams()
+    if rig is None or not is_named:
+        carried = [plan for stream in streams if (plan := _carried(stream, tree, camera_frame, pose_frame))]
+        if carried:
+            return max(carried, key=_preference)
+        if not is_named and rig is None and (chain := _chain_from_fixed(tree, camera_frame)) is not None:
+            return PosePlan(
+                stream=None,
+                links=_links(chain),
+                is_static=chain.is_static,
+                source="TF",
+                path=" <- ".join(chain.frames),
+                extrinsics="TF of the log",
+            )
+    elif carried := [plan for s in streams if s.child and (plan := _carried(s, tree, camera_frame, pose_frame))]:
+        return max(carried, key=_preference)
+    of_the_rig = [stream for stream in streams if stream.topic in rig_topics]
+    if rig is not None and of_the_rig:
+        stream = max(of_the_rig, key=lambda s: (s.num_poses, s.topic))
+        chain = FrameTree(rig.links).chain(rig.body, rig.color)
+        if chain is None:
+            raise CalibrationError(f"profile {profile_name}: its links do not connect {rig.body} to {rig.color}")
+        frames = (stream.parent, *([stream.child] if stream.child else []), *chain.frames)
+        return PosePlan(
+            stream=stream,
+            links=_links(chain),
+            is_static=True,
+            source=stream.topic,
+            path=" <- ".join(frames),
+            extrinsics=f"profile {profile_name}",
+        )
+    if not streams and not tree.edges:
+        raise NoPosesError(f"{path}: the pose topics hold no pose; --odometry depth estimates them")
+    told = _unconnected(path, streams, tree, camera_frame)
+    if not streams and not any(isinstance(edge.parent_from_child, GrowingTrack) for edge in tree.edges.values()):
+        raise NoPosesError(f"{told}, or estimate poses with --odometry depth")
+    if rig is not None:
+        told += f". The profile {profile_name} knows the body of {' or '.join(rig_topics)} only: play that log, too"
+    raise CalibrationError(told)
+
+
+def _carried(stream: PoseStream, tree: FrameTree, camera_frame: str, pose_frame: str | None) -> PosePlan | None:
+    """Return the plan that uses a stream, None if its body is neither the camera's frame nor connected to it."""
+    body = pose_frame or stream.child
+    chain = tree.chain(body, camera_frame) if body else None
+    if chain is None or stream.parent in chain.frames[1:]:
+        return None
+    path = " <- ".join((stream.parent, *chain.frames))
+    extrinsics = "TF of the log" if chain.edges else "none: the pose is the camera's"
+    return PosePlan(
+        stream=stream,
+        links=_links(chain),
+        is_static=chain.is_static,
+        source=stream.topic,
+        path=path,
+        extrinsics=extrinsics,
+    )
+
+
+def _links(chain: Chain) -> tuple[_Link, ...]:
+    links = []
+    for edge, is_inverted in chain.edges:
+        link = edge.parent_from_child
+        is_fixed = isinstance(link, np.ndarray)
+        links.append(
+            _Link(
+                static=link.any_pose() if isinstance(link, GrowingTrack) else np.asarray(link),
+                key=None if is_fixed and edge.is_published_static else ("tf", edge.parent, edge.child),
+                is_inverted=is_inverted,
+            )
+        )
+    return tuple(links)
+
+
+def _preference(plan: PosePlan) -> tuple[bool, bool, int, str]:
+    """Return the rank of a plan: static links, then other odometry than wheels alone, then the most poses."""
+    assert plan.stream is not None
+    is_wheels = any(word in plan.source.lower() for word in ("wheel", "velocity_controller"))
+    return plan.is_static, not is_wheels, plan.stream.num_poses, plan.source
+
+
+def _chain_from_fixed(tree: FrameTree, camera_frame: str) -> Chain | None:
+    """Return the TF chain from a fixed frame to the camera: a frame of a known name, else the root if it moves."""
+    above = tree.ancestors(camera_frame)[1:]
+    names = {frame.rsplit("/", 1)[-1]: frame for frame in reversed(above)}
+    named = next((names[name] for name in _FIXED_FRAMES if name in names), None)
+    if named is not None:
+        return tree.chain(named, camera_frame)
+    chain = tree.chain(above[-1], camera_frame) if above else None
+    return None if chain is None or chain.is_static else chain
+
+
+def _unconnected(path: object, streams: Sequence[PoseStream], tree: FrameTree, camera_frame: str) -> str:
+    """Return the missing link between the poses and the camera, in words."""
+    known = f"frames of TF: {', '.join(sorted(tree.edges)) or 'none'}"
+    open_ended = [stream for stream in streams if not stream.child]
+    ended = [stream for stream in streams if stream.child]
+    if ended:
+        bodies = ", ".join(f"{stream.topic} gives {stream.child} in {stream.parent}" for stream in ended)
+        return (
+            f"{path}: no transform from {ended[0].child} to the camera's frame {camera_frame}: {bodies}; {known}. "
+            f"Record /tf_static, say with --pose-frame that the pose is that of {camera_frame}, or name a --profile "
+            "with the links of this robot"
+        )
+    if open_ended:
+        stream = open_ended[0]
+        return (
+            f"{path}: {stream.topic} ({stream.type_name}) does not say which frame it is the pose of; "
+            f"name it with --pose-frame (the camera's is {camera_frame}); {known}"
+        )
+    return (
+        f"{path}: TF does not connect the camera's frame {camera_frame} to a fixed frame; {known}; name a --pose-topic"
+    )

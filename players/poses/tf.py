@@ -1,0 +1,108 @@
+"""The TF tree of a log: static and moving transforms, and chains of them between two frames.
+
+Every frame has one parent. A chain leads up from its source to the nearest common ancestor and down to its target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import compose, invert
+from players.poses.interpolation import PoseTrack
+from players.poses.tracks import GrowingTrack
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+Link = PoseTrack | GrowingTrack | np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Edge:
+    """A frame and its parent; `parent_from_child` is a (4, 4) transform if it is static, else a track.
+
+    `is_published_static` is False for a transform of /tf that has not changed so far.
+    """
+
+    parent: str
+    child: str
+    parent_from_child: Link
+    is_published_static: bool = True
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Chain:
+    """`target_from_source` through `edges`, each with whether it is followed downwards (inverted)."""
+
+    frames: tuple[str, ...]
+    edges: tuple[tuple[Edge, bool], ...]
+
+    @property
+    def is_static(self) -> bool:
+        """Whether no link of the chain moves."""
+        return all(isinstance(edge.parent_from_child, np.ndarray) for edge, _ in self.edges)
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """The first and last stamp at which all moving links have a pose; None if none moves."""
+        spans = [
+            edge.parent_from_child.span_ns for edge, _ in self.edges if isinstance(edge.parent_from_child, PoseTrack)
+        ]
+        return (max(start for start, _ in spans), min(end for _, end in spans)) if spans else None
+
+    def at(self, stamp_ns: int) -> NDArray[np.float64] | None:
+        """Return `target_from_source` (4, 4) at a stamp, or None if a link has no pose at that stamp."""
+        target_from_source = np.eye(4)
+        for edge, is_downwards in self.edges:
+            link = edge.parent_from_child
+            pose = link if isinstance(link, np.ndarray) else link.at(stamp_ns)
+            if pose is None:
+                return None
+            target_from_source = compose(target_from_source, invert(pose) if is_downwards else pose)
+        return target_from_source
+
+
+class FrameTree:
+    """Frames by name; of two parents of a frame, a static one is kept, else the one with more poses."""
+
+    def __init__(self, edges: Sequence[Edge]) -> None:
+        self._edge_of: dict[str, Edge] = {}
+        for edge in sorted(edges, key=_weight):
+            self._edge_of[edge.child] = edge
+
+    @property
+    def edges(self) -> Mapping[str, Edge]:
+        """The edge of every frame that has a parent."""
+        return self._edge_of
+
+    def ancestors(self, frame: str) -> list[str]:
+        """Return a frame and all frames above it, upwards; a loop in the tree ends the list."""
+        line = [frame]
+        while (edge := self._edge_of.get(line[-1])) is not None and edge.parent not in line:
+            line.append(edge.parent)
+        return line
+
+    def chain(self, target: str, source: str) -> Chain | None:
+        """Return the chain of `target_from_source`, or None if the two are not connected."""
+        from_source, from_target = self.ancestors(source), self.ancestors(target)
+        common = next((frame for frame in from_source if frame in from_target), None)
+        if common is None:
+            return None
+        up = from_source[: from_source.index(common)]
+        down = from_target[: from_target.index(common)]
+        edges = [(self._edge_of[frame], True) for frame in down] + [
+            (self._edge_of[frame], False) for frame in reversed(up)
+        ]
+        return Chain(frames=(*down, common, *reversed(up)), edges=tuple(edges))
+
+
+def _weight(edge: Edge) -> tuple[float, str]:
+    link = edge.parent_from_child
+    if isinstance(link, PoseTrack):
+        return float(len(link.stamps_ns)), edge.parent
+    return float(link.num_added) if isinstance(link, GrowingTrack) else float("inf"), edge.parent

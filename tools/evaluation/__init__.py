@@ -1,0 +1,1 @@
+"""Evaluation that only the developers of the mapper need."""
