@@ -20,8 +20,8 @@ from hickory_stream.perception.regions.trees import Trees
 from hickory_stream.records import Frame, Segmentation
 from hickory_stream.worlds.clutter.frames import frames_of
 from hickory_stream.worlds.depth_camera import sensed_depth
-from tools.benchmarks.perception.first_layer import play_first_layer
-from tools.benchmarks.perception.mask_scores import UNKNOWN, MaskScore, score_overlaps
+from tools.evaluation.masks.first_layer import play_first_layer
+from tools.evaluation.masks.scores import UNKNOWN, MaskScore, score_overlaps
 from tools.network_training.frames import frames_of_scene
 from tools.network_training.lessons import drawn_camera
 

@@ -17,7 +17,7 @@ from hickory_stream.navigation.clearance import Answer, Body, ClearanceScene
 from hickory_stream.navigation.sweep_kernels import NEAR_M
 from hickory_stream.records import ObservedSpace
 from tests.navigation.rooms import tracked
-from tools.benchmarks.shapes.swept_truth import swept_distance_m
+from tools.evaluation.shapes.swept_truth import swept_distance_m
 
 
 def random_primitives(rng: np.random.Generator, count: int, size_m: float = 4.0) -> Superquadrics:

@@ -10,7 +10,7 @@ import trimesh
 
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.generated.judgement import JudgementConfig, by_other_views, newly_seen
-from tools.benchmarks.shapes.spoiled_generator import Sighted, plain_mesh, sighted
+from tools.evaluation.shapes.spoiled_generator import Sighted, plain_mesh, sighted
 
 CONFIG = JudgementConfig()
 

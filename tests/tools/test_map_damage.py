@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tools.benchmarks.logs.map_changes import TARGETS, change_map, change_text
 from tools.benchmarks.logs.small_maps import write_small_map
+from tools.damage.map_changes import TARGETS, change_map, change_text
 
 pytestmark = pytest.mark.timeout(300)
 

@@ -91,7 +91,6 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _sample(options: Options) -> str:
-    """Return the options that make a run a part or a smaller sample, as they are typed."""
     words = [f"--{name}" for name in ("quick", "maps") if getattr(options, name)]
     words += ["--only", *options.only] if options.only else []
     words += ["--minutes", f"{options.minutes:g}"] if math.isfinite(options.minutes) else []

@@ -95,14 +95,12 @@ def _of_sets(options: Options) -> tuple[list[Figure], list[Trial]]:
 
 
 def _of_confidence(trials: list[Trial]) -> list[Figure]:
-    """Return how many answers were given, and which share of them was wrong."""
     answers = [trial for trial in trials if trial.error is not None]
     wrong = sum(trial.is_wrong for trial in answers) / max(len(answers), 1)
     return [figure("confident_answers", len(answers)), figure("wrong_confident_fraction", wrong, "", "lower")]
 
 
 def _of_ablation(options: Options) -> list[Figure]:
-    """Return how often each method is right and wrong on the hard set, and on two that are harder still."""
     figures = []
     for (name, config), method in itertools.product(_ABLATION.items(), _ABLATED):
         trials = _run(config, 10 if options.quick else 200, options.seed, method)
@@ -203,7 +201,6 @@ def _of_apartments(maps: dict[int, tuple[ObjectMap, ObjectMap]]) -> list[Figure]
 
 
 def _apartment_maps(seed: int) -> dict[int, tuple[ObjectMap, ObjectMap]]:
-    """Return the two maps of each apartment."""
     base = 1000 + 10 * seed
     maps = {}
     for apartment in range(base, base + _APARTMENTS):

@@ -18,9 +18,9 @@ import numpy as np
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.evaluation.alignment_table import error_of
-from tools.benchmarks.alignment.furnished_maps import furnished, shared_apartment, unrelated_apartments
 from tools.benchmarks.common.figures import Figure, Options, figure, share
 from tools.evaluation.simulated_maps.ambiguous import AmbiguousConfig, Draw, simulate_ambiguous, uniform
+from tools.evaluation.simulated_maps.furnished import furnished, shared_apartment, unrelated_apartments
 from tools.evaluation.simulated_maps.simulate import Difficulty, SimulatedPair, SimulationConfig, simulate_pair
 from tools.evaluation.simulated_maps.trial import normalised_square, overlap_b
 
@@ -91,7 +91,6 @@ def _is_right(answer: object, pair: SimulatedPair) -> bool:
 
 
 def _of_places(trials: Iterable[AmbiguousTrial], suffix: str) -> list[Figure]:
-    """Return the figures of places that look alike, in all and by kind."""
     trials = list(trials)
     decided = [trial for trial in trials if trial[1]]
 
@@ -110,7 +109,6 @@ def _of_places(trials: Iterable[AmbiguousTrial], suffix: str) -> list[Figure]:
 
 
 def _apartment_trial(job: tuple[int, int]) -> tuple[bool, bool, bool]:
-    """Return whether two apartments are one, whether they were joined, and whether rightly."""
     is_one, difficulty = job[0] == job[1], _DIFFICULTIES[sum(job) // 2 % 2]
     pair = shared_apartment(job[0], difficulty) if is_one else unrelated_apartments(job, difficulty)
     answer = align(pair.map_a, pair.map_b)
@@ -118,7 +116,6 @@ def _apartment_trial(job: tuple[int, int]) -> tuple[bool, bool, bool]:
 
 
 def _of_apartments(trials: Iterable[tuple[bool, bool, bool]]) -> list[Figure]:
-    """Return how often different furnished apartments are joined, and how often one is found to be the same."""
     trials = list(trials)
     joined = [is_joined for is_one, is_joined, _ in trials if not is_one]
     right = [is_right for is_one, _, is_right in trials if is_one]
@@ -136,7 +133,6 @@ def _square_trial(job: tuple[SimulationConfig, int]) -> float | None:
 
 
 def _of_squares(squares: Iterable[float | None]) -> list[Figure]:
-    """Return the mean normalised squared error, and the share within the 95 % that chi-squared has."""
     known = np.array([square for square in squares if square is not None])
     half = 1.96 * float(known.std(ddof=1)) / np.sqrt(len(known))
     interval, of = (float(known.mean() - half), float(known.mean() + half)), f"{len(known)} answers, 6 dof"

@@ -21,7 +21,7 @@ from hickory_stream.alignment.align import evidence_of
 from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.grouping import crowding
 from hickory_stream.alignment.shape_scores import superquadric_scores
-from tools.benchmarks.alignment.furnished_maps import unrelated_apartments
+from tools.evaluation.simulated_maps.furnished import unrelated_apartments
 from tools.evaluation.simulated_maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
 
 _EDGES_M = np.array([0.0, 0.35, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0])

@@ -50,8 +50,6 @@ def _definitions(path: Path) -> list[str]:
 
 
 class _Bare(ast.NodeTransformer):
-    """Removes docstrings and imports, and the package from names of modules that are kept as text."""
-
     def visit_Import(self, _node: ast.Import) -> None:
         pass
 

@@ -163,7 +163,6 @@ def without_age(text: str) -> str:
 
 
 def _captions(name: str, runs: Sequence[Run], wanted: Collection[str], code_of: CodeOf) -> list[str]:
-    """Return a line for each run that some of the wanted figures are from, with their names if there are several."""
     used = [run for run in runs if not run.values.keys().isdisjoint(wanted)]
     lines = []
     for run in used:
@@ -195,7 +194,6 @@ def _brief(options: str) -> str:
 
 
 def _filled(line: str, runs: Sequence[Run]) -> str:
-    """Return the measured values of a row in the format of its comment, else in the order of their names."""
     values = {name: value for run in runs for name, value in run.values.items()}
     names = _named(line)
     if template := _COMMENT.search(_cells(line)[0]):

@@ -53,11 +53,7 @@ class Played:
 
 
 def play(log: Path, out: Path, *arguments: str) -> Played:
-    """Run `hickory-stream play` and watch it.
-
-    Raises:
-        RuntimeError: it failed.
-    """
+    """Run `hickory-stream play` and watch it."""
     command = [*_PLAY, str(log), "--out", str(out), *_QUIET, *overridden("run.shape_cache=false"), *arguments]
     started = time.perf_counter()
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -127,11 +123,7 @@ def finished(process: subprocess.Popen[str]) -> dict[str, Any]:
 
 
 def output_of(*arguments: object) -> str:
-    """Return the output of our interpreter with these arguments.
-
-    Raises:
-        RuntimeError: it failed.
-    """
+    """Return the output of our interpreter with these arguments."""
     command = [sys.executable, *map(str, arguments)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, preexec_fn=die_with_parent)
     if done.returncode != 0:

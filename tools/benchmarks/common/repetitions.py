@@ -25,9 +25,6 @@ class Repetitions:
     """The records of one part, in `file` or in memory alone; one process at a time appends to a file.
 
     `until` is the moment of `time.monotonic` after which no repetition begins.
-
-    Raises:
-        RuntimeError: another process holds the file.
     """
 
     def __init__(self, file: Path | None = None, *, until: float = float("inf")) -> None:
@@ -82,7 +79,6 @@ def measurement_folder(state: Path, name: str, *, seed: int, fresh: bool) -> Pat
 
 
 def _whole_lines(file: TextIOWrapper) -> list[dict[str, Any]]:
-    """Return the records of a file, and cut off a last line that was not written to its end."""
     file.seek(0)
     text = file.read()
     whole = text[: text.rfind("\n") + 1]

@@ -109,7 +109,6 @@ def _joined(records: Sequence[Record]) -> Record:
 
 
 def _of_ladder(measured: Measured) -> list[Figure]:
-    """Return recall and precision of each rung of each world, and the loss to masks and to joins."""
     figures: list[Figure] = []
     for world in WORLDS:
         for rung in ("joins", "masks", "structure", "association"):
@@ -134,7 +133,6 @@ def _gap(name: str, measured: Measured, rung: Literal["masks", "joins"]) -> list
 
 
 def _of_robot(measured: Measured) -> list[Figure]:
-    """Return how much recall a walk of a robot loses to the same walk by hand, the mean of the walks."""
     found: list[NDArray[np.float64]] = []
     for world in WORLDS:
         for walk in WALKS:
@@ -163,7 +161,6 @@ def _statistic(
 
 
 def _of_structure(records: Sequence[Record | None]) -> list[Figure]:
-    """Return how many true objects are lost to structure, and how many objects are pieces of it, over all worlds."""
     known = [record for record in records if record is not None]
     if len(known) < len(records):
         return []
@@ -182,7 +179,6 @@ def _of_structure(records: Sequence[Record | None]) -> list[Figure]:
 
 
 def _of_shapes(name: str, records: Sequence[Record | None], role: str) -> list[Figure]:
-    """Return the figures of surfaces and tracks over all true objects of some maps, none where a map is missing."""
     known = [record for record in records if record is not None]
     truth = [row for record in known for row in record["truth"]]
     if len(known) < len(records) or not truth:
@@ -205,7 +201,6 @@ def _of_shapes(name: str, records: Sequence[Record | None], role: str) -> list[F
 
 
 def _of_outdoors(records: Sequence[Record]) -> list[Figure]:
-    """Return recall and precision of the streets together, and how many of their objects are pieces of ground."""
     if not records:
         return []
     joined, role = _joined(records), ROLES[OUTDOORS[0]]

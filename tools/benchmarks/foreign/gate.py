@@ -29,9 +29,6 @@ def measure(options: Options) -> list[Figure]:
     """Return the figures of the chosen parts; parts that did not begin in time are printed, and absent.
 
     A quick run plays the first seconds of `home` alone: its figures have names of their own.
-
-    Raises:
-        HickoryError: the folder of worlds is not there, or a part cannot be read.
     """
     worlds = worlds_folder(options.worlds)
     if options.quick:
@@ -69,7 +66,6 @@ def own_seeds(seed: int, code: str) -> tuple[int, ...]:
 def _work(
     part: Part, worlds: Path, seeds: tuple[int, ...], *, may_render: bool
 ) -> tuple[str, Callable[[], dict[str, Any]]]:
-    """Return the key of a part's log, and the function that measures the part."""
     data = worlds.parent / "data"
     if part.world in OWN:
         seed = seeds[OWN.index(part.world)]
@@ -95,7 +91,6 @@ def _mapped(log: WorldLog, rung: Any = "ours") -> dict[str, Any]:
 
 
 def _reported(part: Part, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Return the record of a part, measured now, and print its summary."""
     print(f"{part.name}: measuring", flush=True)
     started = time.monotonic()
     record = work()

@@ -26,8 +26,8 @@ from hickory_stream.records import Frame, MapPrior, Phase, Segmentation
 from players import open_source
 from tools.benchmarks.common.cached_runs import play_into
 from tools.benchmarks.common.processes import ROOT, output_of, play
-from tools.benchmarks.perception.first_layer import play_first_layer
-from tools.benchmarks.perception.labelled_clouds import clouds_in, load_cloud, score_cloud
+from tools.evaluation.masks.first_layer import play_first_layer
+from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud, score_cloud
 from tools.evaluation.oracle_ablation import Rung, TrueImages, core_of, mapping_of, segmenter_of
 
 _TIMED_KEYFRAMES = 60
@@ -37,11 +37,7 @@ _GROUND = frozenset({"floor", "pavement", "road", "kerb", "lawn"})
 
 
 def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, Any]:
-    """Return the true objects that count and the objects of a map, each with its match or the reason for none.
-
-    Raises:
-        HickoryError: the log or the truth cannot be read.
-    """
+    """Return the true objects that count and the objects of a map, each with its match or the reason for none."""
     truth = load_truth(truth_folder)
     config = MapperConfig()
     config = replace(config, run=replace(config.run, shape_cache=False), mapping=mapping_of(rung, config.mapping))
@@ -150,8 +146,6 @@ def kitchen_scored(data: Path, scorer: Path) -> dict[str, Any]:
 
 
 class _Timed:
-    """A segmenter that notes the processor time of each of its calls."""
-
     def __init__(self, segmenter: Segmenter) -> None:
         self._segmenter = segmenter
         self.seconds: list[float] = []

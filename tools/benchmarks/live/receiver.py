@@ -166,7 +166,6 @@ def _latencies(out: Path, watched: Watched) -> list[float]:
 
 
 def _end_with_input(source: LiveMapSource, inbox: Inbox) -> None:
-    """End when standard input ends, once all received messages were read."""
     sys.stdin.read()
     ends_s = time.monotonic() + _DRAINED_S
     while inbox.waiting() and time.monotonic() < ends_s:

@@ -37,6 +37,7 @@ _EXTRA_ROUTES = {"dds": "cyclonedds"}
 _SCHEMES = {"zenoh-bridge": "zenoh", "rmw-zenoh": "zenoh", "foxglove": "foxglove"}
 _TIMEOUT_S = 900.0
 _LOSS = 0.1
+_STORM = ("--loss", "0.1", "--jitter", "150", "--delay", "40", "--bandwidth", "10", "--clock-offset", "-300")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,17 +48,17 @@ class Sample:
     one of their own (`has_own_goals`), so that latencies are those of mapping alone.
     """
 
-    log_s: float
-    loops: int
-    at_once: int
-    extras: bool
-    has_own_goals: bool
-    map_s: float
-    away: tuple[str, ...]
-    storm: tuple[str, ...]
-    map_options: tuple[str, ...]
-    mapped_720p_s: float
-    safety_s: float
+    log_s: float = 2.0
+    loops: int = 30
+    at_once: int = 1
+    extras: bool = True
+    has_own_goals: bool = True
+    map_s: float = 20.0
+    away: tuple[str, ...] = ("--seconds", "15", "--loop", "3", "--disconnect", "8:30")
+    storm: tuple[str, ...] = (*_STORM, *"--disconnect 40:60 --disconnect 150:5 --restart 200 --loop 15".split())
+    map_options: tuple[str, ...] = ()
+    mapped_720p_s: float = 8.0
+    safety_s: float = 20.0
 
     @property
     def goals(self) -> list[str]:
@@ -65,20 +66,6 @@ class Sample:
         return [word for at in np.arange(2.0, self.map_s, 0.25).tolist() for word in ("--goal", f"{at}:0.5,0.5")]
 
 
-_STORM = ("--loss", "0.1", "--jitter", "150", "--delay", "40", "--bandwidth", "10", "--clock-offset", "-300")
-_FULL = Sample(
-    log_s=2.0,
-    loops=30,
-    at_once=1,
-    extras=True,
-    has_own_goals=True,
-    map_s=20.0,
-    away=("--seconds", "15", "--loop", "3", "--disconnect", "8:30"),
-    storm=(*_STORM, "--disconnect", "40:60", "--disconnect", "150:5", "--restart", "200", "--loop", "15"),
-    map_options=(),
-    mapped_720p_s=8.0,
-    safety_s=20.0,
-)
 _QUICK = Sample(
     log_s=1.0,
     loops=3,
@@ -87,7 +74,7 @@ _QUICK = Sample(
     has_own_goals=False,
     map_s=4.5,
     away=("--seconds", "3.5", "--disconnect", "1.5:1"),
-    storm=(*_STORM, "--disconnect", "1.5:1", "--restart", "3", "--seconds", "4.5"),
+    storm=(*_STORM, *"--disconnect 1.5:1 --restart 3 --seconds 4.5".split()),
     map_options=("--no-shapes",),
     mapped_720p_s=0.0,
     safety_s=2.0,
@@ -96,7 +83,7 @@ _QUICK = Sample(
 
 def measure(options: Options) -> list[Figure]:
     """Measure all parts."""
-    sample = _QUICK if options.quick else _FULL
+    sample = _QUICK if options.quick else Sample()
     with tempfile.TemporaryDirectory(prefix="hickory-live-") as name:
         folder = Path(name)
         figures = _transport(sample, options.seed, folder)
@@ -224,11 +211,7 @@ def _safety(sample: Sample, folder: Path) -> list[Figure]:
 def _run(
     via: str, logs: list[Path], folder: Path, *faults: str, to: tuple[str | Path, ...] = ()
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Have a robot play to a receiver; return the reports of both, of sent and of received messages.
-
-    Raises:
-        RuntimeError: one of them failed.
-    """
+    """Have a robot play to a receiver; return the reports of both, of sent and of received messages."""
     if via == "dds":
         # Ports are those of the domain; runs at the same time are not to hear one another.
         domain = 1 + os.getpid() % 100
@@ -257,7 +240,6 @@ def _run(
 
 
 def _unaccounted(sent: dict[str, Any], came: dict[str, Any]) -> int:
-    """Return how many messages with a receiver are in no bucket of the receiver's ledger."""
     missing = [abs(number - came["totals"].get(topic, 0)) for topic, number in sent["sent"].items()]
     return sum(missing) + abs(came["difference"])
 

@@ -31,8 +31,8 @@ from hickory_stream.settings import Settings
 from tools.benchmarks.common.figures import Figure, figure
 from tools.benchmarks.common.processes import DEMO
 from tools.benchmarks.common.repetitions import Repetitions
-from tools.benchmarks.logs.map_changes import OUTSIDE, TARGETS, change_map, change_text
 from tools.benchmarks.logs.small_maps import as_live_and_killed, write_small_map
+from tools.damage.map_changes import OUTSIDE, TARGETS, change_map, change_text
 
 _TOO_LONG_S = 60
 _MOST_BYTES = 2 << 30
@@ -141,7 +141,6 @@ def _toml_case(path: Path, folder: Path, rng: np.random.Generator) -> tuple[str,
 
 
 def _commands(path: Path, out: Path, kind: str, rng: np.random.Generator) -> list[list[str]]:
-    """Return the commands that read the files of a kind of change."""
     name = str(path)
     looks, checks, resumes = [["inspect", name, "--json"]], [["verify", name, "--json"]], [["resume", name]]
     outputs = {kind: out / f"scene.{kind}" for kind in ("json", "ply", "glb")}
@@ -169,7 +168,6 @@ def _commands(path: Path, out: Path, kind: str, rng: np.random.Generator) -> lis
 
 
 def _warm_up(sound: Path, folder: Path) -> None:
-    """Load and compile the code of the commands, so that the children have it."""
     shutil.copytree(sound, folder / "map")
     for kind in ("objects", "journal", "job"):
         commands = _commands(folder / "map", folder / "out", kind, np.random.default_rng(0))
@@ -189,7 +187,6 @@ def _main(command: list[str]) -> int:
 
 
 def _tried(case: str, commands: list[list[str]], folder: Path) -> MapTally:
-    """Run commands in a child that is forked, and return the result."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -250,7 +247,6 @@ def _is_an_answer(command: str, status: int, num_lines: int) -> bool:
 
 
 def _watch(folder: Path, outside: list[str]) -> None:
-    """Note the files that this process opens or changes, its programs and connections outside of a folder from now."""
     # Kernels that a command compiles are stored with all others.
     kernels = kernels_folder().resolve()
     canaries = (str(folder / OUTSIDE), str(folder.parents[2] / OUTSIDE), "/etc/passwd")

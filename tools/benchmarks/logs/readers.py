@@ -19,7 +19,7 @@ from players import open_source
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import best_s, json_of
 from tools.benchmarks.logs import damaged_logs
-from tools.benchmarks.logs.small_logs import messages, write_bag, write_mcap, write_small_logs
+from tools.damage.small_logs import messages, write_bag, write_mcap, write_small_logs
 
 _SIZE = (640, 480)
 _FRAME_MB = 640 * 480 * 5 / 1e6  # rgb8 and 16UC1
@@ -92,7 +92,6 @@ def _ratio(log: Path, plain: Callable[[], int]) -> float:
 
 
 def _memory_growth(folder: Path, *sizes_mb: float) -> Figure:
-    """Return how much more memory a process holds at most on a log four times as long."""
     peaks, log = [], folder / "memory.mcap"
     for size_mb in sizes_mb:
         write_mcap(log, messages(RosMessages(2), round(size_mb / _FRAME_MB), _SIZE), "none", 4 << 20)
@@ -108,7 +107,6 @@ def _layouts_equal(folder: Path) -> bool:
 
 
 def _containers_equal(folder: Path) -> bool:
-    """Compare colour and depth byte by byte, and poses, of one scene in seven containers."""
     first: list[Any] | None = None
     for name, log in write_small_logs(folder, num_frames=10).items():
         frames = [raw.decode() for raw in open_source(log).frames()]

@@ -205,7 +205,6 @@ def many_objects(count: int) -> MapIndex:
 
 
 def _day(state: Path, scene: str, seed: int, day: int, *, quick: bool) -> tuple[Truth, SavedMap]:
-    """Return the truth and the map of a world on a day, each on a walk of its own, without shapes."""
     size: dict[str, Any] = (
         {"width": 480, "height": 270, "rate_hz": 4.0, "seconds": 16.0} if quick else {"seconds": None}
     )

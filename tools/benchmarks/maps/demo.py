@@ -58,7 +58,6 @@ def _of_demo(played: Played, folder: Path) -> list[Figure]:
 
 
 def _growth_mb(looped: Played) -> float:
-    """Return the mapper's own memory at the end of the last loop less the memory at the end of the first."""
     per_loop = max(frames for frames, _ in looped.memory_by_frames) / _LOOPS
 
     def at_end_of(loop: int) -> float:

@@ -125,7 +125,6 @@ def _of_speeds(speeds: list[Speeds]) -> list[Figure]:
 
 
 def _rows_of_maps(robot: Robot, trials: int, seeds: range) -> list[list[MethodScore]]:
-    """Return the scores of the pipeline's maps of the apartments."""
     rows = []
     for i in range(_APARTMENTS):
         folder = apartment_map(1000 + i, 0)
@@ -199,7 +198,6 @@ def _mean(values: Iterable[float | None]) -> float:
 
 
 def _true_inflated(truth: Truth, config: InflateConfig) -> dict[int, Superquadrics]:
-    """Return layer 4 of every true object, in the world, by id."""
     return {item.id: _inflated(mesh_of(truth, item), item.world_from_object, config) for item in truth.objects}
 
 

@@ -62,7 +62,6 @@ def counted(
 
 
 def _looked_at(snapshot: MapSnapshot, own: Truth, other: Truth, *, after_change: bool) -> Held:
-    """Return the objects of one side of the change whose places are seen enough on the other side."""
     assert own.change is not None
     scene = scene_of(other)
     frames = [one for one in own.frames if (one.stamp_ns >= own.change.stamp_ns) == after_change]
@@ -72,7 +71,6 @@ def _looked_at(snapshot: MapSnapshot, own: Truth, other: Truth, *, after_change:
 
 
 def _old_ids(truth: Truth) -> set[int]:
-    """Return the ids of the objects that were there before the change, without moved ones."""
     assert truth.change is not None
     before = {frame.index for frame in truth.frames if frame.stamp_ns < truth.change.stamp_ns}
     # A new object shows in no frame of before; one that never showed there is no object of the earlier map either.

@@ -144,7 +144,6 @@ def _configured(config: Any, name: str) -> Iterator[Constant]:
 
 
 def _assigned(tree: ast.Module) -> dict[str, object]:
-    """Return the constants of a module that are literals, by name."""
     found: dict[str, object] = {}
     for node in tree.body:
         if not isinstance(node, ast.Assign):

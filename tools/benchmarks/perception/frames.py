@@ -24,11 +24,11 @@ from hickory_stream.worlds.cache import cached_recording
 from tools.benchmarks.common.cached_runs import walk_recording
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import DEMO, ROOT, best_s
-from tools.benchmarks.perception.first_layer import PlayedKeyframe, play_first_layer
 from tools.benchmarks.perception.keyframe_memory import WARM_KEYFRAMES, keyframe_memory
-from tools.benchmarks.perception.labelled_clouds import clouds_in, load_cloud, score_cloud
-from tools.benchmarks.perception.mask_scores import UNKNOWN, MaskScore, min_pixels, score_masks, total
 from tools.benchmarks.perception.network_times import network_times
+from tools.evaluation.masks.first_layer import PlayedKeyframe, play_first_layer
+from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud, score_cloud
+from tools.evaluation.masks.scores import UNKNOWN, MaskScore, min_pixels, score_masks, total
 
 _CLOUDS = ROOT.parent / "shared" / "data" / "mosd"
 _APARTMENTS, _TABLETOPS = 4, 3
@@ -92,7 +92,6 @@ def _of_clouds(options: Options) -> list[Figure]:
 
 
 def _logs(options: Options) -> list[Path]:
-    """Return the logs, with their truth beside them."""
     if options.scenes:
         return [folder.resolve().with_suffix(".mcap") for folder in options.scenes]
     if options.quick:
@@ -132,7 +131,6 @@ def _shown(truth: Truth, index: int) -> NDArray[np.int32]:
 
 
 def _features(seen: PlayedKeyframe, shown: NDArray[np.int32]) -> list[tuple[int, NDArray[np.float32]]]:
-    """Return the true object and the pooled feature of every mask that is mostly of one object."""
     observations = seen.perceived.observations
     owners = {}
     for observation in observations:
@@ -146,7 +144,6 @@ def _features(seen: PlayedKeyframe, shown: NDArray[np.int32]) -> list[tuple[int,
 
 
 def _cosines(features: Mapping[int, list[NDArray[np.float32]]]) -> tuple[list[float], list[float]]:
-    """Return the mean cosine between two views of each object, and between views of each two objects."""
     views = [np.stack(features[thing]) for thing in sorted(features) if len(features[thing]) >= _MIN_VIEWS]
     same = [float(((own @ own.T).sum() - len(own)) / (len(own) * (len(own) - 1))) for own in views]
     return same, [float((a @ b.T).mean()) for i, a in enumerate(views) for b in views[i + 1 :]]

@@ -18,7 +18,7 @@ from hickory_stream.base.json_text import dumps
 from hickory_stream.config import MapperConfig
 from hickory_stream.perception.choose import make_segmenter
 from tools.benchmarks.common.processes import json_of, resident_mb
-from tools.benchmarks.perception.first_layer import keyframes_of, play_first_layer
+from tools.evaluation.masks.first_layer import keyframes_of, play_first_layer
 
 WARM_KEYFRAMES = 5
 """The first ones load weights and kernels."""
@@ -41,11 +41,7 @@ class KeyframeMemory:
 
 
 def keyframe_memory(log: Path, *, keyframes: int, rounds: int) -> KeyframeMemory:
-    """Return the memory of layer 1 on the first keyframes of a log, measured in a child process.
-
-    Raises:
-        RuntimeError: the child failed.
-    """
+    """Return the memory of layer 1 on the first keyframes of a log, measured in a child process."""
     return KeyframeMemory(**json_of("-m", __name__, log, "--keyframes", keyframes, "--rounds", rounds))
 
 

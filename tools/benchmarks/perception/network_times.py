@@ -69,7 +69,6 @@ def _wall() -> Frame:
 
 
 def _tensors(rng: np.random.Generator) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return predictions (1, 37, 8400) and prototypes (1, 32, 160, 160) of 100 blobs of 20 to 200 px."""
     noise = rng.normal(0, 1, (_CHANNELS, _PROTO, _PROTO)).astype(np.float32)
     prototypes = np.stack([cv2.GaussianBlur(one, (0, 0), 6) * 10 for one in noise]).astype(np.float32)
     predictions = np.zeros((5 + _CHANNELS, _ANCHORS), dtype=np.float32)
@@ -89,7 +88,6 @@ def _tensors(rng: np.random.Generator) -> tuple[NDArray[np.float32], NDArray[np.
 
 
 def _network() -> SimpleNamespace:
-    """Return a stand-in for the network, of which only the shapes of its tensors are read."""
     outputs = (
         Tensor(name="predictions", shape=(1, 5 + _CHANNELS, _ANCHORS), dtype="float"),
         Tensor(name="prototypes", shape=(1, _CHANNELS, _PROTO, _PROTO), dtype="float"),

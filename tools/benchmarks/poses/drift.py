@@ -31,8 +31,8 @@ from hickory_stream.worlds.drift import drifted
 from hickory_stream.worlds.trajectory import Trajectory
 from tools.benchmarks.common.cached_runs import cached, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure, mean
-from tools.benchmarks.perception.first_layer import keyframes_of
 from tools.benchmarks.poses.drift_logs import FACTORS, DriftingWalk, Poses, drift_of, drifting_walks
+from tools.evaluation.masks.first_layer import keyframes_of
 
 CONFIG = ("journal.keep_images=false", "run.shape_cache=false")
 
@@ -165,7 +165,6 @@ def _loss(
     runs: Mapping[tuple[str, float], Mapped],
     value_of: Callable[[Mapped], Sequence[float]],
 ) -> Figure:
-    """Return by how much a mean over true objects is below the mean with exact poses, the worst of all runs."""
     losses = {
         key: np.array(value_of(exact[key[0]]), dtype=np.float64) - np.array(value_of(run), dtype=np.float64)
         for key, run in runs.items()
@@ -176,7 +175,6 @@ def _loss(
 
 
 def _ate_m(poses: Poses, true: Poses) -> float:
-    """Return the error of poses against true ones, both by stamp, after alignment."""
     estimated, truth = (np.array([each[stamp_ns] for stamp_ns in sorted(each)]) for each in (poses, true))
     return trajectory_error(sorted(poses), estimated, sorted(true), truth).ate_m
 

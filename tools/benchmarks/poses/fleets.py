@@ -58,7 +58,6 @@ class _Fleet:
     robot_from_world: tuple[NDArray[np.float64], ...]
 
     def is_wrong(self, a: str, b: str, a_from_b: NDArray[np.float64]) -> bool:
-        """Return whether a transform between two robots moves the objects of b to another place."""
         i, j = self.names.index(a), self.names.index(b)
         true = self.robot_from_world[i] @ invert(self.robot_from_world[j])
         middle = np.mean([item.world_from_object[:3, 3] for item in self.truths[j].objects], axis=0)
@@ -66,7 +65,6 @@ class _Fleet:
         return off_m > _WRONG_M or rotation_angle_rad(true[:3, :3].T @ a_from_b[:3, :3]) > _WRONG_RAD
 
     def shares(self, a: str, b: str) -> bool:
-        """Return whether two robots have seen enough of the same objects to be joined."""
         one, other = (self.truths[self.names.index(name)].objects for name in (a, b))
         both = sum(min(x.seen_fraction, y.seen_fraction) >= _SEEN for x, y in zip(one, other, strict=True))
         return both >= _SHARED
@@ -150,7 +148,6 @@ def _room(seed: int, folder: Path) -> dict[str, int]:
 
 
 def _counted(fleet: _Fleet, result: FleetResult) -> dict[str, int]:
-    """Return the joins while the maps grew and of the finished maps, and the robots that could be and were joined."""
     wrong = [fleet.is_wrong(event.a, event.b, event.a_from_b) for event in result.events if event.kind == "joined"]
     place = {robot.name: robot.frame_from_robot for robot in result.robots}
     frame = {robot.name: robot.frame for robot in result.robots}
@@ -170,7 +167,6 @@ def _counted(fleet: _Fleet, result: FleetResult) -> dict[str, int]:
 
 
 def _stranger(seed: int, folder: Path) -> dict[str, int]:
-    """Return the joins, always wrong, of a robot with the finished maps of two robots of the room before."""
     maps = {f"robot-{i}": folder / str(seed) / f"robot-{i}.map" for i in (1, 2)}
     maps["stranger"] = folder / str(seed + 1) / "robot-1.map"
     with tempfile.TemporaryDirectory() as out:
@@ -180,7 +176,6 @@ def _stranger(seed: int, folder: Path) -> dict[str, int]:
 
 
 def _apartment(seed: int, folder: Path) -> dict[str, Any]:
-    """Return how much less of an apartment the merged map of three has than the map of one, at IoU 0.25 and 0.5."""
     fleet = _recorded(replace(_APARTMENT, seed=seed))
     result = _run(fleet, folder / f"flat-{seed}")
     alone = folder / f"alone-{seed}"

@@ -84,7 +84,6 @@ def walk_figures(options: Options) -> list[Figure]:
 
 
 def _closed(walk: Walk) -> Closed:
-    """Return the loops of a run on a walk, with layer 1 alone."""
     with tempfile.TemporaryDirectory() as temporary:
         out = Path(temporary) / "map"
         odometry = {START_NS + i * PERIOD_NS: pose for i, pose in enumerate(walk.odometry)}
@@ -132,7 +131,6 @@ def _box(low: tuple[float, float], high: tuple[float, float], height: float, rgb
 
 
 def _walls(room: int) -> list[SceneBox]:
-    """Return the walls of a room but the one that the next room has."""
     x, end, grey = _PITCH_M * room, _PITCH_M * (room + 1), (170, 168, 160)
     sides = [
         ((x, -_WALL_M), (end, 0.0)),

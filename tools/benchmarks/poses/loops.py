@@ -18,7 +18,7 @@ from hickory_stream.loops.search import LoopQuery, search_loops
 from hickory_stream.loops.surfaces import Surfaces
 from hickory_stream.records import Loop, SurveyedSubmap
 from tools.benchmarks.common.figures import Figure, Options, figure
-from tools.benchmarks.poses.loop_rooms import SeenRoom, walk
+from tools.evaluation.simulated_maps.loop_rooms import SeenRoom, walk
 
 _WRONG_M, _WRONG_RAD = 0.3, 0.1
 _TURN_RAD = 3.0

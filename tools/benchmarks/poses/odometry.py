@@ -62,8 +62,6 @@ _PARTS: dict[str, Callable[[Options], list[Figure]]] = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Walked:
-    """The result of an odometry on a walk."""
-
     error: TrajectoryError
     end_error_m: float
     num_scans: int
@@ -73,7 +71,6 @@ class _Walked:
 
     @property
     def drift(self) -> float:
-        """The error over the length of the walk."""
         return self.error.ate_m / self.error.way_m
 
 
@@ -120,7 +117,6 @@ def _kitchen(kitchen: list[Posed], *, quick: bool) -> list[Figure]:
 
 
 def _corridors(rooms: list[_Walked], *, quick: bool) -> list[Figure]:
-    """Return the errors in corridors, and how many scans of rooms are called degenerate by mistake."""
     short: dict[str, Any] = {"way_m": 6.0, "columns": 360} if quick else {}
     ended, endless = (corridor_scans(replace(config, **short), 1) for config in (_ENDED, _ENDLESS))
     own, blind = _walk("lidar", ended), _walk("lidar", endless)
@@ -156,7 +152,6 @@ def _street(folder: Path) -> list[Figure]:
 
 
 def _extrinsics() -> list[Figure]:
-    """Return the error of a B2's camera extrinsics from its motion, the worst of some, without undetermined axes."""
     moved, turned, num_open = [], [], 0
     for seed in _EXTRINSICS_SEEDS:
         with tempfile.TemporaryDirectory() as folder:

@@ -167,5 +167,4 @@ def graph_figures(options: Options) -> list[Figure]:
 
 
 def _ate_m(poses: NDArray[np.float64], true: NDArray[np.float64]) -> float:
-    """Return the root mean square error of places, the first pose being shared."""
     return float(np.sqrt(np.square(poses[:, :3, 3] - true[:, :3, 3]).sum(axis=1).mean()))

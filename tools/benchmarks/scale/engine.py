@@ -40,43 +40,23 @@ class Sample:
     `variant_frames` are played as on other processors; None: all of them, with whole shapes, on all processors.
     """
 
-    runs: int
-    kills: int
-    stops: int
-    frames: int
-    live_s: float
-    stall_s: float
-    soak_s: float
-    soak_warm_s: float
-    soak_record_s: float
-    variant_frames: int | None
-
-
-FULL = Sample(
-    runs=20,
-    kills=100,
-    stops=10,
-    frames=40,
-    live_s=60.0,
-    stall_s=60.0,
-    soak_s=3600.0,
+    runs: int = 20
+    kills: int = 100
+    stops: int = 10
+    frames: int = 40
+    live_s: float = 60.0
+    stall_s: float = 60.0
+    soak_s: float = 3600.0
     # On a loaded machine with cold caches the first round of the log takes five minutes.
-    soak_warm_s=600.0,
-    soak_record_s=5.0,
-    variant_frames=None,
-)
+    soak_warm_s: float = 600.0
+    soak_record_s: float = 5.0
+    variant_frames: int | None = None
+
+
 QUICK = Sample(
-    runs=2,
-    kills=1,
-    stops=1,
-    frames=12,
-    live_s=4.0,
-    stall_s=2.0,
-    soak_s=9.0,
-    soak_warm_s=4.0,
-    soak_record_s=0.2,
+    runs=2, kills=1, stops=1, frames=12, live_s=4.0, stall_s=2.0, soak_s=9.0, soak_warm_s=4.0, soak_record_s=0.2,
     variant_frames=6,
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -127,7 +107,7 @@ def measure(options: Options) -> list[Figure]:
             with closing(Repetitions(stored and stored / f"{name}.jsonl", until=until)) as repetitions:
                 if repetitions.records:
                     print(f"{name}: goes on after {len(repetitions.records)} records", flush=True)
-                sample = QUICK if options.quick else FULL
+                sample = QUICK if options.quick else Sample()
                 work = Work(sample=sample, seed=options.seed, repetitions=repetitions, folder=folder)
                 measure_part, of_records = _PARTS[name]
                 measure_part(work)
@@ -143,7 +123,6 @@ def measure(options: Options) -> list[Figure]:
 
 
 def _digests(work: Work) -> None:
-    """Play with 1 to 4 workers, slow ones, killed ones, pauses of the whole process, a rate."""
     # Our interpreter after a random while: its answers are the same, only later.
     sleep = 'sleep 0.$(od -An -N1 -tu1 /dev/urandom | tr -d " ")'
     slow = work.folder / "slow-python"
@@ -190,7 +169,6 @@ def _disturb(pid: int, rng: random.Random, *, kills: bool, pauses: bool) -> int:
 
 
 def _processors(work: Work) -> None:
-    """Play as on other processors."""
     every = variants()
     chosen = every if work.sample.variant_frames is None else (every[0], *every[-3:-1])
     for i in work.repetitions.missing(len(chosen)):
@@ -250,7 +228,6 @@ def _of_kills(work: Work) -> list[Figure]:
 
 
 def _killed(work: Work) -> list[dict[str, Any]]:
-    """Return the records of the runs that were not over before their kill."""
     return [record for record in work.records[1:] if not record["was_over"]]
 
 
@@ -299,7 +276,6 @@ def _of_stops(work: Work) -> list[Figure]:
 
 
 def _live(work: Work) -> None:
-    """Map at 30 Hz with perception slowed tenfold, then as it is, then with a viewer that stalls."""
     for _ in work.repetitions.missing(1):
         options = ("--seconds", work.sample.live_s, "--slower", _SLOWER, "--stall", work.sample.stall_s)
         lines = output_of("-m", "tools.benchmarks.live.overload", work.folder / "live", *options).splitlines()
@@ -353,7 +329,6 @@ def _soak(work: Work) -> None:
 
 
 def _of_soak(work: Work) -> list[Figure]:
-    """Return the memory and open files at the end against those after a while, of the attempt that went furthest."""
     furthest, warm_s = max(work.records, key=lambda record: record["at_s"]), work.sample.soak_warm_s
     figures = [
         figure("soak_seconds", min(furthest["at_s"], work.sample.soak_s), "s"),

@@ -350,11 +350,7 @@ def keyframe_ratio(walk: Walk, few: MapperCore, many: MapperCore, room: int) -> 
 
 
 def scale_costs(walk_folder: Path, out: Path, *, num_objects: int) -> tuple[list[Cost], float, str]:
-    """Return the result of `map_rooms`, from a process of its own.
-
-    Raises:
-        RuntimeError: the child failed.
-    """
+    """Return the result of `map_rooms`, from a process of its own."""
     answer = json_of("-m", __name__, walk_folder, out, "--objects", num_objects)
     return [Cost(**cost) for cost in answer["costs"]], answer["keyframe_ratio"], answer["digest"]
 

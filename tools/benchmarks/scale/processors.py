@@ -66,11 +66,7 @@ def variants() -> tuple[Variant, ...]:
 
 
 def digest_on(variant: Variant, folder: Path, *, frames: int | None = None) -> str:
-    """Return the digest of the embedded recording, played as on another processor; the first `frames` with coarse ones.
-
-    Raises:
-        RuntimeError: it could not be played.
-    """
+    """Return the digest of the embedded recording, played as on another processor; coarsely, if only `frames` of it."""
     folder.mkdir(parents=True, exist_ok=True)
     # Kernels that are compiled first may take long.
     overrides = ["run.shape_cache=false", "run.job_timeout_s=600"]
@@ -85,7 +81,6 @@ def digest_on(variant: Variant, folder: Path, *, frames: int | None = None) -> s
 
 
 def _interpreter(path: Path, environment: Mapping[str, str]) -> Path:
-    """Write a program that is our interpreter in another environment."""
     exports = "".join(f'export {name}="{value}"\n' for name, value in environment.items())
     path.write_text(f'#!/bin/sh\n{exports}exec "{sys.executable}" "$@"\n')
     path.chmod(0o755)

@@ -46,11 +46,7 @@ class Reading:
 
 
 def reading_of(folder: Path) -> Reading:
-    """Return the times of reading a map, from a process of its own.
-
-    Raises:
-        RuntimeError: the child failed.
-    """
+    """Return the times of reading a map, from a process of its own."""
     return Reading(**json_of("-m", __name__, folder))
 
 
@@ -87,7 +83,6 @@ def _measured(folder: Path) -> Reading:
 
 
 def _paths(saved: SavedMap, places: list[np.ndarray]) -> tuple[float, list[float]]:
-    """Return the time of the grid, and of each path that was found between two places where the robot was."""
     began = time.process_time()
     # Space that a robot saw while it passed counts as free, so that it can be planned through.
     space = free_space_of(saved.snapshot, load_robot("point"), unknown="free")

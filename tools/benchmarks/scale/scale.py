@@ -133,7 +133,6 @@ def _alignment(seed: int, *, quick: bool) -> list[Figure]:
 
 
 def _stages(folder: Path, *, quick: bool) -> list[Figure]:
-    """Return the real-time factor of apartments at 30 Hz, and print and return processor time by stage."""
     times = []
     for log in [DEMO] if quick else [cached_recording(config)[0] for config in _APARTMENTS]:
         times.append(stage_times(log, folder / "staged"))
@@ -201,7 +200,6 @@ def _batch(folder: Path, num_logs: int) -> list[Figure]:
 
 
 def _makespan(seconds: list[float], workers: int) -> float:
-    """Return the end of the last of some tasks, handed out in their order to the first free worker."""
     free_at = [0.0] * workers
     for one in seconds:
         heapq.heapreplace(free_at, free_at[0] + one)

@@ -77,23 +77,16 @@ class StageTimes:
 
 
 def stage_times(log: Path, out: Path) -> StageTimes:
-    """Return the times of a playback, from a process of its own.
-
-    Raises:
-        RuntimeError: the child failed.
-    """
+    """Return the times of a playback, from a process of its own."""
     return StageTimes(**json_of("-m", __name__, log, out))
 
 
 class _Clock:
-    """Adds up the processor time of calls by their names, whatever thread makes them."""
-
     def __init__(self) -> None:
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self._lock = threading.Lock()
 
     def timed(self, function: Any) -> Any:
-        """Return a function that does the same, and whose time is added."""
         name = _name_of(function)
 
         def run(*arguments: Any, **named: Any) -> Any:

@@ -17,11 +17,11 @@ from hickory_stream.navigation.clearance import Answer, ClearanceScene
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import best_s
 from tools.benchmarks.shapes.foreign_shapes import foreign_figures
-from tools.benchmarks.shapes.meshes import MESH_NAMES, hollow_mesh, test_mesh
 from tools.benchmarks.shapes.rows import Row, disturbed, fit, of_diameter_one, rotation, row_of, warm_up
 from tools.benchmarks.shapes.solids import is_inside
-from tools.benchmarks.shapes.swept_truth import swept_distance_m
 from tools.evaluation.shape_score import shape_score
+from tools.evaluation.shapes.meshes import MESH_NAMES, hollow_mesh, test_mesh
+from tools.evaluation.shapes.swept_truth import swept_distance_m
 
 _HOLLOW = ("hollow mug", "bowl")
 _SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".off")
@@ -83,7 +83,6 @@ def _of_rows(rows: list[Row], *, with_simple: bool) -> list[Figure]:
 def _of_scores(
     meshes: dict[str, trimesh.Trimesh], rng: np.random.Generator, *, trials: int, every: int
 ) -> list[Figure]:
-    """Return how an object scores with itself when it is disturbed, and how far the best other one is behind."""
     scaled = [of_diameter_one(mesh) for mesh in meshes.values()]
     references = [fit(mesh).primitives for mesh in scaled]
     own: dict[str, list[float]] = {"self_rotation": [], "self_noise": [], "self_scale": []}
@@ -165,7 +164,6 @@ def _of_sweeps(rows: list[Row], options: Options) -> list[Figure]:
 
 
 def _in_a_room(rows: list[Row], rng: np.random.Generator) -> Superquadrics:
-    """Return the inflated primitives of the objects, each three times about a room of 6 x 6 m."""
     placed = []
     for row in [*rows, *rows, *rows]:
         turn = yaw_rotation(rng.uniform(0, 2 * np.pi))

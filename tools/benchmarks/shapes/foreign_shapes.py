@@ -79,7 +79,6 @@ def _files(worlds: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _joined(file: Path) -> trimesh.Trimesh:
-    """Return a mesh with equal vertices joined, without degenerate faces."""
     found = trimesh.load(file, force="mesh", process=False)
     mesh = trimesh.Trimesh(found.vertices, found.faces, process=False)
     mesh.merge_vertices(merge_tex=True, merge_norm=True)

@@ -23,10 +23,10 @@ from hickory_stream.shapes.generated.placement import EmbeddedPlacement, Placeme
 from tools.benchmarks.common.figures import Figure, Options, figure, mean, share
 from tools.benchmarks.foreign.logs import worlds_folder
 from tools.benchmarks.maps.views import view_figures
-from tools.benchmarks.shapes.adapter_fakes import ADAPTERS, REFINERS, adapter_fault, refiner_fault
 from tools.benchmarks.shapes.outcomes import Outcome, Row, exposed, f1_at, outcome_of, placed_mesh
-from tools.benchmarks.shapes.spoiled_generator import generated, sighted
 from tools.benchmarks.shapes.subjects import TUNED_WORLDS, Subject, foreign_subjects, own_subjects
+from tools.evaluation.shapes.spoiled_generator import generated, sighted
+from tools.generators.fakes.packages import ADAPTERS, REFINERS, adapter_fault, refiner_fault
 
 _ADDS = 0.05
 # A swapped object whose surface, placed, has this F1 at 5 % of the diameter with the truth cannot be told from it.
@@ -70,7 +70,6 @@ def _of_generators(options: Options) -> list[Figure]:
 
 
 def _exchanged(subjects: list[Subject]) -> list[Subject]:
-    """Return the subjects, each with an object of another kind."""
     shift = next((n for n in range(1, len(subjects)) if subjects[n].kind != subjects[0].kind), 0)
     turned = [*subjects[shift:], *subjects[:shift]]
     pairs = zip(subjects, turned, strict=True)
@@ -187,7 +186,6 @@ def kept_figures(name: str, outcomes: list[Outcome | None], num_wrong: int, what
 
 
 def _of_blending(pool: ProcessPoolExecutor, rows: list[Row]) -> list[Figure]:
-    """Return F1 of the blended and of the fused shape at 5 % of the diameter, over the objects that have both."""
     pairs = [(row, found) for row, found in zip(rows, pool.map(outcome_of, rows), strict=True) if found is not None]
     for row, found in pairs:
         fate = "" if found.is_kept else "; the fused one stays"

@@ -24,7 +24,7 @@ from hickory_stream.shapes.generated.judgement import (
     shape_evidence,
 )
 from hickory_stream.shapes.reconstruct.fused import FusedConfig, FusedReconstructor, VolumeConfig
-from tools.benchmarks.shapes.spoiled_generator import Generated, Sighted, plain_mesh
+from tools.evaluation.shapes.spoiled_generator import Generated, Sighted, plain_mesh
 
 _SAMPLES = 3000
 

@@ -25,8 +25,8 @@ from hickory_stream.shapes.fit.marching_primitives import FitConfig, Fitted, fit
 from hickory_stream.shapes.inflate.inflation import InflateConfig, Inflated, inflated
 from tools.benchmarks.common.figures import Options
 from tools.benchmarks.common.processes import best_s
-from tools.benchmarks.shapes.meshes import test_mesh
 from tools.benchmarks.shapes.solids import Solid, grown_volume_ratio, sampled_iou, surface_distance_pct, volumetric_iou
+from tools.evaluation.shapes.meshes import test_mesh
 
 MARGIN_M = 0.05
 _PICTURE_PX = 320
@@ -85,7 +85,6 @@ def row_of(
 
 
 def _render(folder: Path, row: Row, upright: trimesh.Trimesh, upright_from_mesh: NDArray[np.float64]) -> None:
-    """Draw the mesh, its fit and its inflation, the latter at a smaller scale, standing as the mesh was made."""
     # Faces that meet at an edge share no vertex, so that each is shaded as the plane that it is.
     shaded = trimesh.graph.smooth_shade(upright, angle=0.6)
     grey = np.full((len(shaded.vertices), 3), 176, np.uint8)

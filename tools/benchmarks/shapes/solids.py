@@ -151,7 +151,6 @@ def grown_volume_ratio(solid: Solid, inflated: Superquadrics, margin_m: float, c
 
 
 def _points_within(primitives: Superquadrics, index: int, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return (count, 3) points spread evenly in a primitive."""
     pose, found = primitives.world_from_local[index], np.empty((0, 3))
     while len(found) < count:
         local = rng.uniform(-1, 1, (2 * count, 3)) * primitives.semi_axes_m[index]
@@ -161,7 +160,6 @@ def _points_within(primitives: Superquadrics, index: int, count: int, rng: np.ra
 
 
 def _fine_mesh(primitives: Superquadrics, index: int, edge_m: float) -> trimesh.Trimesh:
-    """Return the surface of a primitive in triangles so small that each is buried in another one, or is not."""
     vertices, faces = display_mesh(primitives, index, 2e-4 * float(primitives.semi_axes_m[index].max()))
     return trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(vertices, faces, edge_m, max_iter=30), process=False)
 

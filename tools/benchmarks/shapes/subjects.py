@@ -12,7 +12,7 @@ import numpy as np
 from hickory_stream.geometry.mesh import Mesh, mesh_of_glb
 from hickory_stream.worlds import big_things, furniture, small_things, table_things
 from hickory_stream.worlds.object_models import Model, model_triangles
-from tools.benchmarks.shapes.spoiled_generator import plain_mesh
+from tools.evaluation.shapes.spoiled_generator import plain_mesh
 
 _OWN = {
     small_things: "monitor box mug bottle bowl book_stack",

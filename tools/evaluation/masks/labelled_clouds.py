@@ -18,7 +18,7 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.records import Frame
-from tools.benchmarks.perception.mask_scores import UNKNOWN, MaskScore, min_pixels, score_masks
+from tools.evaluation.masks.scores import UNKNOWN, MaskScore, min_pixels, score_masks
 
 FOCAL_PX = 525.0
 """Of the first Kinect at 640 pixels; other widths in proportion."""

@@ -19,10 +19,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from tools.benchmarks.common.processes import ROOT
-from tools.benchmarks.shapes.adapter_graphs import graph_fault
+from tools.generators.fakes.graphs import graph_fault
 
-FOLDER = ROOT / "tools" / "generators"
+FOLDER = Path(__file__).resolve().parents[1]
 ADAPTERS = ("triposr", "trellis", "sam3d")
 REFINERS = ("foundationpose", "foundationpose_onnx")
 K = np.array([[200.0, 0, 40], [0, 200.0, 30], [0, 0, 1]])
