@@ -7,10 +7,20 @@ as JSON Schema. A key that goes, or means something else, makes a new version; o
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any, Literal, NotRequired, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, NotRequired, TypedDict
 
 from hickory_stream.base.json_schema import schema_of
 from hickory_stream.base.json_text import dumps
+
+if TYPE_CHECKING:
+    from hickory_stream.batch.result import Overlap
+    from hickory_stream.changes.records import ObjectChange
+    from hickory_stream.evaluation.trajectory_error import TrajectoryError
+    from hickory_stream.map_folder.history.registration_history import RegistrationSummary
+    from hickory_stream.map_folder.history.time_travel import Change
+    from hickory_stream.map_folder.verify import Finding
+    from hickory_stream.perception.models.library import Companion
+    from players.live.status import TopicStatus
 
 VERSION = 1
 
@@ -78,21 +88,6 @@ class LivePublished(TypedDict):
     goals: LiveGoals
 
 
-class LiveTopic(TypedDict):
-    """One topic of a live route: `role` in the map ("" for none), `problem` says what is missing and why."""
-
-    topic: str
-    type_name: str
-    role: str
-    rate_hz: float
-    age_s: float | None
-    bytes_per_s: float
-    received: int
-    dropped: int
-    lost: int
-    problem: str
-
-
 class LiveStatus(TypedDict):
     """How a live route is, by topic; `clock_offset_s` is our clock less the robot's. On standard error."""
 
@@ -104,7 +99,7 @@ class LiveStatus(TypedDict):
     clock_offset_s: float | None
     clock_steps: int
     unlisted_topics: int
-    topics: list[LiveTopic]
+    topics: list[TopicStatus]
 
 
 class FailedShapes(TypedDict):
@@ -113,20 +108,6 @@ class FailedShapes(TypedDict):
     reason: str
     objects: list[int]
     inputs: list[str]
-
-
-class RegistrationCounts(TypedDict):
-    """Keyframes mapped; `corrected`: elsewhere than the odometry has them, the last one by `moved_m`, `turned_deg`.
-
-    `kept_out` did not fit the map; `carried_away`: how often the robot was elsewhere than its odometry says.
-    """
-
-    keyframes: int
-    corrected: int
-    kept_out: int
-    carried_away: int
-    moved_m: float
-    turned_deg: float
 
 
 class Finished(TypedDict):
@@ -149,7 +130,7 @@ class Finished(TypedDict):
     lost_outputs: list[str]
     damage: str
     notes: list[str]
-    registration: RegistrationCounts | None
+    registration: RegistrationSummary | None
     resume: NotRequired[str]
     ledger: dict[str, Any]
 
@@ -174,15 +155,6 @@ class Replayed(TypedDict):
     objects: int
 
 
-class VerifyFinding(TypedDict):
-    """What came of one check, of the whole map where `object_id` is null."""
-
-    check: Literal["digest", "journal", "views", "layer 4"]
-    state: Literal["holds", "fails", "unknown"]
-    text: str
-    object_id: int | None
-
-
 class Verified(TypedDict):
     """What holds of a map; `num_proven` objects have a layer 4 that was proven anew from their meshes."""
 
@@ -194,7 +166,7 @@ class Verified(TypedDict):
     recorded_digest: str | None
     num_objects: int
     num_proven: int
-    findings: list[VerifyFinding]
+    findings: list[Finding]
 
 
 class Diagnosis(TypedDict):
@@ -250,20 +222,10 @@ class Exported(TypedDict):
     files: NotRequired[int]
 
 
-class Difference(TypedDict):
-    """One change between two moments; "new", "gone" and what moved while nobody looked have a probability."""
-
-    kind: Literal["appeared", "new", "merged", "dropped", "gone", "moved", "better view", "shape changed"]
-    object_id: int
-    text: str
-    probability: float | None
-    was: int | None
-
-
 class Differences(TypedDict):
     """What became of the objects between two moments."""
 
-    changes: list[Difference]
+    changes: list[Change]
 
 
 class SameObject(TypedDict):
@@ -282,33 +244,12 @@ class MapDifferences(TypedDict):
     only_in_b: list[int]
 
 
-class PlaceEvidence(TypedDict):
-    """What the other map saw in an object's place: shares of its `num_clear` points that stand clear of the rest."""
-
-    free: float
-    structure: float
-    objects: float
-    unseen: float
-    num_clear: int
-
-
-class ChangedObject(TypedDict):
-    """What became of an object between two maps, with its id in each that has it, and how probable that is."""
-
-    verdict: Literal["still there", "moved", "gone", "new", "exchanged", "not seen again", "not seen before"]
-    id_a: int | None
-    id_b: int | None
-    probability: float
-    evidence: PlaceEvidence
-    shift_m: list[float] | None
-
-
 class DaysDiffer(TypedDict):
     """What became of all objects from one map of a place to a later one, which lies at `a_from_b` in it."""
 
     a_from_b: Matrix
     sigma_m: float
-    objects: list[ChangedObject]
+    objects: list[ObjectChange]
 
 
 class NotCompared(TypedDict):
@@ -558,54 +499,6 @@ class Definitions(TypedDict):
     definitions: str
 
 
-class Strategies(TypedDict):
-    """The strategies of choosing views, compared: `evaluation.views.comparison.StrategyScore` and its reconstructor."""
-
-    event: Literal["finished"]
-    strategies: list[dict[str, Any]]
-
-
-class AlignmentRow(TypedDict):
-    """One method on one pair of maps; what is not known is null."""
-
-    scene: str
-    method: str
-    num_pairs: int
-    translation_m: float
-    rotation_deg: float
-    overlap_m: float
-    success: bool | None
-    refusal: str | None
-
-
-class AlignmentRows(TypedDict):
-    """Methods of alignment against truth."""
-
-    rows: list[AlignmentRow]
-
-
-class NavigationRow(TypedDict):
-    """One method on one map; see `evaluation.navigation_table.MethodScore`."""
-
-    name: str
-    pairs: int
-    success: float
-    efficiency: float
-    over_optimum: float
-    free_space: float
-    missed_cells: int
-    lost_cells: int
-    load_s: float
-    build_s: float
-    query_s: float
-
-
-class NavigationRows(TypedDict):
-    """Boxes, meshes and layer 4 as obstacles, against truth."""
-
-    rows: list[NavigationRow]
-
-
 class RejectedMask(TypedDict):
     """A mask that is no object: its box in pixels and the reason."""
 
@@ -671,14 +564,6 @@ class ModelsFolder(TypedDict):
     folder: str
 
 
-class ModelFile(TypedDict):
-    """A further file of a network, and what it is for."""
-
-    role: str
-    file: str
-    sha256: str
-
-
 class Model(TypedDict):
     """One network; `state` is "ok", or what is wrong with it. `input_px` is 0 for any."""
 
@@ -690,7 +575,7 @@ class Model(TypedDict):
     licence: str
     input_px: list[int]
     labels: list[str]
-    companions: list[ModelFile]
+    companions: list[Companion]
     state: str
 
 
@@ -756,16 +641,6 @@ class ConfigChecked(TypedDict):
     ok: Literal[True]
 
 
-class PosesError(TypedDict):
-    """RMSE as evo has it: after alignment, and from pose to pose."""
-
-    ate_m: float
-    rpe_m: float
-    rpe_deg: float
-    way_m: float
-    num_poses: int
-
-
 class Estimated(TypedDict):
     """What `odometry` found: frames with a pose and `lost` ones, scans, those `degenerate`, and processor time."""
 
@@ -775,7 +650,7 @@ class Estimated(TypedDict):
     degenerate: int
     scans: int
     seconds: float
-    error: PosesError | None
+    error: TrajectoryError | None
 
 
 class BatchSaid(TypedDict):
@@ -805,16 +680,6 @@ class BatchLog(TypedDict):
     worker: str
 
 
-class BatchOverlap(TypedDict):
-    """Two maps that were aligned; `num_pairs` objects agree, or `told` says why none do."""
-
-    a: str
-    b: str
-    is_believed: bool
-    num_pairs: int
-    told: str
-
-
 class BatchMerged(TypedDict):
     """One map of several logs; `united` of its objects are in several of their maps."""
 
@@ -829,7 +694,7 @@ class BatchJoined(TypedDict):
     """Where the maps overlap: of all `pairs` those that were `aligned`; `signature_kb` is a place signature's size."""
 
     pairs: int
-    aligned: list[BatchOverlap]
+    aligned: list[Overlap]
     merged: list[BatchMerged]
     signature_kb: float
     problems: list[str]
@@ -884,9 +749,6 @@ OUTPUTS: dict[str, Any] = {
     "explain": "hickory_stream.inspection.point_history.PlaceStory",
     "explain-object": "hickory_stream.evaluation.why.ObjectStory",
     "explain-truth": "hickory_stream.evaluation.why.Why",
-    "evaluate-views": Strategies,
-    "evaluate-alignment": AlignmentRows,
-    "evaluate-navigation": NavigationRows,
     "segment": Segmented,
     "generators-list": Generators,
     "generators-check": GeneratorChecked,

@@ -1,4 +1,4 @@
-"""`align`, `evaluate-alignment` and `relocalise` as a person calls them."""
+"""`align`, `tools/paper alignment` and `relocalise` as a person calls them."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from hickory_stream.geometry.rigid import invert
 from hickory_stream.map_folder.manifest import MANIFEST
 from hickory_stream.map_folder.writer import create_map_folder
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
+from tools.paper_tables.__main__ import main as paper
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -96,20 +97,20 @@ def test_a_map_of_another_version_is_refused(
     save(old, snapshot_of(furniture(4, 0), np.eye(4)))
     entry = json.loads((old / MANIFEST).read_text())
     (old / MANIFEST).write_text(json.dumps(entry | {"format": 0}))
-    for command in (["align"], ["evaluate-alignment"], ["merge", "-o", str(tmp_path / "m")]):
+    for command in (["align"], ["merge", "-o", str(tmp_path / "m")]):
         assert main([*command[:1], maps["a"], str(old), *command[1:]]) == 2
         assert "format 0" in capsys.readouterr().err
 
 
 def test_the_table_of_two_methods(maps: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     pair = [maps["a"], maps["b"]]
-    assert main(["evaluate-alignment", *pair, "--method", "sq", "roman-one", "--json"]) == 0
+    assert paper(["alignment", *pair, "--method", "sq", "roman-one", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["rows"]
     assert [row["method"] for row in told] == ["sq", "roman-one"]
     assert all(row["num_pairs"] >= 8 and row["success"] is None for row in told)
-    assert main(["evaluate-alignment", *pair, maps["a"]]) == 2
+    assert paper(["alignment", *pair, maps["a"]]) == 2
     assert "two for each scene" in capsys.readouterr().err
-    assert main(["evaluate-alignment", *pair, "--truth", "x"]) == 2
+    assert paper(["alignment", *pair, "--truth", "x"]) == 2
     assert "one for each map" in capsys.readouterr().err
 
 

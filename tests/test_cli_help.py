@@ -13,9 +13,8 @@ import pytest
 
 import hickory_stream
 from hickory_stream.cli import main
-from hickory_stream.cli.completion import commands_of, fish_script, zsh_script
 from hickory_stream.cli.examples import TEXTS
-from hickory_stream.cli.parser import make_parser
+from hickory_stream.cli.parser import commands_of, make_parser
 from tests.readmes import blocks_of
 from tools.readmes import READMES
 
@@ -96,7 +95,8 @@ def test_the_package_is_imported_without_what_it_may_need_later() -> None:
 def completed(script: str, words: list[str], folder: Path) -> set[str]:
     """Return what bash offers for the last of some words."""
     listed = " ".join(map(shlex.quote, words))
-    asked = f"COMP_WORDS=({listed}); COMP_CWORD={len(words) - 1}; _hickory_stream; printf '%s\\n' \"${{COMPREPLY[@]}}\""
+    asked = f"COMP_WORDS=({listed}); COMP_CWORD={len(words) - 1}; _shtab_hickory_stream; "
+    asked += "printf '%s\\n' \"${COMPREPLY[@]}\""
     done = subprocess.run(
         ["bash", "--norc", "-c", f"{script}\n{asked}"], capture_output=True, text=True, check=True, cwd=folder
     )
@@ -111,15 +111,15 @@ def test_bash_completes_commands_options_values_and_files(tmp_path: Path, capsys
     (tmp_path / "other.mcap").touch()
     for words, offered in (
         (["re"], {"resume", "replay", "render", "relocalise", "reconstruct"}),
-        (["evaluate-v"], {"evaluate-views"}),
-        (["models", ""], {"list", "add", "check", "where", "-h", "--help"}),
-        (["generators", ""], {"list", "check", "-h", "--help"}),
+        (["eval"], {"evaluate"}),
+        (["models", ""], {"list", "add", "check", "where"}),
+        (["generators", ""], {"list", "check"}),
         (["config", "d"], {"dump"}),
         (["plan", "demo.map", "--pl"], {"--planner"}),
         (["plan", "demo.map", "--planner", ""], {"rrt", "rrt-connect", "rrt-star"}),
         (["export", "demo.map", "--format", "m"], {"mjcf"}),
         (["models", "add", "--kind", "d"], {"dinov2"}),
-        (["completion", ""], {"bash", "zsh", "fish", "-h", "--help"}),
+        (["completion", ""], {"bash", "zsh", "fish"}),
         (["play", "oth"], {"other.mcap"}),
         (["render", "demo.map", "-o", "o"], {"other.mcap"}),
     ):
@@ -128,11 +128,33 @@ def test_bash_completes_commands_options_values_and_files(tmp_path: Path, capsys
     assert {path for path in COMMANDS if " " not in path} <= everything
 
 
-@pytest.mark.parametrize(("shell", "make"), [("zsh", zsh_script), ("fish", fish_script)])
-def test_the_scripts_of_other_shells_name_every_command_and_are_understood(shell: str, make, tmp_path: Path) -> None:
-    script = make(make_parser())
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_scripts_of_other_shells_name_every_command(
+    shell: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
     for command in COMMANDS:
         assert re.search(rf"\b{re.escape(command.split()[-1])}\b", script)
     if shutil.which(shell) is not None:
         (tmp_path / "script").write_text(script)
         subprocess.run([shell, "-n", tmp_path / "script"], check=True)
+
+
+@pytest.mark.parametrize(
+    ("words", "answer"),
+    [
+        (["evaluate-views", "a.mcap"], "which is now `paper views` in the folder tools"),
+        (
+            ["plan", "m", "--start", "0,0", "--goal", "1,1", "--unproven"],
+            "found --unproven, which is now --allow-unverified",
+        ),
+        (["resume", "m", "--own-workers"], "which is now --use-current-workers"),
+    ],
+)
+def test_old_commands_and_options_name_their_successor(
+    words: list[str], answer: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    assert answer in capsys.readouterr().err.splitlines()[-1]

@@ -20,6 +20,7 @@ from hickory_stream.navigation.free_space import obstacle_grid
 from hickory_stream.navigation.robot import Part, Posture, Robot
 from tests.engine.snapshot_fixtures import box_mesh, placed
 from tests.navigation.rooms import boxes, snapshot, table, tracked
+from tools.paper_tables.__main__ import main as paper
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -234,7 +235,7 @@ def test_what_a_tall_robot_would_hit_is_in_the_grid_of_a_robot_whose_first_postu
     assert cells[0] < cells[1] == cells[2]
 
 
-def test_evaluate_navigation_prints_the_table(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_paper_compares_obstacles_of_one_map(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = tmp_path / "truth"
     (truth / "meshes").mkdir(parents=True)
     write_glb(box_mesh((0.8, 0.6, 0.6), (90, 90, 90)), truth / "meshes/1.glb")
@@ -247,10 +248,10 @@ def test_evaluate_navigation_prints_the_table(folder: Path, tmp_path: Path, caps
     # A floor around the origin: the grid of the truth is the quarter of it that the room covers.
     record["structure"] = ["meshes/floor.glb"]
     (truth / "truth.json").write_text(json.dumps(record))
-    command = ["evaluate-navigation", str(folder), "--truth", str(truth), "--trials", "4", "--seeds", "1"]
-    assert main([*command, "--unknown", "free", "--cell", "0.06", "--json"]) == 0
+    command = ["navigation", str(folder), "--truth", str(truth), "--trials", "4", "--seeds", "1"]
+    assert paper([*command, "--unknown", "free", "--cell", "0.06", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert [row["name"] for row in rows] == ["mesh-obb", "mesh-full", "layer-4"]
     assert all(row["pairs"] == 4 for row in rows)
-    assert main([*command, "--robot", "b2"]) == 2
+    assert paper([*command, "--robot", "b2"]) == 2
     assert "is not round" in capsys.readouterr().err

@@ -91,18 +91,6 @@ TEXTS: dict[str, tuple[str, str]] = {
         "became of its masks and tracks.",
         "explain demo.map --truth demo.truth --object 3",
     ),
-    "evaluate-views": (
-        "Compare the ways to choose an object's view: each object is reconstructed from the one view of each of them.",
-        "evaluate-views demo.mcap --truth demo.truth",
-    ),
-    "evaluate-alignment": (
-        "Align pairs of maps by several methods and compare with truth.",
-        "evaluate-alignment a.map b.map --truth a.truth b.truth --method sq bbox",
-    ),
-    "evaluate-navigation": (
-        "Plan on a map's boxes, meshes and layer 4, and compare with truth.",
-        "evaluate-navigation demo.map --truth demo.truth --robot point --trials 20",
-    ),
     "segment": (
         "Segment one frame and draw masks, rejected masks with their reasons, and features.",
         "segment color.png depth.png --intrinsics 525,525,319.5,239.5 -o segments.png",

@@ -68,25 +68,27 @@ def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_who
     return replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
 
 
-def add_unproven_argument(parser: argparse.ArgumentParser) -> None:
+def add_allow_unverified(parser: argparse.ArgumentParser) -> None:
     """Add what says that an altered map is taken all the same."""
     parser.add_argument(
-        "--unproven", action="store_true", help="go on with a map that was altered after it was saved, and say so"
+        "--allow-unverified",
+        action="store_true",
+        help="go on with a map that was altered after it was saved, and say so",
     )
 
 
-def open_proven_map_at(options: argparse.Namespace) -> tuple[SavedMap, str]:
+def open_verified_map_at(options: argparse.Namespace) -> tuple[SavedMap, str]:
     """Return the map of `options.map` and `options.at`, and why its layer 4 is not proven, "" where it is.
 
     Raises:
-        MapFolderError: there is no map, it keeps no history, or it was altered and `--unproven` is not given.
+        MapFolderError: there is no map, it keeps no history, or it was altered and `--allow-unverified` is not given.
         InputError: the time is none, or outside of the run.
     """
     from hickory_stream.map_folder.saved_map import check_unaltered
 
     saved = open_map_at(options.map, options.at, warns=False)
-    if not options.unproven:
-        check_unaltered(saved, ", --unproven goes on all the same")
+    if not options.allow_unverified:
+        check_unaltered(saved, ", --allow-unverified goes on all the same")
     doubt = saved.doubt
     if not doubt and options.at is not None:
         doubt = f"what was known at {options.at} is from the journal, which only `hickory-stream verify` looks through"

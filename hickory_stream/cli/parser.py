@@ -6,10 +6,9 @@ import argparse
 import re
 from pathlib import Path
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from hickory_stream import __version__
-from hickory_stream.cli import completion, evaluate_alignment, evaluate_navigation, evaluate_views
 from hickory_stream.cli.examples import TEXTS
 from hickory_stream.cli.logs import doctor, odometry, segment
 from hickory_stream.cli.maps import (
@@ -28,7 +27,10 @@ from hickory_stream.cli.maps import (
     verify,
 )
 from hickory_stream.cli.runs import batch, demo, fleet, live, play, replay, resume
-from hickory_stream.cli.setup import cache, config, generators, models, schema
+from hickory_stream.cli.setup import cache, completion, config, generators, models, schema
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 _COMMANDS = (
     demo,
@@ -53,9 +55,6 @@ _COMMANDS = (
     reconstruct,
     explain,
     evaluate,
-    evaluate_views,
-    evaluate_alignment,
-    evaluate_navigation,
     segment,
     models,
     generators,
@@ -66,12 +65,28 @@ _COMMANDS = (
 )
 
 
+# Commands and options of earlier releases.
+_MOVED = {
+    "evaluate-views": "`paper views` in the folder tools of the source tree",
+    "evaluate-alignment": "`paper alignment` in the folder tools of the source tree",
+    "evaluate-navigation": "`paper navigation` in the folder tools of the source tree",
+    "--unproven": "--allow-unverified",
+    "--own-workers": "--use-current-workers",
+}
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser that takes `-1,2` for a value, as it does `-1`: no option begins with a digit."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._negative_number_matcher = re.compile(r"-(\.?\d|inf|nan)")
+
+    def error(self, message: str) -> NoReturn:
+        """Exit; what an earlier release called otherwise is answered by its name of today."""
+        words = message.partition("(choose")[0].replace("'", " ").split()
+        moved = next((word for word in words if word in _MOVED), None)
+        super().error(message if moved is None else f"found {moved}, which is now {_MOVED[moved]}")
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -97,7 +112,7 @@ def make_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in _COMMANDS:
         command.add(commands, common, configured)
-    for path, command_parser in completion.commands_of(parser):
+    for path, command_parser in commands_of(parser):
         text = TEXTS.get(" ".join(path))
         if text is not None:
             command_parser.description = fill(text[0])
@@ -105,3 +120,14 @@ def make_parser() -> argparse.ArgumentParser:
             # An example is one line, to be copied.
             command_parser.formatter_class = argparse.RawDescriptionHelpFormatter
     return parser
+
+
+def commands_of(
+    parser: argparse.ArgumentParser, path: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], argparse.ArgumentParser]]:
+    """Yield every command and the commands below it, with their words."""
+    yield path, parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, below in action.choices.items():
+                yield from commands_of(below, (*path, name))

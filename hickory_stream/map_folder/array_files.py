@@ -1,7 +1,4 @@
-"""The binary files of a map: points and keys of voxels as the journal has arrays, compressed; no header is trusted.
-
-Maps of format 1 have points as PLY and keys as NPY.
-"""
+"""The binary files of a map: points and keys of voxels as the journal has arrays, compressed; no header is trusted."""
 
 from __future__ import annotations
 
@@ -47,13 +44,11 @@ def points_bytes(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> byte
 
 
 def points_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return the points (N, 3) and colours (N, 3) of a file that `points_bytes` wrote, or of a PLY of format 1.
+    """Return the points (N, 3) and colours (N, 3) of a file that `points_bytes` wrote.
 
     Raises:
         ValueError: it is another kind of file, or damaged.
     """
-    if data.startswith(b"ply"):
-        return _ply_arrays(data)
     arrays = _unpacked(data)
     if not isinstance(arrays, tuple) or [_kind(array) for array in arrays] != ["float32, 2", "uint8, 2"]:
         raise ValueError("not a file of points")
@@ -63,31 +58,17 @@ def points_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     return points, colors
 
 
-def _ply_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return the points (N, 3) and colours (N, 3) of a PLY of format 1."""
-    header, end, body = data.partition(b"end_header\n")
-    count = len(body) // _PLY_VERTEX.itemsize
-    if header + end != _PLY_HEADER.format(count=count).encode() or len(body) != count * _PLY_VERTEX.itemsize:
-        raise ValueError("not a point file of this map format")
-    vertices = np.frombuffer(body, dtype=_PLY_VERTEX)
-    if not np.isfinite(vertices["xyz"]).all():
-        raise ValueError("a point that is not finite")
-    return vertices["xyz"].astype(np.float32), vertices["rgb"].astype(np.uint8)
-
-
 def keys_bytes(keys: NDArray[np.int64]) -> bytes:
     """Return a file of (N,) sorted keys of voxels: an array as the journal has it, as a frame of zstd."""
     return _packed(keys)
 
 
 def keys_array(data: bytes) -> NDArray[np.int64]:
-    """Return the keys (N,) of a file that `keys_bytes` wrote, or of a .npy file of format 1.
+    """Return the keys (N,) of a file that `keys_bytes` wrote.
 
     Raises:
         ValueError: it is another kind of file, or damaged.
     """
-    if _NPY_HEADER.match(data):
-        return npy_array(data)
     keys = _unpacked(data)
     if _kind(keys) != "int64, 1":
         raise ValueError("not a file of voxels")

@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 FORMAT_VERSION = 3
-"""Format 1 had points as PLY, meshes as GLB and the observed space as NPY, format 2 points and vertices at no steps of
-their own; both are read, too."""
-
-_READ = (1, 2, FORMAT_VERSION)
 MANIFEST = "manifest.json"
 _KIND = "hickory-stream map"
 _ENTRIES: dict[str, Any] = {
@@ -153,8 +149,8 @@ def pretty_json(data: Any) -> bytes:
 
 
 def _check_format(folder: Path, found: object) -> None:
-    if type(found) is int and found in _READ:
+    if type(found) is int and found == FORMAT_VERSION:
         return
     is_newer = isinstance(found, int) and found > FORMAT_VERSION
     remedy = "open it with a newer hickory-stream" if is_newer else "play the log again"
-    raise MapFolderError(f"{folder} has map format {found}, this version reads {_READ[0]} to {_READ[-1]}; {remedy}")
+    raise MapFolderError(f"{folder} has map format {found}, this version reads {FORMAT_VERSION}; {remedy}")

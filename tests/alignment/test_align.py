@@ -11,9 +11,9 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
 from hickory_stream.alignment.methods import METHODS, Method, align_by
 from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
-from hickory_stream.evaluation.alignment_table import error_of
 from hickory_stream.geometry.rigid import apply, invert
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
+from tools.evaluation.alignment_table import error_of
 from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair, simulate_unrelated
 from tools.evaluation.simulated_maps.trial import normalised_square, overlap_b
 from tools.evaluation.simulated_maps.variants import bent_map, mirrored_map, moved_map, random_frame

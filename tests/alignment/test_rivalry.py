@@ -7,7 +7,7 @@ import pytest
 
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
-from hickory_stream.evaluation.alignment_table import error_of
+from tools.evaluation.alignment_table import error_of
 from tools.evaluation.simulated_maps.ambiguous import AmbiguousConfig, AmbiguousKind, simulate_ambiguous
 from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
 from tools.evaluation.simulated_maps.trial import overlap_b

@@ -135,8 +135,8 @@ def test_a_layer_four_that_was_shrunk_is_certified_verified_and_exported_nowhere
         assert len(error.splitlines()) == 1
         assert "hickory-stream verify" in error
     assert not (tmp_path / "x.json").exists()
-    assert "note: layer 4 is not proven" in call(capsys, *plan, "--unproven", "--unknown", "free")[1]
-    assert call(capsys, "export", path, "-o", tmp_path / "x.json", "--unproven")[0] == 0
+    assert "note: layer 4 is not proven" in call(capsys, *plan, "--allow-unverified", "--unknown", "free")[1]
+    assert call(capsys, "export", path, "-o", tmp_path / "x.json", "--allow-unverified")[0] == 0
     assert (tmp_path / "x.json").exists()
 
     status, told, _ = call(capsys, "replay", path)

@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.alignment_table import format_table, row_of, table_json
-from hickory_stream.evaluation.alignment_truth import TrueTrajectory, pose_at, read_true_trajectory, world_from_map
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, quaternion_from_rotation
 from hickory_stream.pictures.render_alignment import render_alignment
 from hickory_stream.records import MapSnapshot, View
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
+from tools.evaluation.alignment_table import format_table, row_of, table_json
+from tools.evaluation.alignment_truth import TrueTrajectory, pose_at, read_true_trajectory, world_from_map
 
 if TYPE_CHECKING:
     from pathlib import Path

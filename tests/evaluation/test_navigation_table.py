@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from hickory_stream.evaluation.navigation_methods import Obstacles, built, triangles
-from hickory_stream.evaluation.navigation_optimum import OptimalLengths
-from hickory_stream.evaluation.navigation_table import draw_pairs, format_table, table_of, true_scene
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.navigation.observed import box_corners
 from hickory_stream.navigation.occupancy import frame_around
@@ -13,6 +10,9 @@ from hickory_stream.navigation.robot import load_robot
 from hickory_stream.navigation.search import NoPath, Path, SearchConfig, plan
 from tests.engine.snapshot_fixtures import box_mesh
 from tests.navigation.rooms import boxes
+from tools.evaluation.navigation_methods import Obstacles, built, triangles
+from tools.evaluation.navigation_optimum import OptimalLengths
+from tools.evaluation.navigation_table import draw_pairs, format_table, table_of, true_scene
 
 pytestmark = pytest.mark.timeout(180)
 

@@ -1,4 +1,7 @@
-"""Measure the paper's tables: `tools/paper [--table NAME] [--data DIR] [-o FOLDER] [--quick]`."""
+"""Measure the paper's tables: `tools/paper [--table NAME] [--data DIR] [-o FOLDER] [--quick]`.
+
+`tools/paper views|alignment|navigation ...` compares on one's own logs and maps instead.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ import numpy as np
 from hickory_stream.base.atomic_files import write_output
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import HickoryError
+from tools.paper_tables import own_maps
 from tools.paper_tables.alignment import alignment_table
 from tools.paper_tables.chart import chart
 from tools.paper_tables.counterparts import write_counterparts
@@ -31,6 +35,8 @@ if TYPE_CHECKING:
 TABLES = {
     "views": views_table, "shapes": storage_table, "alignment": alignment_table, "navigation": navigation_table,
 }  # fmt: skip
+# Comparisons on one's own logs and maps, which are named after the word.
+OWN = ("views", "alignment", "navigation")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -45,9 +51,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("-o", "--out", type=Path, default=Path("paper_tables"), metavar="FOLDER")
     parser.add_argument("--workers", type=int, metavar="N", help="child processes that build shapes")
     parser.add_argument("--quick", action="store_true", help="one short scene of each data set")
-    options = parser.parse_args(arguments)
+    arguments = sys.argv[1:] if arguments is None else arguments
+    options = parser.parse_args([] if arguments[:1] and arguments[0] in OWN else arguments)
     try:
-        return _run(options)
+        return own_maps.main(arguments) if arguments[:1] and arguments[0] in OWN else _run(options)
     except HickoryError as error:
         print(f"tools/paper: {error}", file=sys.stderr)
         return 2

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.alignment.methods import align_by
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.errors import HickoryError
-from hickory_stream.evaluation.alignment_table import row_of, table_json
-from hickory_stream.evaluation.alignment_truth import read_true_trajectory, world_from_map
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.map_folder.saved_map import open_map
+from tools.evaluation.alignment_table import row_of, table_json
+from tools.evaluation.alignment_truth import read_true_trajectory, world_from_map
 from tools.paper_tables.logs import apartment_pairs, kimera_pairs, nus_pairs
 from tools.paper_tables.published import ALIGNMENT, Aligned
 from tools.paper_tables.tables import Cell, Column, Table

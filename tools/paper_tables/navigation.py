@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import HickoryError
-from hickory_stream.evaluation.navigation_scene import score_saved_map
-from hickory_stream.evaluation.navigation_table import table_json
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.navigation.robot import load_robot
 from tools.benchmarks.common.intervals import wilson
+from tools.evaluation.navigation_table import score_saved_map, table_json
 from tools.paper_tables.logs import apartment_pairs
 from tools.paper_tables.published import NAVIGATION
 from tools.paper_tables.tables import Cell, Column, Table, mean_of

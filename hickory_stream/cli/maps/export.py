@@ -10,9 +10,9 @@ from hickory_stream.base.atomic_files import write_output
 from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.cli.maps.floor import add_floor_argument, floor_of_option
 from hickory_stream.cli.option_values import (
+    add_allow_unverified,
     add_texture_argument,
-    add_unproven_argument,
-    open_proven_map_at,
+    open_verified_map_at,
     robot_of_option,
 )
 from hickory_stream.cli.output_files import add_output, refuse_taken, written_text
@@ -68,12 +68,12 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     )
     add_floor_argument(export, "nav2, mjcf, urdf: which storey, of a map with several")
     add_texture_argument(export, "glb, mjcf, urdf: the side of an object's texture", DEFAULT_TEXTURE_PX)
-    add_unproven_argument(export)
+    add_allow_unverified(export)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    saved, doubt = open_proven_map_at(options)
+    saved, doubt = open_verified_map_at(options)
     ending = "yaml" if options.format == "nav2" else options.format
     out = options.out or options.map.with_suffix(f".{ending}")
     refuse_taken([out], overwrite=options.overwrite)

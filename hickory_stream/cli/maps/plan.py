@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.cli.exit_status import NO_PATH
 from hickory_stream.cli.maps.floor import add_floor_argument, floor_of_option
 from hickory_stream.cli.maps.stationarity import add_stationarity, movable_objects
-from hickory_stream.cli.option_values import add_unproven_argument, open_proven_map_at, parse_place, robot_of_option
+from hickory_stream.cli.option_values import add_allow_unverified, open_verified_map_at, parse_place, robot_of_option
 from hickory_stream.cli.output_files import add_output, disk_refusals, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
@@ -59,7 +59,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
     plan.add_argument(
         "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
     )
-    add_unproven_argument(plan)
+    add_allow_unverified(plan)
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
     wanted = _object_id(options.goal)
     place = None if wanted is not None else np.array(parse_place(options.goal, "--goal"))
     robot = robot_of_option(options.robot, "--robot")
-    saved, doubt = open_proven_map_at(options)
+    saved, doubt = open_verified_map_at(options)
     snapshot, seen = _as_driven(saved, options.at)
     floor_m = _floor_of(snapshot, options.floor, wanted)
     snapshot = on_storey(snapshot, floor_m)

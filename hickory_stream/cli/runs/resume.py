@@ -30,7 +30,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     resume.add_argument("map", type=Path, metavar="MAP")
     resume.add_argument("--source", nargs="+", metavar="LOG", help="where the log is now, if it was moved")
     resume.add_argument(
-        "--own-workers",
+        "--use-current-workers",
         action="store_true",
         help="build shapes as this machine is configured, though the map names another interpreter or cluster",
     )
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     if "uris" not in note:
         raise MapFolderError(f"{options.map} does not say what it was made of; resume it from Python (Mapper.resuming)")
     # Before the log is opened: what is refused is refused at once.
-    resumed_config(options.map, settings.mapper.run, ignores_recorded=options.own_workers)
+    resumed_config(options.map, settings.mapper.run, ignores_recorded=options.use_current_workers)
     source = open_noted(note)
     if not options.json:
         sys.stderr.write(f"resuming {options.map}: {source.info.uri}\n")
@@ -76,7 +76,9 @@ def run(options: argparse.Namespace) -> int:
     printer = ProgressPrinter(make_style(options))
     options.resumed_by = resume_command(options.map)
     try:
-        mapper = Mapper.resuming(options.map, machine=settings.mapper.run, ignores_recorded_workers=options.own_workers)
+        mapper = Mapper.resuming(
+            options.map, machine=settings.mapper.run, ignores_recorded_workers=options.use_current_workers
+        )
         played = play(mapper, source, sinks=sinks, progress=printer)
     finally:
         printer.close()

@@ -4,8 +4,7 @@ It begins with `HSM2`, the numbers of vertices and of faces (little-endian, 4 by
 zstd: vertices (V, 3) in steps, each as how far it is from the one before it (`lattice`), colours as `packing` has them,
 the indices of the faces, and a bit for each vertex that was seen. Of each index there is how far it is below the next
 vertex that no face before it has named (`packing.unsigned`): meshes name their vertices in order, so that most of these
-numbers are small. Where a vertex lies at no step it begins with `HSM1`, and vertices are float32 (`packing`). Maps of
-format 1 have GLB.
+numbers are small. Where a vertex lies at no step it begins with `HSM1`, and vertices are float32 (`packing`).
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False
         if was and was != now and not ignores_recorded:
             raise ConfigError(
                 f"{path} was made with run.{key} = {was!r}, here it is {now!r}; what a map names is never run or "
-                f"connected to: give --set mapper.run.{key}=... if you know it, or --own-workers to go on with yours"
+                f"connected to: give --set mapper.run.{key}=... if you know it, or --use-current-workers"
             )
     machine = {key: getattr(own, key) for key in (*MACHINE_KEYS, "cluster_gpus", "i_accept")}
     return replace(recorded, run=replace(recorded.run, **machine))

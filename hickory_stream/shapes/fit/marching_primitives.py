@@ -111,21 +111,21 @@ class Fitted:
 
 
 def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
-    """Return the primitives of `fitted_shape`."""
-    return fitted_shape(mesh, config).primitives
-
-
-def fitted_shape(mesh: Mesh, config: FitConfig) -> Fitted:
-    """Return the primitives of a mesh in its own frame, largest first, at least one, and what they are of.
-
-    What primitives explain badly on the grid is too thin for it, or hollow. Thin parts get primitives as thick as they
-    are (`panels`). A hollow thing, such as a bowl, is no union of few convex bodies: its envelope is fitted instead. If
-    that does not work either, one superquadric is returned around all of it.
+    """Return the primitives of `fitted_shape` for a mesh as it came.
 
     Raises:
         ValueError: the mesh has no triangles or no extent, or is not finite (`usable`).
     """
-    mesh = usable(mesh)
+    return fitted_shape(usable(mesh), config).primitives
+
+
+def fitted_shape(mesh: Mesh, config: FitConfig) -> Fitted:
+    """Return the primitives of a `usable` mesh in its own frame, largest first, at least one, and what they are of.
+
+    What primitives explain badly on the grid is too thin for it, or hollow. Thin parts get primitives as thick as they
+    are (`panels`). A hollow thing, such as a bowl, is no union of few convex bodies: its envelope is fitted instead. If
+    that does not work either, one superquadric is returned around all of it.
+    """
     vertices = mesh.vertices.astype(np.float64)
     # Centred, since precision is lost far from the origin.
     offset = (vertices.min(axis=0) + vertices.max(axis=0)) / 2

@@ -39,7 +39,6 @@ from hickory_stream.shapes.inflate.cover import (
     worst_balls,
 )
 from hickory_stream.shapes.inflate.residual_boxes import boxes_around
-from hickory_stream.shapes.mesh_validation import used_surface
 
 if TYPE_CHECKING:
     from typing import Any
@@ -121,13 +120,11 @@ def inflated(
 ) -> Inflated:
     """Return the primitives grown around (V, 3) vertices with (F, 3) faces and (N, 3) points, and their certificate.
 
-    Vertices that no face uses, and faces that collapse to one point, are ignored.
+    Every vertex belongs to a face with an extent, as in a `usable` mesh.
 
     Raises:
         ValueError: vertices or points are not finite, or there are none of either.
     """
-    is_used, faces = used_surface(vertices_world, faces)
-    vertices_world = vertices_world[is_used]
     everything = np.concatenate([vertices_world, points_world])
     if len(everything) == 0 or not np.isfinite(everything).all():
         raise ValueError(

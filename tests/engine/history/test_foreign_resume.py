@@ -57,7 +57,7 @@ def test_an_interpreter_that_a_map_names_is_named_asked_for_and_not_run(
     assert main(["resume", str(path)]) == 2
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 1
-    for part in (str(program), "run.worker_python", "--set mapper.run.worker_python=", "--own-workers"):
+    for part in (str(program), "run.worker_python", "--set mapper.run.worker_python=", "--use-current-workers"):
         assert part in told[0]
     assert not (tmp_path / "WAS-RUN").exists()
 

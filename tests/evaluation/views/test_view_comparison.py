@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hickory_stream.evaluation.surface_score import SurfaceScore
-from hickory_stream.evaluation.views.comparison import compare, format_comparison, paired_difference, verdict
-from hickory_stream.evaluation.views.trials import BEST, OURS, STRATEGIES, ViewTrial
+from tools.evaluation.views.comparison import compare, format_comparison, paired_difference, verdict
+from tools.evaluation.views.trials import BEST, OURS, STRATEGIES, ViewTrial
 
 
 def trial(truth_id: int, s: float | None, others: float | None, best: float | None = None) -> ViewTrial:

@@ -20,7 +20,6 @@ from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.methods import METHODS, Method
 from hickory_stream.alignment.object_map import ObjectMap, object_map
-from hickory_stream.evaluation.alignment_table import error_of
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.map_folder.saved_map import open_map
 from tools.benchmarks.alignment.ambiguous import ambiguous_figures
@@ -28,6 +27,7 @@ from tools.benchmarks.alignment.large_pair import large_pair
 from tools.benchmarks.common.cached_runs import apartment_map, frame_of
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import best_s
+from tools.evaluation.alignment_table import error_of
 from tools.evaluation.simulated_maps.simulate import Difficulty, SimulationConfig, simulate_pair, simulate_unrelated
 from tools.evaluation.simulated_maps.trial import Trial, noise_floor, run_trial
 from tools.evaluation.simulated_maps.variants import bent_map

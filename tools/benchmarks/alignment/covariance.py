@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
-from hickory_stream.evaluation.alignment_table import error_of
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, rotation_of_vector
 from players import open_source
@@ -28,6 +27,7 @@ from tools.benchmarks.common.figures import Figure, Options, figure, share
 from tools.benchmarks.common.intervals import bootstrap
 from tools.benchmarks.poses.drift import CONFIG, keyframe_poses
 from tools.benchmarks.poses.drift_logs import FACTORS, drifting_walks, second_walks
+from tools.evaluation.alignment_table import error_of
 from tools.evaluation.simulated_maps.trial import normalised_square
 from tools.evaluation.simulated_maps.variants import moved_map, random_frame
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.base.json_text import dumps
-from hickory_stream.evaluation.alignment_table import error_of
+from tools.evaluation.alignment_table import error_of
 from tools.evaluation.simulated_maps.simulate import Difficulty, SimulationConfig, simulate_pair
 from tools.evaluation.simulated_maps.trial import overlap_b
 

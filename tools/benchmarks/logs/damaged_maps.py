@@ -44,7 +44,7 @@ _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 _CHANGING = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink", "os.truncate", "shutil.rmtree")
 _RUNNING = ("subprocess.Popen", "os.exec", "os.system", "os.posix_spawn", "socket.connect", "ctypes.dlopen")
 _PLACES = ("--start", "0,-1.5", "--goal", "0,-1.4")
-_ALLOW_UNPROVEN = "--unproven"
+_UNVERIFIED = "--allow-unverified"
 
 
 @dataclass(slots=True)
@@ -145,9 +145,9 @@ def _commands(path: Path, out: Path, kind: str, rng: np.random.Generator) -> lis
     looks, checks, resumes = [["inspect", name, "--json"]], [["verify", name, "--json"]], [["resume", name]]
     outputs = {kind: out / f"scene.{kind}" for kind in ("json", "ply", "glb")}
     outputs = {"mjcf": out / "mjcf" / "scene", "urdf": out / "urdf" / "scene", **outputs}
-    exports = [["export", name, "--format", f, "-o", str(file), _ALLOW_UNPROVEN] for f, file in outputs.items()]
-    exports += [["export", name, "--format", "nav2", "-o", str(out / "grid.yaml"), "--robot", "point", _ALLOW_UNPROVEN]]
-    plans = [["plan", name, *_PLACES, "--robot", "point", _ALLOW_UNPROVEN]]
+    exports = [["export", name, "--format", f, "-o", str(file), _UNVERIFIED] for f, file in outputs.items()]
+    exports += [["export", name, "--format", "nav2", "-o", str(out / "grid.yaml"), "--robot", "point", _UNVERIFIED]]
+    plans = [["plan", name, *_PLACES, "--robot", "point", _UNVERIFIED]]
     history = [["replay", name], ["inspect", name, "--at", "0.4"], ["diff", name, "0", "0.4"]]
     jobs = [["reconstruct", str(next((path / "failed").iterdir()))]] if (path / "failed").is_dir() else []
     out.mkdir(parents=True, exist_ok=True)

@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.caches import cache_folder
 from hickory_stream.evaluation.evaluate import true_mesh_world
-from hickory_stream.evaluation.navigation_methods import Obstacles, built
-from hickory_stream.evaluation.navigation_scene import R_SAFE_M, score_saved_map, true_obstacles, truth_of
-from hickory_stream.evaluation.navigation_table import MethodScore, TrueScene, draw_pairs, format_table, table_of
 from hickory_stream.evaluation.truth import Truth, load_truth, mesh_of
 from hickory_stream.geometry.mesh import Mesh, sha256_of
 from hickory_stream.geometry.rigid import apply
@@ -36,6 +33,18 @@ from tools.benchmarks.common.cached_runs import apartment_map, walk_recording
 from tools.benchmarks.common.code_hashes import code_hash
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import best_s
+from tools.evaluation.navigation_methods import Obstacles, built
+from tools.evaluation.navigation_table import (
+    R_SAFE_M,
+    MethodScore,
+    TrueScene,
+    draw_pairs,
+    format_table,
+    score_saved_map,
+    table_of,
+    true_obstacles,
+    truth_of,
+)
 
 _APARTMENTS = 4
 _TABLES = ("table", "desk", "coffee_table", "side_table")

@@ -18,8 +18,6 @@ from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.evaluate import Evaluation, evaluate
 from hickory_stream.evaluation.page import write_page
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
-from hickory_stream.evaluation.views.comparison import compare, verdict
-from hickory_stream.evaluation.views.trials import BEST, OURS
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.worlds.cache import cached_recording
 from tools.benchmarks.common.baseline import QUICK
@@ -27,6 +25,8 @@ from tools.benchmarks.common.cached_runs import walk_recording
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import DEMO, ROOT, play
 from tools.benchmarks.maps.views import trials_of
+from tools.evaluation.views.comparison import compare, verdict
+from tools.evaluation.views.trials import BEST, OURS
 
 _PAGES = ROOT / "out" / "quality"
 _TABLETOP_M = 0.4

@@ -16,8 +16,6 @@ from typing import Any
 from hickory_stream.config import MapperConfig
 from hickory_stream.evaluation.surface_score import SurfaceScore
 from hickory_stream.evaluation.truth import Truth, load_truth
-from hickory_stream.evaluation.views.comparison import compare, format_comparison
-from hickory_stream.evaluation.views.trials import BEST, OURS, ViewTrial, try_views
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
 from hickory_stream.worlds.cache import cached_recording
@@ -26,6 +24,8 @@ from players import open_source
 from tools.benchmarks.common.cached_runs import cached, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
+from tools.evaluation.views.comparison import compare, format_comparison
+from tools.evaluation.views.trials import BEST, OURS, ViewTrial, try_views
 
 _APARTMENTS, _TABLETOPS = range(7000, 7020), range(7000, 7030)
 _FOREIGN = tuple((world, walk) for world in ("home", "bookstore") for walk in ("A", "B"))

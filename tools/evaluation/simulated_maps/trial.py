@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.methods import align_by
 from hickory_stream.alignment.registration import information
-from hickory_stream.evaluation.alignment_table import AlignmentError, error_of
 from hickory_stream.geometry.rigid import apply, invert
+from tools.evaluation.alignment_table import AlignmentError, error_of
 from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
 from tools.evaluation.simulated_maps.variants import with_points
 

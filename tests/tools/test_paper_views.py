@@ -1,4 +1,4 @@
-"""`evaluate-views` on the first seconds of the demo: one playback, every strategy, every reconstructor."""
+"""`tools/paper views` on the first seconds of the demo: one playback, every strategy, every reconstructor."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli import main
-from hickory_stream.cli.evaluate_views import reconstructors_of
 from hickory_stream.config import MapperConfig
-from hickory_stream.evaluation.views.trials import BEST, OURS, STRATEGIES
 from hickory_stream.map_folder.saved_map import open_map
 from tests.examples.generators import HERE
+from tools.evaluation.views.trials import BEST, OURS, STRATEGIES
+from tools.paper_tables.__main__ import main
+from tools.paper_tables.own_maps import reconstructors_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,7 +33,7 @@ def test_every_strategy_chooses_among_the_views_of_one_playback(
     short_log: Path, demo_truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "maps"
-    command = ["evaluate-views", str(short_log), "--truth", str(demo_truth), "--out", str(out), "--json", *COARSE]
+    command = ["views", str(short_log), "--truth", str(demo_truth), "--out", str(out), "--json", *COARSE]
     assert main([*command, "--reconstructor", "single_view"]) == 0
     rows = json.loads(capsys.readouterr().out.splitlines()[-1])["strategies"]
     by_name = {row["strategy"]: row for row in rows}
@@ -50,7 +50,7 @@ def test_a_generator_that_cannot_be_used_is_named_before_anything_is_played(
     short_log: Path, demo_truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "none.toml").write_text('name = "none"\ncommand = ["no-such-program"]\n')
-    command = ["evaluate-views", str(short_log), "--truth", str(demo_truth), "--reconstructor"]
+    command = ["views", str(short_log), "--truth", str(demo_truth), "--reconstructor"]
     assert main([*command, str(tmp_path / "none.toml")]) == 2
     assert "no-such-program" in capsys.readouterr().err
 
@@ -63,7 +63,7 @@ def test_all_generators_that_can_be_started_are_compared_and_others_left_out_alo
     (tmp_path / "boxes.toml").write_text(boxes)
     (tmp_path / "none.toml").write_text('name = "none"\ncommand = ["no-such-program"]\n')
     (tmp_path / "research.toml").write_text(boxes.replace("boxes", "research") + 'acceptance = "research only"\n')
-    assert list(reconstructors_of(None, MapperConfig(), told=True)) == ["single_view", "boxes"]
+    assert list(reconstructors_of(None, MapperConfig())) == ["single_view", "boxes"]
     said = capsys.readouterr().err
     assert "left out: " in said
     assert "no-such-program" in said

@@ -3,6 +3,8 @@
 A log is played once. The strategies change which view is the best, not the tracks, so that all of them choose among the
 views of the same objects, and an object's rows differ by the chosen view alone. Beside them stands the best view there
 is, as truth has it, of those that were tried: the strategies' and the ones that the map keeps, one a direction.
+
+Every view that a run had of its objects, kept by a sink: what all strategies of choosing one can choose from.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
+from hickory_stream.engine.effects import crop_of
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
 from hickory_stream.evaluation.evaluate import true_surface
@@ -21,30 +24,84 @@ from hickory_stream.evaluation.match import meshes_of, score_map
 from hickory_stream.evaluation.placement import placed_truth
 from hickory_stream.evaluation.surface_score import SurfaceScore, TrueSurface, diameter_m, surface_score
 from hickory_stream.evaluation.truth import moved_mesh
-from hickory_stream.evaluation.views.every_view import EveryView, largest_of_frames
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.inspection.supports import supports_of
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.map_folder.views import read_crop
+from hickory_stream.map_folder.views import read_crop, write_crop
 from hickory_stream.mapping.entities.rigid_motion import moved_object
-from hickory_stream.mapping.entities.views import Strategy, ViewConfig, score
+from hickory_stream.mapping.entities.views import Strategy, ViewConfig, score, view_of
 from hickory_stream.mapping.rules.support_graph import Relation
 from hickory_stream.ports import NoShape, ShapeInputs
 from hickory_stream.shapes.mesh_validation import usable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.config import MapperConfig
+    from hickory_stream.config import MapperConfig, RunConfig
     from hickory_stream.engine.modes import Progress
     from hickory_stream.evaluation.match import TruthScore
     from hickory_stream.evaluation.truth import Truth
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.ports import Reconstructor, Sink, Source
-    from hickory_stream.records import MapSnapshot, TrackedObject, View
+    from hickory_stream.records import FrameReport, MapSnapshot, TrackedObject, View
+
+
+class EveryView:
+    """A sink that writes the pixels of all observations that went to an object into a folder, as `views/` has them.
+
+    `config` is that of the run, whose own views are made by it. The sink must miss no report.
+    """
+
+    def __init__(self, folder: Path, config: RunConfig) -> None:
+        self.folder = folder
+        self._config = config
+        self._by_track: dict[int, list[View]] = {}
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def show(self, report: FrameReport) -> None:
+        """Keep what a keyframe saw of the tracks."""
+        if report.frame is None:
+            return
+        for track_id, observation in zip(report.object_ids, report.observations, strict=True):
+            if track_id is None:
+                continue
+            view = view_of(
+                observation,
+                track_id,
+                frame_index=report.index,
+                stamp_ns=report.stamp_ns,
+                world_from_camera=report.world_from_camera,
+            )
+            crop = crop_of(report.frame, observation, self._config.crop_margin)
+            write_crop(self.folder, view.name, crop, self._config)
+            self._by_track.setdefault(track_id, []).append(view)
+
+    def close(self) -> None:
+        """Nothing is left to be done."""
+
+    def of_objects(self, snapshot: MapSnapshot) -> dict[int, list[View]]:
+        """Return all views of each object of a map, those of the tracks that became it included; sorted by frame."""
+        return {
+            item.id: sorted(
+                (view for track_id in (item.id, *item.merged_ids) for view in self._by_track.get(track_id, ())),
+                key=lambda view: view.name,
+            )
+            for item in snapshot.objects
+        }
+
+
+def largest_of_frames(views: Iterable[View]) -> list[View]:
+    """Return one view of each frame, the largest: others of an object are of its parts."""
+    largest: dict[int, View] = {}
+    for view in views:
+        before = largest.get(view.frame_index)
+        if before is None or view.r_area > before.r_area:
+            largest[view.frame_index] = view
+    return list(largest.values())
+
 
 OURS: Strategy = "s_score"
 STRATEGIES: tuple[Strategy, ...] = get_args(Strategy)

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.evaluation.views.trials import BEST, OURS, STRATEGIES
+from tools.evaluation.views.trials import BEST, OURS, STRATEGIES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.views.trials import ViewTrial
+    from tools.evaluation.views.trials import ViewTrial
 
 _RESAMPLES = 10_000
 _FEWEST_SCENES = 10

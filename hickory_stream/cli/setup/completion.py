@@ -1,0 +1,33 @@
+"""`hickory-stream completion`: print a script that completes the command line in a shell."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hickory_stream.cli.commands import Commands
+
+SHELLS = ("bash", "zsh", "fish")
+
+
+def add(commands: Commands, _common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
+    """Add the command to the command line."""
+    completion = commands.add_parser("completion", help="print a script that completes the command line in a shell")
+    completion.set_defaults(run=run, debug=False)
+    completion.add_argument("shell", choices=SHELLS)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    import shtab
+
+    from hickory_stream.cli.parser import commands_of
+
+    for _, command in commands_of(options.parser):
+        for action in command._actions:
+            if action.nargs != 0 and action.choices is None:
+                action.complete = shtab.FILE  # type: ignore[attr-defined] # shtab reads it
+    print(shtab.complete(options.parser, options.shell))
+    return 0
