@@ -16,7 +16,8 @@ from hickory_stream.geometry.voxels import contains, dilate
 from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.pictures.raycast import Scene
 from hickory_stream.records import Phase
-from hickory_stream.worlds.recording_config import RecordingConfig, person_of, walkable_world
+from hickory_stream.worlds.recording_config import RecordingConfig
+from hickory_stream.worlds.walkable import person_of, walkable_world
 from tools.benchmarks.common.cached_runs import map_without_shapes
 from tools.benchmarks.maps.rendered_views import scene_of
 

@@ -23,7 +23,8 @@ from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.ports import Source, SourceAround
 from hickory_stream.records import Frame, RawFrame
 from hickory_stream.worlds.drift import DriftConfig, drifted
-from hickory_stream.worlds.recording_config import RecordingConfig, walkable_world
+from hickory_stream.worlds.recording_config import RecordingConfig
+from hickory_stream.worlds.walkable import walkable_world
 from players import open_source
 from tools.benchmarks.common.figures import Options
 from tools.benchmarks.foreign.logs import PROGRAM, WorldLog, foreign_log, recorded, worlds_folder

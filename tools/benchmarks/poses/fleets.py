@@ -32,7 +32,8 @@ from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from hickory_stream.worlds.cache import cached_recording
-from hickory_stream.worlds.recording_config import RecordingConfig, drawn_frame
+from hickory_stream.worlds.recording import drawn_frame
+from hickory_stream.worlds.recording_config import RecordingConfig
 from players import SourceOptions, open_source
 from tools.benchmarks.common.cached_runs import cached, play_into, state_folder
 from tools.benchmarks.common.figures import Figure, Options, figure
