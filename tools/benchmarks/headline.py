@@ -9,8 +9,10 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
+from pathlib import Path
 
-from tools.benchmarks.common.documents import read_measured
+from tools.benchmarks.common.documents import MEASURED, read_measured
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import ROOT, die_with_parent
 from tools.benchmarks.table import code_of
@@ -39,26 +41,23 @@ def measure(options: Options) -> list[Figure]:
     No row begins after 45 minutes, or `minutes`.
     """
     until = time.monotonic() + 60 * min(options.minutes, _MINUTES)
-    failed, waiting = [], []
     for name, *arguments in ROWS:
         row = " ".join(["tools/bench", name, *arguments])
         if not options.fresh and is_current(name, arguments):
-            print(f"{row}: as new as the code", flush=True)
+            state = "as new as the code"
         elif time.monotonic() >= until:
-            waiting.append(row)
+            state = "not measured for want of time"
         else:
             print(f"{row}: measuring", flush=True)
             command = [sys.executable, "-m", "tools.benchmarks", name, *arguments, "--write-docs"]
-            if subprocess.run(command, cwd=ROOT, preexec_fn=die_with_parent).returncode:
-                failed.append(row)
-    for state, rows in (("failed", failed), ("not measured for want of time", waiting)):
-        for row in rows:
-            print(f"{row}: {state}", flush=True)
+            failed = subprocess.run(command, cwd=ROOT, preexec_fn=die_with_parent).returncode
+            state = "failed" if failed else "measured"
+        print(f"{row}: {state}", flush=True)
     num_current = sum(is_current(name, arguments) for name, *arguments in ROWS)
     return [figure("headline_rows_current", num_current, "rows", "higher", f"{len(ROWS)} rows")]
 
 
-def is_current(name: str, arguments: list[str]) -> bool:
+def is_current(name: str, arguments: Sequence[str], folder: Path = MEASURED) -> bool:
     """Return whether a row was measured with these options, and its code is as it was."""
     options = "".join(f" {word}" for word in arguments)
-    return any((run.options, run.code) == (options, code_of(name, options)) for run in read_measured(name))
+    return any((run.options, run.code) == (options, code_of(name, options)) for run in read_measured(name, folder))
