@@ -1,4 +1,4 @@
-"""What a README consists of: its code, and its prose."""
+"""Code blocks and prose of a README."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ if TYPE_CHECKING:
 
 
 def blocks_of(language: str, readme: Path) -> str:
-    """Return the code blocks of a language in a README, one after the other."""
+    """Return the code blocks of one language in a README, joined."""
     text = readme.read_text(encoding="utf-8")
     return "".join(re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL))
 
 
 def prose_of(readme: Path) -> list[tuple[int, str]]:
-    """Return the lines, with their numbers from 1, that are neither in a code block nor in a table."""
+    """Return the lines outside code blocks and tables, each with its number from 1."""
     prose, is_code = [], False
     for number, line in enumerate(readme.read_text(encoding="utf-8").splitlines(), start=1):
         if line.startswith("```"):

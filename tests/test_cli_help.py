@@ -13,8 +13,9 @@ import pytest
 
 import hickory_stream
 from hickory_stream.cli import main
+from hickory_stream.cli.commands import commands_of
 from hickory_stream.cli.examples import TEXTS
-from hickory_stream.cli.parser import commands_of, make_parser
+from hickory_stream.cli.parser import make_parser
 from tests.readmes import blocks_of
 from tools.readmes import READMES
 

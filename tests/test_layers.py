@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.readmes import blocks_of
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -78,6 +80,18 @@ def imports_of(file: Path) -> Iterator[str]:
 def is_module(name: str) -> bool:
     path = ROOT.joinpath(*name.split("."))
     return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
+
+
+def picture_of_layers() -> str:
+    """Return the Mermaid block of the main README: a box for each layer, the highest first."""
+    boxes = [", ".join(parts).replace("hickory_stream.", "") for parts in LAYERS]
+    lines = [f'    L{rank}["{box}"]' for rank, box in enumerate(boxes)]
+    arrows = "-->".join(f"L{rank}" for rank in reversed(range(len(boxes))))
+    return "\n".join(["flowchart TB", *reversed(lines), f"    {arrows}", ""])
+
+
+def test_the_main_readme_shows_the_layers() -> None:
+    assert blocks_of("mermaid", ROOT / "README.md") == picture_of_layers()
 
 
 @pytest.mark.parametrize("file", FILES, ids=module_of)

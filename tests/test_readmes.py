@@ -1,34 +1,36 @@
-"""The READMEs can be read to their ends, and what they point at is there."""
+"""READMEs and pages of results: length, links, named files, Python blocks."""
 
 from __future__ import annotations
 
 import re
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import pytest
 
+from hickory_stream.settings import Settings
 from tests.readmes import blocks_of, prose_of
-from tools.readmes import READMES, ROOT
+from tools.readmes import READMES, RESULTS, ROOT
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 PACKAGES = sorted(
     path.parent
-    for pattern in ("hickory_stream/*/__init__.py", "players/__init__.py", "players/*/__init__.py")
+    for pattern in ("hickory_stream/*/__init__.py", "players/__init__.py", "players/live/__init__.py")
     for path in ROOT.glob(pattern)
 )
-# Where a name of a file may be meant from: the README's own folder, the checkout, and the packages.
+# A README names files relative to its own folder, to the checkout, or to one of these packages.
 PLACES = (ROOT, *(ROOT / folder for folder in ("hickory_stream", "tests", "tests/conformance", "tests/examples")))
 NAMES = [str(readme.relative_to(ROOT)) for readme in READMES]
 
 
-def test_the_projects_readme_is_read_to_its_end() -> None:
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 160
+def test_the_main_readme_has_180_lines_at_most() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 180
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: str(package.relative_to(ROOT)))
-def test_every_package_has_a_readme_that_says_how_to_extend_it_and_is_linked(package: Path) -> None:
+def test_every_package_has_a_linked_readme(package: Path) -> None:
     text = (package / "README.md").read_text(encoding="utf-8")
     assert "How to extend it" in text
     assert f"]({package.relative_to(ROOT)}/README.md)" in (ROOT / "README.md").read_text(encoding="utf-8")
@@ -40,20 +42,38 @@ def test_lines_of_prose_have_120_characters_at_most(readme: Path) -> None:
 
 
 @pytest.mark.parametrize("readme", READMES, ids=NAMES)
-def test_what_a_readme_links_to_is_there(readme: Path) -> None:
+def test_links_lead_to_files(readme: Path) -> None:
     text = readme.read_text(encoding="utf-8")
     targets = [target for target in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in target]
     assert [target for target in targets if not (readme.parent / target).exists()] == []
 
 
-@pytest.mark.parametrize("readme", READMES, ids=NAMES)
-def test_the_files_that_a_readme_names_are_there(readme: Path) -> None:
+@pytest.mark.parametrize("readme", sorted({*READMES} - {*RESULTS}), ids=lambda readme: str(readme.relative_to(ROOT)))
+def test_named_files_exist(readme: Path) -> None:
+    """Pages of results may name files that have been removed since."""
     text = re.sub(r"^```.*?^```", "", readme.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     named = set(re.findall(r"`([\w./-]+\.(?:py|toml))`", text)) | set(re.findall(r"`(tools/\w+)[` ]", text))
     places = (readme.parent, *readme.parent.parents, *PLACES)
     assert sorted(name for name in named if not any((place / name).exists() for place in places)) == []
 
 
+def test_the_table_of_keys_has_the_defaults() -> None:
+    """A name without a section shares the section before it."""
+    text = (ROOT / "hickory_stream" / "cli" / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`(?:mapper|disk|rerun)\..*?) \| (.*?) ?\|", text, flags=re.MULTILINE)
+    assert len(rows) >= 30
+    for names, defaults in rows:
+        keys = re.findall(r"`([\w.]+)`", names)
+        sections = [key.rpartition(".")[0] or keys[0].rpartition(".")[0] for key in keys]
+        values = [
+            attrgetter(f"{section}.{key.rpartition('.')[2]}")(Settings())
+            for section, key in zip(sections, keys, strict=True)
+        ]
+        if defaults and defaults != "profile":
+            shown = [text.strip("`").split()[0] for text in defaults.split(", ")]
+            assert shown == [f"{value:g}" if isinstance(value, float) else str(value) for value in values], names
+
+
 @pytest.mark.parametrize("readme", READMES, ids=NAMES)
-def test_the_python_of_a_readme_is_python(readme: Path) -> None:
+def test_python_blocks_compile(readme: Path) -> None:
     compile(blocks_of("python", readme), str(readme), "exec")

@@ -1,4 +1,4 @@
-"""The READMEs: that of the project, those beside the code of a package, and what is written into them from the code."""
+"""The READMEs, the pages of results, and the blocks in them that are written from the code."""
 
 from __future__ import annotations
 
@@ -11,17 +11,22 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("hickory_stream", "players", "tools", "recordings")
-READMES = (ROOT / "README.md", *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("README.md")))
+RESULTS = sorted((ROOT / "tools" / "benchmarks" / "results").glob("*.md"))
+READMES = (
+    ROOT / "README.md",
+    *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("README.md")),
+    *RESULTS,
+)
 
 
 def filled(text: str, opening: str, closing: str, write: Callable[[re.Match[str]], str]) -> str:
-    """Return a text with what stands between two lines of it written anew.
+    """Return a text with the lines between two marks replaced.
 
     Args:
         text: of a README.
-        opening: a pattern of the line before; its named groups are for `write`, beside `body`: what stands there now.
+        opening: pattern of the line before; `write` gets its named groups, and the present lines as `body`.
         closing: the line after.
-        write: returns what is to stand there, without the line breaks at its ends.
+        write: returns the new lines, without line breaks at their ends.
     """
     block = re.compile(rf"(?P<opening>{opening})\n(?P<body>.*?)\n?{re.escape(closing)}", re.DOTALL)
     return block.sub(lambda found: f"{found['opening']}\n{write(found)}\n{closing}", text)

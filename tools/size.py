@@ -8,7 +8,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.settings import Settings
-from tools.readmes import READMES, ROOT
+from tools.readmes import READMES, RESULTS, ROOT
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -46,7 +46,7 @@ def measures() -> Iterator[Measure]:
     yield Measure(name="configuration keys", value=len(list(keys(Settings()))), limit=160)
     yield Measure(
         name="words of READMEs",
-        value=sum(len(file.read_text(encoding="utf-8").split()) for file in READMES),
+        value=sum(len(file.read_text(encoding="utf-8").split()) for file in READMES if file not in RESULTS),
         limit=16_000,
     )
     yield Measure(name="lines of tests", value=lines(tests), limit=42_000)

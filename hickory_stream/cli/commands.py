@@ -1,10 +1,22 @@
-"""The type of the collection of subcommands that each command adds its parser to."""
+"""The subcommands of the command line: the type that each command adds its parser to, and a walk over them."""
 
 from __future__ import annotations
 
+import argparse
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
-    import argparse
+    from collections.abc import Iterator
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+
+def commands_of(
+    parser: argparse.ArgumentParser, path: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], argparse.ArgumentParser]]:
+    """Yield every command and the commands below it, with their words."""
+    yield path, parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, below in action.choices.items():
+                yield from commands_of(below, (*path, name))

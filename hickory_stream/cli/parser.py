@@ -6,9 +6,10 @@ import argparse
 import re
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from hickory_stream import __version__
+from hickory_stream.cli.commands import commands_of
 from hickory_stream.cli.examples import TEXTS
 from hickory_stream.cli.logs import doctor, odometry, segment
 from hickory_stream.cli.maps import (
@@ -28,9 +29,6 @@ from hickory_stream.cli.maps import (
 )
 from hickory_stream.cli.runs import batch, demo, fleet, live, play, replay, resume
 from hickory_stream.cli.setup import cache, completion, config, generators, models, schema
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _COMMANDS = (
     demo,
@@ -120,14 +118,3 @@ def make_parser() -> argparse.ArgumentParser:
             # An example is one line, to be copied.
             command_parser.formatter_class = argparse.RawDescriptionHelpFormatter
     return parser
-
-
-def commands_of(
-    parser: argparse.ArgumentParser, path: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], argparse.ArgumentParser]]:
-    """Yield every command and the commands below it, with their words."""
-    yield path, parser
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for name, below in action.choices.items():
-                yield from commands_of(below, (*path, name))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hickory_stream.cli.commands import Commands, commands_of
+
 if TYPE_CHECKING:
     import argparse
-
-    from hickory_stream.cli.commands import Commands
 
 SHELLS = ("bash", "zsh", "fish")
 
@@ -22,8 +22,6 @@ def add(commands: Commands, _common: argparse.ArgumentParser, _configured: argpa
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     import shtab
-
-    from hickory_stream.cli.parser import commands_of
 
     for _, command in commands_of(options.parser):
         for action in command._actions:
