@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hickory_stream.base.atomic_files import write_atomically
 from hickory_stream.base.config_text import read_config
 from hickory_stream.base.json_text import dumps
 from hickory_stream.config import MapperConfig
@@ -40,9 +41,7 @@ def cached(file: Path, measured: Callable[[], dict[str, Any]]) -> dict[str, Any]
     except (FileNotFoundError, ValueError):
         found = measured()
     file.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_suffix(".unfinished")
-    unfinished.write_text(dumps(found) + "\n", encoding="utf-8")
-    unfinished.replace(file)
+    write_atomically(file, (dumps(found) + "\n").encode())
     return found
 
 

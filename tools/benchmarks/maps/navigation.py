@@ -7,10 +7,10 @@ the pipeline, with unseen space as unknown.
 from __future__ import annotations
 
 import hashlib
-import io
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from hickory_stream.navigation.search import NoPath, Path, first_path, plan
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics
 from hickory_stream.shapes.inflate.inflation import InflateConfig, inflated
 from hickory_stream.worlds.cache import cached_recording
-from tools.benchmarks.common.cached_runs import apartment_map, walk_recording
+from tools.benchmarks.common.cached_runs import apartment_map, cached, walk_recording
 from tools.benchmarks.common.code_hashes import code_hash
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import best_s
@@ -213,17 +213,12 @@ def _true_inflated(truth: Truth, config: InflateConfig) -> dict[int, Superquadri
 def _inflated(mesh: Mesh, world_from_object: NDArray[np.float64], config: InflateConfig) -> Superquadrics:
     code = code_hash("hickory_stream/geometry", "hickory_stream/shapes")
     key = hashlib.sha256(f"{sha256_of(mesh)} {world_from_object.tobytes().hex()} {asdict(config)} {code}".encode())
-    path = cache_folder("true-shapes") / f"{key.hexdigest()}.npz"
-    if path.is_file():
-        with np.load(path) as cached:
-            return Superquadrics(**{name: cached[name] for name in cached.files})
-    fitted = moved(fit_superquadrics(mesh, FitConfig()), world_from_object)
-    vertices = apply(world_from_object, mesh.vertices.astype(np.float64))
-    found = inflated(fitted, vertices, mesh.faces, np.empty((0, 3)), config).primitives
-    data = io.BytesIO()
-    np.savez(data, **{field.name: getattr(found, field.name) for field in fields(found)})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    unfinished.write_bytes(data.getvalue())
-    unfinished.replace(path)
-    return found
+
+    def measured() -> dict[str, Any]:
+        fitted = moved(fit_superquadrics(mesh, FitConfig()), world_from_object)
+        vertices = apply(world_from_object, mesh.vertices.astype(np.float64))
+        found = inflated(fitted, vertices, mesh.faces, np.empty((0, 3)), config).primitives
+        return {field.name: getattr(found, field.name).tolist() for field in fields(found)}
+
+    found = cached(cache_folder("true-shapes") / f"{key.hexdigest()}.json", measured)
+    return Superquadrics(**{name: np.array(values) for name, values in found.items()})
