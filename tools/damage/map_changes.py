@@ -117,7 +117,7 @@ def _change_named(path: Path, folder: str, rng: np.random.Generator) -> str:
 
 
 def _replace_compressed(file: Path, header: int, rng: np.random.Generator) -> str:
-    """Change the bytes of a file, or what is compressed in it after a header, with a whole frame around it."""
+    """Change the bytes of a file, or the compressed part after a header, with a whole frame around it."""
     data = file.read_bytes()
     if rng.random() < 0.5:
         changed, change = _damaged(data, rng)

@@ -35,7 +35,7 @@ def pair_correlation(pairs: Iterable[SimulatedPair], share: float) -> tuple[NDAr
 
     Args:
         pairs: maps of places that share nothing.
-        share: of all pairs of objects, those that look most alike.
+        share: this share of all pairs of objects counts, the most similar ones.
     """
     observed, tried_m3 = np.zeros(len(_EDGES_M) - 1), np.zeros(len(_EDGES_M) - 1)
     config = AlignConfig()

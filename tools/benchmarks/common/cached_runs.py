@@ -82,9 +82,6 @@ def map_without_shapes(config: RecordingConfig, folder: Path) -> tuple[Truth, Sa
     return truth, cached_map(folder, lambda: open_source(str(log)), NO_SHAPES)
 
 
-# ---- apartments as the whole pipeline maps them ----------------------------------------------------------------------
-
-
 def walk_recording(scene: str, seed: int, walk: int = 0, rate_hz: float = 15.0) -> RecordingConfig:
     """Return the configuration of the log of a whole walk at 640x480."""
     return RecordingConfig(

@@ -1,4 +1,4 @@
-"""Hashes of code by what it defines: moving a definition or editing a comment, docstring or import changes none."""
+"""Hashes of code by its definitions: a moved definition, a comment, docstring or import changes none."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ MAPS = (*PLAYERS, *(f"hickory_stream/{name}" for name in _MODULES))
 def code_hash(*names: str) -> str:
     """Return the sha256 of the definitions in files and folders of the checkout, wherever in these they stand.
 
-    It is that of the sorted set of the hashes of all top-level statements, without docstrings and imports; data files,
+    All top-level statements are hashed, without docstrings and imports, as a sorted set; data files,
     such as weights, count by their bytes.
 
     Raises:
-        FileNotFoundError: a name is that of no file or folder.
+        FileNotFoundError: a name is no file or folder.
     """
     found = {one for path in _files(names) for one in _definitions(path)}
     return hashlib.sha256("".join(sorted(found)).encode()).hexdigest()

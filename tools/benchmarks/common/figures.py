@@ -1,4 +1,4 @@
-"""Figures: measured numbers with what they are of, printed as a table and written as JSON."""
+"""Figures: measured numbers with their denominators, printed as a table and written as JSON."""
 
 from __future__ import annotations
 

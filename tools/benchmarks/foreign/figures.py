@@ -1,4 +1,4 @@
-"""Figures of the gate, each with its denominator, what is left out, an interval and its role.
+"""Figures of the gate, each with its denominator, exclusions, an interval and its role.
 
 Shares have Wilson's interval, true objects taken for independent; means, differences and F1 have a bootstrap over true
 objects (over clouds for masks). Both are 95 %. A thing is large from 0.4 m between its farthest points on.

@@ -34,7 +34,7 @@ _RUN = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WorldLog:
-    """A log with its truth folder, and a hash of what it was made from."""
+    """A log with its truth folder, and a hash of its sources."""
 
     log: Path
     truth: Path

@@ -183,9 +183,6 @@ def _main(command: list[str]) -> int:
     return main(command)
 
 
-# ---- the child ------------------------------------------------------------------------------------------------------
-
-
 def _tried(case: str, commands: list[list[str]], folder: Path) -> MapTally:
     reading, writing = os.pipe()
     child = os.fork()

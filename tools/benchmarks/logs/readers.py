@@ -78,7 +78,7 @@ def _read_ratio_bag(log: Path) -> float:
 
 
 def _ratio(log: Path, plain: Callable[[], int]) -> float:
-    """Return the processor time of reading and synchronising frames over that of a plain reader.
+    """Return the processor time of reading and synchronising frames over the time of a plain reader.
 
     The best of three each, in turns: the machine is shared.
     """

@@ -47,7 +47,7 @@ def write_small_map(path: Path) -> None:
 
 
 def as_live_and_killed(path: Path) -> None:
-    """Make a map that of a live run that was killed, which `resume` saves as of its last step."""
+    """Make a map look like a killed live run, which `resume` saves as of its last step."""
     manifest = open_map(path, warns=False).manifest
     run = {**manifest.run, "mode": "live"}
     killed = replace(manifest, finished_cleanly=False, digest=None, run=run)

@@ -203,9 +203,6 @@ def _mean(values: Iterable[float | None]) -> float:
     return float(np.mean([value for value in values if value is not None]))
 
 
-# ---- layer 4 of the true objects, in the user's cache ----------------------------------------------------------------
-
-
 def _true_inflated(truth: Truth, config: InflateConfig) -> dict[int, Superquadrics]:
     return {item.id: _inflated(mesh_of(truth, item), item.world_from_object, config) for item in truth.objects}
 

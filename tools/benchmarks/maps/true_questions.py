@@ -58,7 +58,7 @@ class TrueQuestion:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Condition:
-    """A part of a question: whether it holds, None where that is not clear, and the ids of what it holds by."""
+    """A part of a question: whether it holds, None if unclear, and the ids of the objects that it holds by."""
 
     text: str
     test: Callable[[TrueThing], bool | None]

@@ -18,8 +18,8 @@ from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import ROOT
 
 PACKAGES = ("perception", "mapping")
-_TREES = "what the trees were grown with"
-_NETWORK = "what the network was trained with"
+_TREES = "used when the trees were grown"
+_NETWORK = "used when the network was trained"
 NOT_DECIDING = {
     "perception.fastsam.": "of a network that is not installed by default",
     "perception.network.": "how a network is run",

@@ -119,9 +119,6 @@ def measure(options: Options) -> list[Figure]:
     return figures
 
 
-# ---- one log, one map -----------------------------------------------------------------------------------------------
-
-
 def _digests(work: Work) -> None:
     # Our interpreter after a random while: its answers are the same, only later.
     sleep = 'sleep 0.$(od -An -N1 -tu1 /dev/urandom | tr -d " ")'
@@ -184,9 +181,6 @@ def _of_processors(work: Work) -> list[Figure]:
     ]
 
 
-# ---- kills and stops ------------------------------------------------------------------------------------------------
-
-
 def _kills(work: Work) -> None:
     """Kill the whole process group at a random moment, resume, compare; find processes that are left."""
     frames, out = work.sample.frames, work.folder / "killed"
@@ -198,7 +192,7 @@ def _kills(work: Work) -> None:
     while len(_killed(work)) < work.sample.kills and not work.repetitions.is_time_up:
         i, calm = len(work.records), work.records[0]
         process = play_coarsely(out, frames)
-        # On a busier machine than that of the first run the kills only come earlier in the run.
+        # On a busier machine than in the first run the kills only come earlier in the run.
         after_s = work.random("kills", i).uniform(0.1, 1.0) * calm["seconds"]
         with suppress(subprocess.TimeoutExpired):
             process.wait(after_s)
@@ -272,9 +266,6 @@ def _of_stops(work: Work) -> list[Figure]:
     return [figure("stops", len(work.records)), figure("stop_seconds", max(work.values("seconds")), "s", "lower")]
 
 
-# ---- live -----------------------------------------------------------------------------------------------------------
-
-
 def _live(work: Work) -> None:
     for _ in work.repetitions.missing(1):
         options = ("--seconds", work.sample.live_s, "--slower", _SLOWER, "--stall", work.sample.stall_s)
@@ -291,9 +282,6 @@ def _of_live(work: Work) -> list[Figure]:
         figure("unaccounted_frames", sum(run["unaccounted"] for run in runs), "", "lower"),
         figure("stalled_viewer_slowdown", max(0.0, slowdown), "", "lower"),
     ]
-
-
-# ---- hours ----------------------------------------------------------------------------------------------------------
 
 
 def _soak(work: Work) -> None:

@@ -29,7 +29,7 @@ from tools.evaluation.shapes.spoiled_generator import generated, sighted
 from tools.generators.fakes.packages import ADAPTERS, REFINERS, adapter_fault, refiner_fault
 
 _ADDS = 0.05
-# A swapped object whose surface, placed, has this F1 at 5 % of the diameter with the truth cannot be told from it.
+# A swapped object whose surface, placed, has this F1 at 5 % of the diameter with the truth cannot be distinguished from it.
 _SAME_F1 = 0.8
 # A kept shape that is worse than the fused one by more than this does harm that is not chance of the samples.
 _WORSE_F1 = 0.02
@@ -149,7 +149,7 @@ def _of_judgement(
         reason = judged(row.evidence, JudgementConfig()).reason if row.evidence else "not placed"
         print(f"good one refused, {row.kind}, F1 {row.f1:.2f}: {reason}")
     figures = []
-    # The mirror image of an object of another class says no more than that of a swapped one.
+    # The mirror image of an object of another class says no more than the image of a swapped one.
     strangers = [row for row in strange if row.given.fate == "other"]
     for name, rows, what in (
         ("wrong", swapped, "objects swapped for another of the class, or mirrored,"),

@@ -132,7 +132,7 @@ def surface_distance_pct(solid: Solid, primitives: Superquadrics) -> float:
 
 
 def grown_volume_ratio(solid: Solid, inflated: Superquadrics, margin_m: float, cells: int = 96) -> float:
-    """Return the volume of the union of inflated primitives over that of the solid grown by the margin.
+    """Return the volume of the union of inflated primitives over the volume of the solid grown by the margin.
 
     Both are counted in `cells` along the longest side.
     """

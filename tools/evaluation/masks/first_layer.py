@@ -23,7 +23,7 @@ from players import open_source
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlayedKeyframe:
-    """A keyframe as it was perceived with what the map knew, and the map after it with what the core says of itself."""
+    """A keyframe as it was perceived with the prior of the map, and the map after it with metrics of the core."""
 
     frame: Frame
     prior: MapPrior | None
@@ -80,7 +80,7 @@ def play_first_layer(
 def answered(
     core: MapperCore, event: Event, stamp_ns: int, features: Callable[[ComputeFeatures], FeaturesReady]
 ) -> Publish:
-    """Give the core an event and the answers to what it asks for, at once; return what it published last."""
+    """Give the core an event and the answers to its requests, at once; return its last publication."""
     waiting: list[Effect] = core.handle(event)
     published: Publish | None = None
     while waiting:

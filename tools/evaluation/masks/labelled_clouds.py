@@ -1,6 +1,6 @@
 """Labelled single-view clouds: organised PCD files with an instance label per point, as frames with their truth.
 
-The files hold no pose. A frame's world is z up, which is what a mapper knows of gravity: up is the normal of the plane
+The files hold no pose. A frame's world is z up, as a mapper expects it: up is the normal of the plane
 that most of the cloud lies on or above, found without the labels.
 """
 
@@ -29,7 +29,7 @@ _FIELDS = ("label", "x", "y", "z", "rgba")
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LabelledFrame:
-    """A frame and what each pixel of it is: `truth` (H, W) int32, 0 = nobody knows, 1 = what things stand on."""
+    """A frame and its labels: `truth` (H, W) int32, 0 = unknown, 1 = the support of the things."""
 
     name: str
     frame: Frame
@@ -131,7 +131,7 @@ def _read_pcd(data: bytes) -> tuple[dict[str, NDArray[np.generic]], int, int]:
 
 @numba.njit(cache=True)
 def _decompress(packed, out):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Undo LZF: runs of literals, and references to what was written before; return the length, -1 if damaged."""
+    """Undo LZF: runs of literals, and references to earlier output; return the length, -1 if damaged."""
     i, o = 0, 0
     while i < len(packed):
         control = np.int64(packed[i])

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 _MIN_SHARE = 0.002
 RIGHT_IOU = 0.5
 LARGE_SHARE = 0.01
-"""Of the image: what is larger than this must be found."""
+"""Share of the image: larger things must be found."""
 
 UNKNOWN = -1
 
 
 @dataclass(frozen=True, slots=True)
 class MaskScore:
-    """Counts over one image or several: true things and masks that count, and those that are right.
+    """Counts over one image or several: true things and masks that count, and the right ones.
 
     `best_iou_sum` is the sum over true things of the IoU with the best mask; `num_large` of the true things are over
     1 % of the image, and `large_found` of them have a right mask.

@@ -1,6 +1,6 @@
 """Object maps of furnished places without rendering: the objects of `hickory_stream.worlds`, seen with noise.
 
-The layer 3 of an object is the box of each of its parts, its descriptor that of its kind and of an instance (as in
+Layer 3 of an object has a box for each of its parts, its descriptor is drawn for its kind and instance (as in
 `evaluation.maps.simulate`, whose noise this is). Furniture stands as people put it: along walls, in groups, at the
 heights of floors and tables, and two apartments have the same kinds of things. There is no observed space.
 """

@@ -1,7 +1,7 @@
 """Rooms in a row that look alike, as the surfaces of submaps, and a robot that comes back to one, or does not.
 
 The rooms have one floor plan and one set of furniture, of which none, or one piece a room, differs. The robot's
-odometry drifts by more than the pose graph is told. Nothing here shares code with the search.
+odometry drifts by more than the pose graph assumes. Nothing here shares code with the search.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ STEP_M = 0.08
 _NUM_ROOMS, _PITCH_M = 4, 5.0
 _WIDTH_M, _DEPTH_M, _HEIGHT_M = 4.0, 3.0, 2.0
 _WORSE = 1.5
-"""So many times the sigma that the graph is told is what the odometry errs by."""
+"""The odometry errs by so many times the sigma that the graph assumes."""
 
 Patch = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
 
@@ -72,9 +72,9 @@ def walk(rng: np.random.Generator, *, sigma_m: float, sigma_rad: float, returns:
     """Return the submaps of a walk through all rooms and then into one of them, or into a further one like them.
 
     Args:
-        rng: draws furniture, drift and what is seen.
-        sigma_m: what the graph is told of the odometry's error from one room to the next ...
-        sigma_rad: ... and of that of its heading.
+        rng: draws furniture, drift and the seen part.
+        sigma_m: the graph's assumption of the odometry's error from one room to the next ...
+        sigma_rad: ... and of the error of its heading.
         returns: whether the last room was visited before.
         differs: whether each room has a piece of its own.
     """

@@ -1,8 +1,8 @@
 """Small ONNX graphs with the names and shapes of FoundationPose's, and a view of an object that has no symmetry.
 
 The graphs compute what the real networks have learned, in a way that only works on this one object: the refiner moves
-the middle of the rendered surface to that of the observed one, and turns what is red and what is green of it towards
-the same of the other; the scorer counts what differs. Inputs, outputs, channels or turns exchanged lead elsewhere.
+the middle of the rendered surface to the middle of the observed one, and turns its red and green parts towards the
+same parts of the other; the scorer counts differences. Inputs, outputs, channels or turns exchanged lead elsewhere.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _GAIN = 30.0
 
 
 def graph_fault(module: Any) -> str:
-    """Return what is wrong with the adapter of the ONNX files, "" for nothing; `module` is the adapter."""
+    """Return the fault of the adapter of the ONNX files, "" for none; `module` is the adapter."""
     own = _CORNERS @ _OWN_FROM_CAMERA.T + _OWN_SHIFT
     with TemporaryDirectory() as temporary:
         (Path(temporary) / "weights").mkdir()
@@ -39,9 +39,9 @@ def graph_fault(module: Any) -> str:
         module._HERE = Path(temporary)
         some = _some_of(module.rotations())
         module.rotations = lambda: some
-        place, told = module.load()
+        place, about = module.load()
         found = place(_view(module), module.Model(vertices=own, faces=_FACES, colors=_COLORS))
-    if not told.get("model"):
+    if not about.get("model"):
         return "it does not say which model it is"
     off_m = float(np.abs(own @ found[:3, :3].T + found[:3, 3] - _CORNERS).max())
     return "" if off_m < 0.02 else f"the model is {off_m:.3f} m off its place"
@@ -138,7 +138,7 @@ def write_graphs(folder: Path) -> None:
 
 
 def _middles(graph: _Graph, crop: str) -> list[str]:
-    """Return the middle of a crop's surface, and from there that of what is red and of what is green."""
+    """Return the middle of a crop's surface, and from there the middles of its red and its green part."""
     xyz = graph.part(crop, 3, 6)
     size = graph.of("ReduceSum", graph.of("Abs", xyz), graph.constant([3]))
     is_surface = graph.of("Cast", graph.of("Greater", size, graph.constant(0, np.float32)), to=1)
