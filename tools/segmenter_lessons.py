@@ -19,8 +19,8 @@ from hickory_stream.perception.regions.join import region_graph_of
 from hickory_stream.perception.regions.trees import Trees
 from hickory_stream.records import Frame, Segmentation
 from hickory_stream.worlds.depth_camera import sensed_depth
-from tools.benchmarks.first_layer import play_first_layer
-from tools.benchmarks.mask_scores import UNKNOWN, MaskScore, score_overlaps
+from tools.evaluation.masks.first_layer import play_first_layer
+from tools.evaluation.masks.scores import UNKNOWN, MaskScore, score_overlaps
 from tools.network_training.frames import frames_of_scene
 from tools.network_training.lessons import drawn_camera
 from tools.worlds.clutter.frames import frames_of

@@ -23,7 +23,7 @@ from hickory_stream.perception.affinity.pixel_network import PixelNetwork
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig
 from hickory_stream.perception.regions.join import JoinConfig, rounds
 from hickory_stream.perception.regions.trees import EMBEDDED
-from tools.benchmarks.mask_scores import MaskScore, total
+from tools.evaluation.masks.scores import MaskScore, total
 from tools.network_training.scenes import HELD_OUT as HELD_OUT_VIEWS
 from tools.segmenter_lessons import lessons_of, lessons_of_scene, score_groups, true_groups
 from tools.segmenter_recipes import grown_mixed, grown_with_odds, name_of, recording

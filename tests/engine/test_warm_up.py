@@ -12,7 +12,7 @@ from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstru
 from hickory_stream.engine.warm_up import warm_up
 from hickory_stream.shapes.fit.marching_primitives import fitted_shape
 from shape_fixtures import as_mesh, shape_inputs, test_mesh
-from tools.benchmarks.shape_meshes import hollow_mesh
+from tools.evaluation.shapes.meshes import hollow_mesh
 
 def known():
     return {{

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tools.benchmarks.baseline import baseline_file, compare, read_baseline
-from tools.benchmarks.golden import LOGS, figures_of
+from tools.benchmarks.common.baseline import baseline_file, compare, read_baseline
+from tools.benchmarks.maps.golden import LOGS, figures_of
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,7 +11,7 @@ from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.record import record_of
 from hickory_stream.graph.solution import Solution
 from hickory_stream.graph.solve import solve
-from tools.benchmarks.pose_graphs import SimulatedGraph, simulated_graph
+from tools.benchmarks.poses.pose_graphs import SimulatedGraph, simulated_graph
 
 if TYPE_CHECKING:
     from hickory_stream.records import PoseGraphRecord

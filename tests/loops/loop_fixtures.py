@@ -9,7 +9,7 @@ import numpy as np
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
 from hickory_stream.loops.surfaces import Surface
-from tools.benchmarks.loop_rooms import STEP_M, Patch, bare_room, box
+from tools.evaluation.simulated_maps.loop_rooms import STEP_M, Patch, bare_room, box
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -15,7 +15,7 @@ from hickory_stream.loops.surfaces import Surface, SurfaceFit, refined
 from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.loops.loop_fixtures import air, off, room, shift, surface
-from tools.benchmarks.loop_rooms import box, patch
+from tools.evaluation.simulated_maps.loop_rooms import box, patch
 
 DRIFT = shift(0.12, -0.08, 0.02, yaw_deg=3.0)
 CONFIG = LoopConfig()

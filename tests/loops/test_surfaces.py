@@ -4,7 +4,7 @@ import numpy as np
 
 from hickory_stream.loops.surfaces import registered
 from tests.loops.loop_fixtures import air, off, room, shift, surface
-from tools.benchmarks.loop_rooms import patch
+from tools.evaluation.simulated_maps.loop_rooms import patch
 
 DRIFT = shift(0.12, -0.08, 0.02, yaw_deg=3.0)
 

@@ -21,7 +21,7 @@ from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive
 from hickory_stream.records import Decision, Frame, MapSnapshot, ObservedSpace, Phase
-from tools.benchmarks.first_layer import answered
+from tools.evaluation.masks.first_layer import answered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

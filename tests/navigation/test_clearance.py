@@ -17,7 +17,7 @@ from hickory_stream.navigation.clearance import Answer, Body, ClearanceScene
 from hickory_stream.navigation.sweep_kernels import NEAR_M
 from hickory_stream.records import ObservedSpace
 from tests.navigation.rooms import tracked
-from tools.benchmarks.swept_truth import way_distance_m
+from tools.evaluation.shapes.swept_truth import swept_distance_m
 
 
 def random_primitives(rng: np.random.Generator, count: int, size_m: float = 4.0) -> Superquadrics:
@@ -140,7 +140,7 @@ def test_a_free_way_keeps_its_distance_and_a_hit_misses_by_no_more_than_is_said(
     ends = starts + rng.normal(size=starts.shape) * length
     answers = scene_of(primitives).sweep(starts, ends, radius_m=radius, half_extents_m=half)
     for start, end, answer in zip(starts, ends, answers, strict=True):
-        distance = way_distance_m(primitives, start, end, half, reach_m=radius + 0.1)
+        distance = swept_distance_m(primitives, start, end, half, reach_m=radius + 0.1)
         if answer == Answer.FREE:
             assert distance > radius - 1e-6
         else:

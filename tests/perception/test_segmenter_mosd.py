@@ -1,8 +1,7 @@
 """The segmenter on real, labelled clouds of things on a table: boxes behind boxes, a box on a box, bowls and tins."""
 
-from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
-from tools.benchmarks.mask_scores import total
-from tools.benchmarks.perception import score_cloud
+from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud, score_cloud
+from tools.evaluation.masks.scores import total
 
 
 def test_things_on_a_real_table_are_masks_of_their_own(mosd):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tools.benchmarks.damage import Tally, run_cases
+from tools.benchmarks.logs.damaged_logs import Tally, run_cases
 
 pytestmark = pytest.mark.timeout(60)
 

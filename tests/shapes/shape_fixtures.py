@@ -13,7 +13,7 @@ from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
 from hickory_stream.ports import Crop, ShapeInputs
-from tools.benchmarks.shape_meshes import MESH_NAMES, test_mesh
+from tools.evaluation.shapes.meshes import MESH_NAMES, test_mesh
 
 __all__ = ["MESH_NAMES", "test_mesh"]
 

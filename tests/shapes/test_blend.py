@@ -16,7 +16,7 @@ from hickory_stream.shapes.generated.blend import blended
 from hickory_stream.shapes.generated.distance_field import even_samples
 from hickory_stream.shapes.reconstruct.fused import VolumeConfig
 from tests.shapes.shape_fixtures import shape_inputs
-from tools.benchmarks.oracle import plain_mesh
+from tools.evaluation.shapes.spoiled_generator import plain_mesh
 
 VOLUME = VolumeConfig(cells=32)
 

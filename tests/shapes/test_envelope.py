@@ -7,7 +7,7 @@ import trimesh
 
 from hickory_stream.shapes.fit.envelope import filled
 from hickory_stream.shapes.sdf import DistanceGrid, distance_grid
-from tools.benchmarks.shape_meshes import hollow_mesh, test_mesh
+from tools.evaluation.shapes.meshes import hollow_mesh, test_mesh
 
 
 def grid_of(mesh: trimesh.Trimesh) -> DistanceGrid:

@@ -10,7 +10,7 @@ from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_val
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics, fitted_shape
 from hickory_stream.shapes.fit.quadric_lm import distances_to, refined, row_of
 from hickory_stream.shapes.sdf import distance_grid
-from tools.benchmarks.shape_meshes import hollow_mesh
+from tools.evaluation.shapes.meshes import hollow_mesh
 
 CONFIG = FitConfig()
 

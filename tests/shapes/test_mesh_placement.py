@@ -21,7 +21,7 @@ from hickory_stream.shapes.generated.judgement import (
     shape_evidence,
 )
 from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
-from tools.benchmarks.oracle import Generated, Sighted, generated, plain_mesh, sighted
+from tools.evaluation.shapes.spoiled_generator import Generated, Sighted, generated, plain_mesh, sighted
 
 if TYPE_CHECKING:
     from hickory_stream.geometry.mesh import Mesh

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tools.benchmarks.documents import MEASURED, filled_in, keep, unmarked_tables, without_age
-from tools.benchmarks.figures import Figure
+from tools.benchmarks.common.documents import MEASURED, filled_in, keep, unmarked_tables, without_age
+from tools.benchmarks.common.figures import Figure
 from tools.readmes import READMES
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ after
 """
 
 
-def about(commit: str) -> dict[str, str | float]:
+def about(commit: str) -> dict[str, Any]:
     return {"commit": commit, "date": "2026-11-22", "code": commit, "load": 1.5}
 
 
@@ -37,18 +37,20 @@ def measured(tmp_path: Path) -> Path:
         Figure(name="found", value=21.0, unit="", better="higher"),
         Figure(name="things", value=22.0, unit="", better="higher"),
     ]
-    keep("main", figures, options=" --quick", folder=tmp_path, about=about("now"))
+    keep("main", figures, options=" --quick", folder=tmp_path, **about("now"))
     return tmp_path
 
 
 @pytest.mark.parametrize("readme", [path for path in READMES if "<!-- figures:" in path.read_text(encoding="utf-8")])
 def test_the_tables_of_a_readme_are_those_of_the_kept_measurements(readme: Path) -> None:
     text = readme.read_text(encoding="utf-8")
-    assert without_age(filled_in(text, folder=MEASURED, code="")) == without_age(text), "run tools/bench --write-docs"
+    assert without_age(filled_in(text, folder=MEASURED, code_of=lambda *_: "")) == without_age(text), (
+        "run tools/bench --write-docs"
+    )
 
 
 def test_the_last_column_is_filled_with_the_figures_that_the_first_names(measured: Path) -> None:
-    rows = filled_in(TABLE, folder=measured, code="now").splitlines()
+    rows = filled_in(TABLE, folder=measured, code_of=lambda *_: "now").splitlines()
     assert "| `speed`: seconds a second | >= 1 | 1.07 x |" in rows
     assert "| `found` of `things` | 1 | 21, 22 |" in rows
     assert "| `memory` | small | not measured |" in rows
@@ -56,13 +58,13 @@ def test_the_last_column_is_filled_with_the_figures_that_the_first_names(measure
 
 
 def test_the_line_below_says_when_and_marks_what_is_older_than_the_code(measured: Path) -> None:
-    now = filled_in(TABLE, folder=measured, code="now")
-    later = filled_in(now, folder=measured, code="another")
+    now = filled_in(TABLE, folder=measured, code_of=lambda *_: "now")
+    later = filled_in(now, folder=measured, code_of=lambda *_: "another")
     assert "*`tools/bench main --quick`, 2026-11-22, commit now, under a load of 1.5.*" in now
     assert "The code has changed since" not in now
     assert "**The code has changed since.**" in later
     assert without_age(later) == now
-    assert filled_in(later, folder=measured, code="now") == now
+    assert filled_in(later, folder=measured, code_of=lambda *_: "now") == now
 
 
 @pytest.mark.parametrize("readme", READMES)
@@ -80,16 +82,16 @@ def test_a_table_of_figures_that_nobody_marked_is_found() -> None:
 
 
 def test_a_table_without_a_measurement_keeps_its_cells_and_says_so(tmp_path: Path) -> None:
-    filled = filled_in(TABLE, folder=tmp_path, code="")
+    filled = filled_in(TABLE, folder=tmp_path, code_of=lambda *_: "")
     assert "| `speed`: seconds a second | >= 1 | typed |" in filled
     assert "No measurement is kept yet" in filled
-    assert filled_in(filled, folder=tmp_path, code="") == filled
+    assert filled_in(filled, folder=tmp_path, code_of=lambda *_: "") == filled
 
 
 def test_a_part_that_is_measured_later_replaces_its_figures_alone(measured: Path) -> None:
     faster = [Figure(name="speed", value=2.0, unit="x", better="higher")]
-    keep("main", faster, options=" --only speed", folder=measured, about=about("later"))
-    text = filled_in(TABLE, folder=measured, code="later")
+    keep("main", faster, options=" --only speed", folder=measured, **about("later"))
+    text = filled_in(TABLE, folder=measured, code_of=lambda *_: "later")
     assert "| `speed`: seconds a second | >= 1 | 2 x |" in text
     assert "| `found` of `things` | 1 | 21, 22 |" in text
     assert "*`tools/bench main --only speed`, 2026-11-22, commit later, under a load of 1.5: `speed`.*\n" in text
@@ -105,10 +107,10 @@ def test_a_row_that_names_its_benchmark_says_itself_how_old_it_is(measured: Path
 | what nobody measured yet <!-- {paths} --> | typed | `tools/bench navigation` |
 <!-- end of figures -->
 """
-    rows = filled_in(table, folder=measured, code="now").splitlines()
+    rows = filled_in(table, folder=measured, code_of=lambda *_: "now").splitlines()
     told = "21 of 22; 1.07 x | `tools/bench main --quick`, 2026-11-22, now |"
     assert rows[3].endswith(f"{{speed}} --> | {told}")
     assert rows[4].endswith("| typed | `tools/bench navigation`, not measured |")
-    later = filled_in("\n".join(rows), folder=measured, code="later")
+    later = filled_in("\n".join(rows), folder=measured, code_of=lambda *_: "later")
     assert "2026-11-22, now, **older than the code** |" in later
     assert without_age(later) == "\n".join(rows)

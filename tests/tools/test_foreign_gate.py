@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import InputError, RecordingError
-from tools.benchmarks.foreign import own_seeds
-from tools.benchmarks.foreign_figures import figures_of, of_map, reasons
-from tools.benchmarks.foreign_logs import foreign_log, worlds_folder
-from tools.benchmarks.foreign_parts import OUTDOORS, OWN, WORLDS, Part, Store, all_parts, chosen_parts
-from tools.benchmarks.intervals import bootstrap, wilson
+from tools.benchmarks.common.cached_runs import cached
+from tools.benchmarks.common.intervals import bootstrap, wilson
+from tools.benchmarks.foreign.figures import figures_of, of_map, reasons
+from tools.benchmarks.foreign.gate import own_seeds
+from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
+from tools.benchmarks.foreign.parts import OUTDOORS, OWN, WORLDS, Part, all_parts, chosen_parts
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tools.benchmarks.figures import Figure
+    from tools.benchmarks.common.figures import Figure
     from tools.evaluation.oracle_ablation import Rung
 
 
@@ -173,12 +174,13 @@ def test_without_a_name_everything_is_measured_once() -> None:
     assert len(parts) == len({part.name for part in parts}) == 4 * 8 + 9
 
 
-def test_what_was_measured_is_kept_for_that_log_and_that_code_alone(tmp_path: Path) -> None:
-    Store(tmp_path, "a" * 64).put(by_hand("home"), "log1", {"value": 1})
-    assert Store(tmp_path, "a" * 64).get(by_hand("home"), "log1") == {"value": 1}
-    assert Store(tmp_path, "a" * 64).get(by_hand("home"), "log2") is None
-    assert Store(tmp_path, "a" * 64).get(by_hand("home", "masks"), "log1") is None
-    assert Store(tmp_path, "b" * 64).get(by_hand("home"), "log1") is None
+def test_a_cached_part_is_measured_once_and_again_where_its_file_is_damaged(tmp_path: Path) -> None:
+    file, runs = tmp_path / "foreign" / "home.json", iter(range(3))
+    assert [cached(file, lambda: {"run": next(runs)}) for _ in range(2)] == [{"run": 0}] * 2
+    file.write_text('{"run"')
+    assert cached(file, lambda: {"run": next(runs)}) == {"run": 1}
+    assert cached(tmp_path / "office.json", lambda: {"run": next(runs)}) == {"run": 2}
+    assert {path.name for path in tmp_path.rglob("*.*")} == {"home.json", "office.json"}
 
 
 def test_own_seeds_are_fresh_for_every_code_and_can_be_given() -> None:

@@ -14,8 +14,9 @@ from hickory_stream.engine.shape_jobs.generators.spec import missing_of, read_sp
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.ports import Crop, GeneratedMesh, NoShape, ShapeInputs
-from tools.benchmarks import adapter_fakes
-from tools.benchmarks.adapter_fakes import (
+from tools.generators.fakes import packages as adapter_fakes
+from tools.generators.fakes.graphs import graph_fault
+from tools.generators.fakes.packages import (
     ADAPTERS,
     COLORS,
     FACES,
@@ -28,7 +29,6 @@ from tools.benchmarks.adapter_fakes import (
     refiner_fault,
     shown_view,
 )
-from tools.benchmarks.adapter_graphs import graph_fault
 
 if TYPE_CHECKING:
     from pathlib import Path

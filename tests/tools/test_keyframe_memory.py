@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tools.benchmarks.keyframe_memory import keyframe_memory
+from tools.benchmarks.perception.keyframe_memory import keyframe_memory
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.errors import RecordingError
-from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
+from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud
 
 WIDTH, HEIGHT = 64, 48
 HEADER = (

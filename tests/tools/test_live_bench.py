@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from players.opening import open_source
-from tools.benchmarks.live import _unaccounted
-from tools.benchmarks.live_log import write_720p
+from tools.benchmarks.live.camera_log import write_720p
+from tools.benchmarks.live.robots import _unaccounted
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tools.benchmarks.map_changes import TARGETS, change_map, change_text
-from tools.benchmarks.small_maps import write_small_map
+from tools.benchmarks.logs.small_maps import write_small_map
+from tools.damage.map_changes import TARGETS, change_map, change_text
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -75,7 +75,7 @@ def test_a_sample_of_altered_maps_crashes_nothing_writes_nowhere_else_and_takes_
     tally = in_a_process_of_its_own(
         "import json, dataclasses\n"
         "from pathlib import Path\n"
-        "from tools.benchmarks.map_damage import run_map_cases\n"
+        "from tools.benchmarks.logs.damaged_maps import run_map_cases\n"
         f"tally = run_map_cases({_NUM_CASES}, 7, sound=Path({str(sound)!r}))\n"
         "print(json.dumps(dataclasses.asdict(tally)))"
     )
@@ -92,7 +92,7 @@ def test_what_a_command_writes_elsewhere_and_what_it_does_not_catch_is_told(soun
     told = in_a_process_of_its_own(
         "import json, dataclasses, os\n"
         "from pathlib import Path\n"
-        "import tools.benchmarks.map_damage as bench\n"
+        "import tools.benchmarks.logs.damaged_maps as bench\n"
         f"folder = Path({str(tmp_path / 'a/b/c')!r})\n"
         f"outside = bench._tried('case', {commands!r}, folder)\n"
         "bench._main = lambda command: open(command[0])\n"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
-from tools.benchmarks.mapped_squares import WalkMap, squares_of
+from tools.benchmarks.alignment.covariance import WalkMap, squares_of
 from tools.evaluation.simulated_maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tools.benchmarks.mask_scores import UNKNOWN, MaskScore, score_masks, total
+from tools.evaluation.masks.scores import UNKNOWN, MaskScore, score_masks, total
 
 
 def image(*rows):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tools.benchmarks.processors import digest_on, variants
+from tools.benchmarks.scale.processors import digest_on, variants
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tools.benchmarks.damage import run_cases
-from tools.benchmarks.repetitions import Repetitions, code_hash, measurement_folder, syntax_of
+from tools.benchmarks.common.code_hashes import code_hash, definitions_of
+from tools.benchmarks.common.repetitions import CODE, Repetitions, measurement_folder
+from tools.benchmarks.logs.damaged_logs import run_cases
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -49,7 +50,7 @@ def test_no_repetition_is_begun_when_the_time_is_up() -> None:
 
 def test_other_code_has_another_folder_and_fresh_forgets(tmp_path: Path) -> None:
     folder = measurement_folder(tmp_path, "damage", seed=0, fresh=False)
-    assert code_hash()[:12] in folder.name
+    assert code_hash(*CODE)[:12] in folder.name
     assert measurement_folder(tmp_path, "damage", seed=1, fresh=False) != folder
     (folder / "logs.jsonl").write_text('{"index": 0}\n')
     assert measurement_folder(tmp_path, "damage", seed=0, fresh=False) == folder
@@ -70,7 +71,31 @@ def test_damage_broken_off_and_continued_gives_the_figures_of_one_go(tmp_path: P
     assert continued == run_cases(12, 3)
 
 
-def test_a_rewritten_docstring_or_comment_is_the_same_code() -> None:
-    before = 'def half(x: float) -> float:\n    """Return half."""\n    return x / 2\n'
-    told = 'def half(x: float) -> float:\n    """Return x by two."""\n    return x / 2  # exactly\n'
-    assert syntax_of(before) == syntax_of(told) != syntax_of(before.replace("2", "3"))
+_HALF = 'import math\n\n\ndef half(x: float) -> float:\n    """Return half."""\n    return x / 2\n'
+_PART = 'PART = "hickory_stream.engine.shape_jobs.worker"\n"""How a worker is started."""\n'
+
+
+def test_a_rewritten_docstring_comment_or_import_is_the_same_code() -> None:
+    rewritten = _HALF.replace("Return half", "Half").replace("x / 2", "x / 2  # exactly").replace("math", "cmath")
+    assert definitions_of(_HALF) == definitions_of(rewritten)
+    assert definitions_of(_HALF) != definitions_of(_HALF.replace("2", "3"))
+
+
+def test_a_module_that_is_named_as_text_may_move() -> None:
+    moved = _PART.replace("engine", "engine.shape_jobs").replace("How", "The way in which")
+    assert definitions_of(_PART) == definitions_of(moved) != definitions_of(_PART.replace("worker", "pool"))
+
+
+def test_a_definition_may_move_to_another_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tools.benchmarks.common.code_hashes.ROOT", tmp_path)
+    hashes = []
+    for name, files in (("a", {"one.py": _HALF + _PART}), ("b", {"x/one.py": _HALF, "two.py": _PART + "import os\n"})):
+        for file, text in files.items():
+            (tmp_path / name / file).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / name / file).write_text(text)
+        hashes.append(code_hash(name))
+    (tmp_path / "b" / "weights.npz").write_bytes(b"1")
+    code_hash.cache_clear()
+    assert hashes[0] == hashes[1] != code_hash("b")
+    with pytest.raises(FileNotFoundError, match="code that figures depend on has moved"):
+        code_hash("c")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 
 from tests.strategies import seeds
-from tools.benchmarks.mask_scores import score_masks
+from tools.evaluation.masks.scores import score_masks
 from tools.segmenter_lessons import Lesson, lessons_of_rooms, score_groups, true_groups
 
 

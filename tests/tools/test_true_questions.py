@@ -9,7 +9,7 @@ import numpy as np
 
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.query.grammar import question_of
-from tools.benchmarks.true_questions import TrueThing, relations, true_questions
+from tools.benchmarks.maps.true_questions import TrueThing, relations, true_questions
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tools.benchmarks.layer2 import kept_figures
-from tools.benchmarks.layer2_outcomes import Outcome
+from tools.benchmarks.shapes.generated import kept_figures
+from tools.benchmarks.shapes.outcomes import Outcome
 
 
 def test_what_is_kept_costs_what_the_fused_shape_was_better() -> None:

@@ -1,1 +1,1 @@
-"""What the figures of the READMEs come from; one module per name, each with `measure(options) -> list[Figure]`."""
+"""What the figures of the READMEs come from; `table.py` names every benchmark."""

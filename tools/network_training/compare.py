@@ -25,10 +25,10 @@ from hickory_stream.perception.geometric_segmenter import GeometricConfig, Geome
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig, NetworkSegmenter
 from hickory_stream.records import Frame
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
-from tools.benchmarks.first_layer import play_first_layer
-from tools.benchmarks.foreign_logs import foreign_log, worlds_folder
-from tools.benchmarks.labelled_clouds import clouds_in, load_cloud
-from tools.benchmarks.mask_scores import UNKNOWN, MaskScore, score_masks, total
+from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
+from tools.evaluation.masks.first_layer import play_first_layer
+from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud
+from tools.evaluation.masks.scores import UNKNOWN, MaskScore, score_masks, total
 from tools.evaluation.oracle_ablation import TrueImages, truly_joined
 from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, frames_of_scene
 from tools.network_training.scenes import HELD_OUT

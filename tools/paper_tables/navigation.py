@@ -8,7 +8,7 @@ from hickory_stream.errors import HickoryError
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.navigation.robot import load_robot
-from tools.benchmarks.intervals import wilson
+from tools.benchmarks.common.intervals import wilson
 from tools.evaluation.navigation_table import score_saved_map, table_json
 from tools.paper_tables.logs import apartment_pairs
 from tools.paper_tables.published import NAVIGATION

@@ -14,7 +14,7 @@ from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
 from players import open_source
-from tools.benchmarks.intervals import bootstrap, wilson
+from tools.benchmarks.common.intervals import bootstrap, wilson
 from tools.evaluation.views.trials import STRATEGIES, try_views
 from tools.paper_tables.data_sets import HOPE, REPLICA_CAD
 from tools.paper_tables.logs import apartment_pairs, hope_logs, hope_truth

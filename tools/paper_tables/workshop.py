@@ -16,16 +16,15 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.base.atomic_files import write_atomically
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import HickoryError, MapFolderError
-from tools.benchmarks.processes import ROOT
-from tools.benchmarks.repetitions import hash_of_files
+from tools.benchmarks.common.code_hashes import code_hash
+from tools.benchmarks.common.processes import ROOT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
 # What makes and measures maps.
-_CODE = ("hickory_stream", "players", "tools/evaluation", "tools/paper_tables", "tools/worlds")
-_KINDS = (".py", ".toml", ".json", ".npz")
+_CODE = ("hickory_stream", "players", "tools/evaluation", "tools/paper_tables")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,7 +50,7 @@ class Workshop:
         self.folder = folder
         self.told = told
         self._workers = workers
-        self._code = hash_of_files(_CODE, _KINDS)[:16]
+        self._code = code_hash(*_CODE)[:16]
         for part in ("results", "maps", "data", "truth"):
             (folder / part).mkdir(parents=True, exist_ok=True)
 

@@ -1,0 +1,36 @@
+"""95 % confidence intervals: Wilson's of a share, the bootstrap of a statistic of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Z = 1.959964
+_RESAMPLES = 2000
+
+
+def wilson(found: int, total: int) -> tuple[float, float]:
+    """Return the interval of Wilson's score for a share of `total` >= 1."""
+    ratio, z2 = found / total, _Z * _Z
+    middle = ratio + z2 / (2 * total)
+    half = _Z * np.sqrt(ratio * (1 - ratio) / total + z2 / (4 * total * total))
+    scale = 1 + z2 / total
+    return max(0.0, float((middle - half) / scale)), min(1.0, float((middle + half) / scale))
+
+
+def bootstrap(
+    groups: Sequence[NDArray[np.float64]], statistic: Callable[[Sequence[NDArray[np.float64]]], float]
+) -> tuple[float, float]:
+    """Return the 2.5th and 97.5th percentile of a statistic of groups of rows, each resampled with replacement.
+
+    Each group keeps its size. The draws are seeded: the same rows give the same interval.
+    """
+    random = np.random.default_rng(0)
+    drawn = [
+        statistic([group[random.integers(len(group), size=len(group))] if len(group) else group for group in groups])
+        for _ in range(_RESAMPLES)
+    ]
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    return float(low), float(high)

@@ -1,0 +1,109 @@
+"""The logs of the gate: rooms by others, rendered once by the program that comes with them, and worlds of ours.
+
+The folder of worlds is no part of the project: --worlds or $HICKORY_WORLDS names it, else it is `../shared/worlds`
+beside the checkout. Logs are kept with the other recordings ($HICKORY_CACHE), 80 to 100 MB each.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from hickory_stream.base import caches
+from hickory_stream.errors import RecordingError
+from hickory_stream.evaluation.truth import TRUTH_FILE
+from tools.benchmarks.common.processes import ROOT, output_of
+from tools.worlds.cache import cache_folder, cached_recording
+from tools.worlds.outdoor.walk import outdoors
+from tools.worlds.recording_config import RecordingConfig
+
+PROGRAM = "make_world_log.py"
+_RATE_HZ = 5.0
+_HEIGHT_M = {"hand": 1.4, "robot": 0.45}
+_FOLDERS = {"home": "home", "bookstore": "bookstore", "office": "service-office", "warehouse": "warehouse"}
+# The program imports Open3D, which needs a library that the project provides.
+_RUN = (
+    "import runpy, sys; from hickory_stream.pictures.open3d_import import import_open3d; import_open3d(); "
+    "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WorldLog:
+    """A log with its truth folder, and a hash of its sources."""
+
+    log: Path
+    truth: Path
+    key: str
+
+
+def worlds_folder(named: Path | None) -> Path:
+    """Return the folder of worlds.
+
+    Raises:
+        RecordingError: there is none.
+    """
+    folder = named or Path(os.environ.get("HICKORY_WORLDS") or ROOT.parent / "shared" / "worlds")
+    if not (folder / PROGRAM).is_file():
+        raise RecordingError(f"{folder} holds no {PROGRAM}; name the folder of worlds with --worlds or HICKORY_WORLDS")
+    return folder.resolve()
+
+
+def foreign_log(
+    worlds: Path, world: str, walk: str, camera: str, seconds: float = 60.0, *, rate_hz: float = _RATE_HZ
+) -> WorldLog:
+    """Return the log of a walk with exact poses, rendered if it is not cached; `camera` is `hand` or `robot`.
+
+    Raises:
+        RecordingError: there is no such world, or it cannot be rendered.
+    """
+    source = worlds / _FOLDERS[world]
+    arguments = ["--trajectory", walk, "--seconds", f"{seconds:g}", "--hz", f"{rate_hz:g}"]
+    arguments += ["--camera-height", f"{_HEIGHT_M[camera]:g}"]
+    try:
+        made_from = (worlds / PROGRAM).read_bytes() + (source / "world.json").read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{source} is no world: {error.strerror} ({error.filename})") from error
+    key = hashlib.sha256(made_from + " ".join(arguments).encode()).hexdigest()[:10]
+    folder = cache_folder() / f"foreign-{world}-{walk}-{camera}-{key}"
+    found = WorldLog(log=folder / "log.mcap", truth=folder / "truth", key=key)
+    if found.log.is_file() and (found.truth / TRUTH_FILE).is_file():
+        caches.mark_used(folder)
+        return found
+    print(f"rendering {world}, walk {walk}, {camera}: minutes, once", flush=True)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".rendering-") as temporary:
+        made = Path(temporary) / "made"
+        made.mkdir()
+        try:
+            output_of("-c", _RUN, worlds / PROGRAM, source, made, *arguments)
+        except RuntimeError as error:
+            raise RecordingError(f"{PROGRAM} could not render {source}: {error}") from error
+        shutil.rmtree(folder, ignore_errors=True)
+        made.rename(folder)
+    caches.prune()
+    return found
+
+
+def own_log(seed: int) -> WorldLog:
+    """Return the log of an apartment of ours, recorded if it is not cached."""
+    return recorded(
+        RecordingConfig(scene="apartment", seed=seed, seconds=60.0, rate_hz=_RATE_HZ, width=640, height=480)
+    )
+
+
+def outdoor_log(seed: int) -> WorldLog:
+    """Return the log of a street of ours, recorded if it is not cached."""
+    config = RecordingConfig(scene="outdoor", seed=seed, seconds=60.0, rate_hz=_RATE_HZ, width=640, height=480)
+    return recorded(outdoors(config))
+
+
+def recorded(config: RecordingConfig) -> WorldLog:
+    """Return the cached log of a configuration."""
+    print(f"{config.scene} {config.seed}, walk {config.walk_index}", flush=True)
+    log, truth = cached_recording(config)
+    return WorldLog(log=log, truth=truth.folder, key=log.stem.rsplit("-", 1)[-1])

@@ -1,0 +1,79 @@
+"""The parts of the gate, each one measurement.
+
+A part is named by its world, walk, camera and rung (`home:A:hand:ours`), or by its subject (`kitchen`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hickory_stream.errors import InputError
+from tools.evaluation.oracle_ablation import RUNGS, Rung
+
+TUNED_WORLDS, REPORTED_WORLDS = ("home", "bookstore"), ("office", "warehouse")
+WORLDS = (*TUNED_WORLDS, *REPORTED_WORLDS)
+OWN = ("own1", "own2", "own3")
+OUTDOORS = ("outdoor1", "outdoor2")
+WALKS, CAMERAS = ("A", "B"), ("hand", "robot")
+TUNED, REPORTED = "tuned on", "reported"
+ROLES = {
+    **dict.fromkeys(TUNED_WORLDS, TUNED),
+    **dict.fromkeys(REPORTED_WORLDS, REPORTED),
+    **dict.fromkeys((*OWN, *OUTDOORS), "reported, fresh seeds of a generator that is tuned on"),
+    "kitchen": REPORTED,
+    "clouds_tuned": TUNED,
+    "clouds_report": REPORTED,
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Part:
+    """One measurement; `walk`, `camera` and `rung` are empty where they do not apply."""
+
+    world: str
+    walk: str = ""
+    camera: str = ""
+    rung: Rung = "ours"
+
+    @property
+    def name(self) -> str:
+        """The name on the command line."""
+        return ":".join((self.world, self.walk, self.camera, self.rung)) if self.walk else self.world
+
+    @property
+    def is_map(self) -> bool:
+        """Whether the part is a map with full truth."""
+        return self.world in (*WORLDS, *OWN, *OUTDOORS)
+
+    def is_named(self, name: str) -> bool:
+        """Return whether a name on the command line means the part."""
+        world, *rest = name.split(":")
+        kind = self.world if self.world in WORLDS else self.world.split("_")[0].rstrip("123")
+        return world in (self.world, kind) and set(rest) <= {self.walk, self.camera, self.rung}
+
+
+def all_parts() -> list[Part]:
+    """Return the parts in the order in which they are measured, the most important ones first."""
+    parts = [Part(world=world, walk="A", camera="hand") for world in WORLDS]
+    parts += [Part(world=name) for name in ("clouds_tuned", "clouds_report", "kitchen", "speed", *OWN, *OUTDOORS)]
+    parts += [Part(world=world, walk="A", camera="hand", rung=rung) for world in WORLDS for rung in RUNGS[1:]]
+    others = [(walk, camera) for walk in WALKS for camera in CAMERAS if (walk, camera) != ("A", "hand")]
+    return parts + [Part(world=world, walk=walk, camera=camera) for walk, camera in others for world in WORLDS]
+
+
+def chosen_parts(only: Sequence[str]) -> list[Part]:
+    """Return the parts that `only` names, all where it is empty: `home`, `office:A`, `home:masks`, `own`, `clouds`.
+
+    Raises:
+        InputError: a name means no part.
+    """
+    names, parts = [name for text in only for name in text.split(",") if name], all_parts()
+    for name in names:
+        if not any(part.is_named(name) for part in parts):
+            raise InputError(
+                f"--only {name}: no such part; expected WORLD[:WALK][:CAMERA][:RUNG] of worlds {', '.join(WORLDS)}, "
+                f"walks A and B, cameras hand and robot, rungs {', '.join(RUNGS)}, "
+                "or kitchen, clouds, own, outdoor, speed"
+            )
+    return [part for part in parts if not names or any(map(part.is_named, names))]

@@ -1,0 +1,146 @@
+"""Reading logs: against the plain readers, in memory, damaged, and in every layout and container."""
+
+from __future__ import annotations
+
+import gc
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hickory_stream.geometry.rigid import invert, rotation_angle_rad
+from hickory_stream.worlds.recording import make_recording
+from players import open_source
+from tools.benchmarks.common.figures import Figure, Options, figure
+from tools.benchmarks.common.processes import best_s, json_of
+from tools.benchmarks.logs import damaged_logs
+from tools.damage.small_logs import messages, write_bag, write_mcap, write_small_logs
+from tools.worlds.layouts import layout_files
+from tools.worlds.recording_config import RecordingConfig
+from tools.worlds.ros_messages import RosMessages
+
+_SIZE = (640, 480)
+_FRAME_MB = 640 * 480 * 5 / 1e6  # rgb8 and 16UC1
+_ODOMETRY_HZ = 5.0
+_RATIO_FRAMES = round(500 / _FRAME_MB)
+_PEAK = """
+import sys
+from players import open_source
+from tools.benchmarks.common.processes import resident_mb
+peak = 0.0
+for frame in open_source(sys.argv[1]).frames():
+    if frame.index % 10 == 0:
+        peak = max(peak, resident_mb())
+print(peak)
+"""
+
+
+def measure(options: Options) -> list[Figure]:
+    """Return the figures; a quick run compares the memory for 60 and 240 MB instead of 500 and 2,000.
+
+    The ratios are taken of 500 MB always: opening a log takes the same time whatever its length.
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        return [
+            figure("read_ratio_mcap", _read_ratio_mcap(folder / "ratio.mcap"), "x", "lower"),
+            figure("read_ratio_bag", _read_ratio_bag(folder / "ratio.bag"), "x", "lower"),
+            _memory_growth(folder, *((60, 240) if options.quick else (500, 2000))),
+            *damaged_logs.measure(options),
+            figure("layouts_equal", _layouts_equal(folder)),
+        ]
+
+
+def _read_ratio_mcap(log: Path) -> float:
+    from mcap.reader import make_reader
+
+    write_mcap(log, messages(RosMessages(2), _RATIO_FRAMES, _SIZE), "lz4", 4 << 20)
+
+    def plain() -> int:
+        with log.open("rb") as stream:
+            return sum(len(message.data) for _, _, message in make_reader(stream).iter_messages())
+
+    return _ratio(log, plain)
+
+
+def _read_ratio_bag(log: Path) -> float:
+    from rosbags.highlevel import AnyReader
+
+    write_bag(log, _RATIO_FRAMES, "lz4", 4 << 20, _SIZE)
+
+    def plain() -> int:
+        with AnyReader([log]) as reader:
+            return sum(len(data) for _, _, data in reader.messages())
+
+    return _ratio(log, plain)
+
+
+def _ratio(log: Path, plain: Callable[[], int]) -> float:
+    """Return the processor time of reading and synchronising frames over the time of a plain reader.
+
+    The best of three each, in turns: the machine is shared.
+    """
+    times: tuple[list[float], list[float]] = ([], [])
+    for _ in range(3):
+        for task, taken in zip((lambda: sum(1 for _ in open_source(log).frames()), plain), times, strict=True):
+            gc.collect()
+            taken.append(best_s(task, 1))
+    log.unlink()
+    return min(times[0]) / min(times[1])
+
+
+def _memory_growth(folder: Path, *sizes_mb: float) -> Figure:
+    peaks, log = [], folder / "memory.mcap"
+    for size_mb in sizes_mb:
+        write_mcap(log, messages(RosMessages(2), round(size_mb / _FRAME_MB), _SIZE), "none", 4 << 20)
+        peaks.append(json_of("-c", _PEAK, log))
+        print(f"  memory: {peaks[-1]:.0f} MB at {size_mb} MB")
+    log.unlink()
+    return figure("memory_growth_mb", max(0.0, peaks[1] - peaks[0]), "MB", "lower")
+
+
+def _layouts_equal(folder: Path) -> bool:
+    """Return whether the same scene gives the same frames in every container and in the layouts of the data sets."""
+    return _containers_equal(folder) and all(_layout_true(folder, name) for name in ("zed", "kimera_multi", "nus_clb"))
+
+
+def _containers_equal(folder: Path) -> bool:
+    first: list[Any] | None = None
+    for name, log in write_small_logs(folder, num_frames=10).items():
+        frames = [raw.decode() for raw in open_source(log).frames()]
+        first = first or frames
+        same = len(frames) == len(first) == 10 and all(
+            a.stamp_ns == b.stamp_ns
+            and np.array_equal(a.rgb, b.rgb)
+            and np.array_equal(a.depth_m, b.depth_m, equal_nan=True)
+            and np.allclose(a.world_from_camera, b.world_from_camera, atol=1e-9)
+            for a, b in zip(first, frames, strict=True)
+        )
+        if not same:
+            print(f"  {name} gives other frames than mcap_none")
+            return False
+    return True
+
+
+def _layout_true(folder: Path, layout: str) -> bool:
+    """Compare the poses of a layout with the truth: within 1 mm and 0.05 degrees where the odometry has a pose.
+
+    Images come at the rate of the visual odometry: between its poses the truth of a walk cannot be known to 1 mm.
+    Frames after a jump of the odometry are as right as the jump can be known: 1 cm and half a degree.
+    """
+    config = RecordingConfig(layout=layout, seconds=4.0, rate_hz=_ODOMETRY_HZ, width=320, height=240)
+    truth = make_recording(config, folder, layout)
+    true = {frame.stamp_ns: frame.world_from_camera for frame in truth.frames}
+    source = open_source([folder / file for file in layout_files(layout, layout)])
+    has_jumped, errors = False, []
+    for frame in source.frames():
+        has_jumped = has_jumped or frame.after_from_before is not None
+        error = invert(true[frame.stamp_ns]) @ frame.world_from_camera
+        slack = 10.0 if has_jumped else 1.0
+        errors.append((float(np.linalg.norm(error[:3, 3])) / slack, rotation_angle_rad(error[:3, :3]) / slack))
+    worst_m, worst_rad = np.max(errors, axis=0, initial=0.0)
+    error_text = f"{1000 * worst_m:.2f} mm, {np.degrees(worst_rad):.3f} deg"
+    print(f"  {layout}: {len(errors)} of {len(true)} frames, poses within {error_text}")
+    return len(errors) >= len(true) - 1 and worst_m <= 1e-3 and worst_rad <= np.radians(0.05)

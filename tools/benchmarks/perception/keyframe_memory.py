@@ -1,0 +1,74 @@
+"""The memory of layer 1 in a process of its own: a log's keyframes are perceived and mapped, round after round.
+
+Resident memory includes weights, the buffers of the network and of OpenCV, compiled kernels and the map; the memory of
+the process before, with a frame read from the log, is subtracted. Each round has a map of its own and does the same
+work: memory that a later one takes beyond the first was not released. Linux alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import deque
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+
+from hickory_stream.base.json_text import dumps
+from hickory_stream.config import MapperConfig
+from hickory_stream.perception.choose import make_segmenter
+from tools.benchmarks.common.processes import json_of, resident_mb
+from tools.evaluation.masks.first_layer import keyframes_of, play_first_layer
+
+WARM_KEYFRAMES = 5
+"""The first ones load weights and kernels."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class KeyframeMemory:
+    """Megabytes of resident memory, of so many keyframes in each round.
+
+    Attributes:
+        layer1_mb: the peak over all rounds.
+        keyframes_mb: the rise of the first round's peak after the `WARM_KEYFRAMES`: with the map that is made.
+        rounds_mb: by how much later rounds exceed the first one's peak.
+    """
+
+    keyframes: int
+    layer1_mb: float
+    keyframes_mb: float
+    rounds_mb: float
+
+
+def keyframe_memory(log: Path, *, keyframes: int, rounds: int) -> KeyframeMemory:
+    """Return the memory of layer 1 on the first keyframes of a log, measured in a child process."""
+    return KeyframeMemory(**json_of("-m", __name__, log, "--keyframes", keyframes, "--rounds", rounds))
+
+
+def _measured(log: Path, *, keyframes: int, rounds: int) -> KeyframeMemory:
+    cv2.setNumThreads(1)
+    config = MapperConfig()
+    # The readers of logs are loaded before anything is counted.
+    next(keyframes_of(log, config, 1))
+    before_mb = resident_mb()
+    segmenter = make_segmenter(config.perception)
+    played = play_first_layer(log, config=config, segmenter=segmenter, max_keyframes=keyframes)
+    first_mb = [resident_mb("VmHWM") for _ in played]
+    for _ in range(rounds - 1):
+        deque(play_first_layer(log, config=config, segmenter=segmenter, max_keyframes=keyframes), maxlen=0)
+    last_mb = resident_mb("VmHWM")
+    return KeyframeMemory(
+        keyframes=len(first_mb),
+        layer1_mb=last_mb - before_mb,
+        keyframes_mb=first_mb[-1] - first_mb[min(WARM_KEYFRAMES, len(first_mb)) - 1],
+        # The system updates the peak a little late, by up to some hundred kilobytes.
+        rounds_mb=max(0.0, last_mb - first_mb[-1]),
+    )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("log", type=Path)
+    parser.add_argument("--keyframes", type=int, required=True)
+    parser.add_argument("--rounds", type=int, required=True)
+    print(dumps(asdict(_measured(**vars(parser.parse_args())))))

@@ -1,0 +1,126 @@
+"""Walks with odometry that drifts: each is rendered once, with exact poses; the odometries replace these in playback.
+
+The images do not depend on the odometry: they are those of `make_recording --drift`, or of the foreign program with
+`--drift`, and so are the poses, which both derive from the true walk by a seed. A log of each would be three times the
+rendering.
+"""
+
+from __future__ import annotations
+
+import runpy
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hickory_stream.errors import RecordingError
+from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.pictures.open3d_import import import_open3d
+from hickory_stream.ports import Source, SourceAround
+from hickory_stream.records import Frame, RawFrame
+from players import open_source
+from tools.benchmarks.common.figures import Options
+from tools.benchmarks.foreign.logs import PROGRAM, WorldLog, foreign_log, recorded, worlds_folder
+from tools.worlds.drift import DriftConfig, drifted
+from tools.worlds.recording_config import RecordingConfig, walkable_world
+
+Poses = dict[int, NDArray[np.float64]]
+"""Poses of the camera by stamp."""
+
+FACTORS = (1.0, 3.0)
+"""The default drift, and three times it."""
+
+# Seconds: long enough to go round twice, or nearly. More frames become no more keyframes, at the pace of these walks.
+_SECONDS, _RATE_HZ = 100.0, 3.0
+_OWN = RecordingConfig(scene="apartment", seed=24, seconds=_SECONDS, rate_hz=_RATE_HZ, width=640, height=480)
+_FOREIGN, _FOREIGN_SEED = "home", 1
+_DEFAULT = DriftConfig()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DriftingWalk:
+    """A walk: its log, with exact poses, and odometries of it by how much they drift."""
+
+    name: str
+    log: WorldLog
+    odometry: Mapping[float, Poses]
+
+    def open(self, factor: float) -> Source:
+        """Return the log as a source, with the odometry that drifts by this factor; 0: with exact poses."""
+        source = open_source(str(self.log.log))
+        return source if factor == 0.0 else Drifting(source, self.odometry[factor])
+
+
+def drifting_walks(options: Options) -> list[DriftingWalk]:
+    """Return a walk through an apartment of ours, and one through a home by others if its folder is there.
+
+    Both were used for tuning; they are rendered where they are not cached.
+    """
+    walks = [_own_walk()]
+    try:
+        worlds = worlds_folder(options.worlds)
+    except RecordingError:
+        return walks
+    return [*walks, _foreign_walk(worlds)]
+
+
+def second_walks(options: Options) -> list[WorldLog]:
+    """Return another walk through each of the same places, with exact poses."""
+    own = recorded(replace(_OWN, walk_index=1))
+    try:
+        worlds = worlds_folder(options.worlds)
+    except RecordingError:
+        return [own]
+    return [own, foreign_log(worlds, _FOREIGN, "B", "hand", _SECONDS, rate_hz=_RATE_HZ)]
+
+
+def drift_of(factor: float) -> DriftConfig:
+    """Return so many times the default drift of our worlds."""
+    return replace(_DEFAULT, scale=factor * _DEFAULT.scale, yaw_deg_per_m=factor * _DEFAULT.yaw_deg_per_m)
+
+
+def _own_walk() -> DriftingWalk:
+    log = recorded(_OWN)
+    stamps_ns = [frame.stamp_ns for frame in load_truth(log.truth).frames]
+    _, trajectory = walkable_world(_OWN)
+    odometry = {}
+    for factor in FACTORS:
+        moved = drifted(trajectory, drift_of(factor), np.random.default_rng([_OWN.seed, 6, _OWN.walk_index]))
+        odometry[factor] = {stamp_ns: moved.pose_at((stamp_ns - stamps_ns[0]) / 1e9) for stamp_ns in stamps_ns}
+    return DriftingWalk(name=f"own{_OWN.seed}", log=log, odometry=odometry)
+
+
+def _foreign_walk(worlds: Path) -> DriftingWalk:
+    log = foreign_log(worlds, _FOREIGN, "A", "hand", _SECONDS, rate_hz=_RATE_HZ)
+    frames = load_truth(log.truth).frames
+    import_open3d()  # as the program needs it
+    program = runpy.run_path(str(worlds / PROGRAM))
+    link_from_camera = program["link_from_optical"]()
+    exact = np.array([frame.world_from_camera for frame in frames]) @ invert(link_from_camera)
+    odometry = {}
+    for factor in FACTORS:
+        link = program["drifted"](exact, _RATE_HZ, _FOREIGN_SEED, factor)
+        odometry[factor] = {f.stamp_ns: pose @ link_from_camera for f, pose in zip(frames, link, strict=True)}
+    return DriftingWalk(name=_FOREIGN, log=log, odometry=odometry)
+
+
+class Drifting(SourceAround):
+    """The frames of a source at the poses of another odometry."""
+
+    def __init__(self, source: Source, poses: Poses) -> None:
+        super().__init__(source)
+        self._poses = poses
+
+    def frames(self) -> Iterator[RawFrame]:
+        """Yield the frames where the odometry has them."""
+        for raw in self._source.frames():
+            pose = self._poses[raw.stamp_ns]
+            yield replace(raw, world_from_camera=pose, decode=partial(_decoded, raw, pose))
+
+
+def _decoded(raw: RawFrame, pose: NDArray[np.float64]) -> Frame:
+    return replace(raw.decode(), world_from_camera=pose)

@@ -1,0 +1,223 @@
+"""Poses: odometry against truth, corridors without features along them, extrinsics of cameras, and fleets.
+
+Real data is read from `../shared/data` beside the checkout, or `$HICKORY_DATA`; without it there is no figure of it.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hickory_stream.evaluation.trajectory_error import TrajectoryError, trajectory_error
+from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad
+from hickory_stream.ports import Registered
+from hickory_stream.poses.choose import make_odometry
+from hickory_stream.poses.depth_scan import scan_of_depth
+from hickory_stream.poses.hand_eye import HandEye
+from hickory_stream.poses.odometry_config import MethodName, Sensor
+from hickory_stream.records import Scan
+from hickory_stream.worlds.recording import make_recording
+from players import open_source
+from players.logs.log_source import LogSource
+from players.poses.extrinsics import estimated_mounting
+from tools.benchmarks.alignment.covariance import square_figures
+from tools.benchmarks.common.figures import Figure, Options, figure
+from tools.benchmarks.common.processes import DEMO, ROOT
+from tools.benchmarks.poses.drift import drift_figures, registration_figures
+from tools.benchmarks.poses.fleets import fleet_figures
+from tools.benchmarks.poses.loop_walks import walk_figures
+from tools.benchmarks.poses.loops import loop_figures
+from tools.benchmarks.poses.pose_graphs import graph_figures
+from tools.worlds.cache import cached_recording
+from tools.worlds.corridor import CorridorConfig, corridor_scans
+from tools.worlds.layouts import drawn_mounting
+from tools.worlds.recording_config import RecordingConfig
+
+Posed = tuple[Scan, NDArray[np.float64]]
+
+_WORLDS = tuple(RecordingConfig(scene="apartment", seed=seed, seconds=40.0, rate_hz=5.0) for seed in (24, 30))
+_ENDED = CorridorConfig()
+"""A corridor of 30 m of which 18 m are walked: an end wall is 6 to 24 m away."""
+_ENDLESS = CorridorConfig(length_m=60.0, margin_m=20.0, range_m=12.0)
+_ROOM = CorridorConfig(length_m=8.0, width_m=6.0, margin_m=1.0, way_m=6.0)
+_EXTRINSICS_SEEDS = (7, 8, 9)
+_PARTS: dict[str, Callable[[Options], list[Figure]]] = {
+    "drift": lambda options: [*registration_figures(DEMO), *drift_figures(options)],
+    "fleet": fleet_figures,
+    "graph": graph_figures,
+    "loops": loop_figures,
+    "squares": square_figures,
+    "walks": walk_figures,
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Walked:
+    error: TrajectoryError
+    end_error_m: float
+    num_scans: int
+    num_degenerate: int
+    ms: float
+    poses: NDArray[np.float64]
+
+    @property
+    def drift(self) -> float:
+        return self.error.ate_m / self.error.way_m
+
+
+def measure(options: Options) -> list[Figure]:
+    """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method.
+
+    `--only` measures one part: `fleet`, the pose `graph`, the search for `loops`, `walks` through rooms that look
+    alike, logs whose odometry has `drift`, or `squares`, the calibration of alignment on whole maps.
+    """
+    if len(options.only) == 1 and options.only[0] in _PARTS:
+        return _PARTS[options.only[0]](options)
+    quick = options.quick
+    figures = graph_figures(options)
+    data = Path(os.environ.get("HICKORY_DATA") or ROOT.parent / "shared" / "data")
+    if (data / "redkitchen").is_dir():
+        figures += _kitchen(list(_frames(data / "redkitchen")), quick=quick)
+    logs = [DEMO] if quick else [cached_recording(config)[0] for config in _WORLDS]
+    rooms = [_walk("depth", _frames(log)) for log in logs]
+    of = f"of {len(rooms)} worlds, the worst; exact truth"
+    figures.append(figure("depth_way_fraction", max(room.drift for room in rooms), "", "lower", of))
+    if not quick:
+        kiss = max(_walk("depth", _frames(log), "kiss-icp").drift for log in logs)
+        figures.append(figure("depth_way_fraction_kiss_icp", kiss, "", "lower", of))
+    ms = np.mean([room.ms for room in rooms])
+    figures.append(figure("depth_odometry_ms", ms, "ms", "lower", "processor time of a depth frame"))
+    figures += registration_figures(logs[0])
+    again = _walk("depth", _frames(logs[0]))
+    figures.append(figure("poses_identical", again.poses.tobytes() == rooms[0].poses.tobytes()))
+    figures += _corridors(rooms, quick=quick)
+    if (data / "kitti_lidar").is_dir():
+        figures += _street(data / "kitti_lidar")
+    figures += [*loop_figures(options), *fleet_figures(options)]
+    return figures if quick else [*figures, *_extrinsics(), *walk_figures(options), *drift_figures(options)]
+
+
+def _kitchen(kitchen: list[Posed], *, quick: bool) -> list[Figure]:
+    own = _walk("depth", kitchen)
+    of = f"redkitchen, {own.num_scans} frames, {own.error.way_m:.1f} m"
+    figures = [figure("depth_odometry_ate_m", own.error.ate_m, "m", "lower", of)]
+    if not quick:
+        kiss = _walk("depth", kitchen, "kiss-icp")
+        figures.append(figure("depth_kiss_icp_ate_m", kiss.error.ate_m, "m", "lower"))
+    return figures
+
+
+def _corridors(rooms: list[_Walked], *, quick: bool) -> list[Figure]:
+    short: dict[str, Any] = {"way_m": 6.0, "columns": 360} if quick else {}
+    ended, endless = (corridor_scans(replace(config, **short), 1) for config in (_ENDED, _ENDLESS))
+    own, blind = _walk("lidar", ended), _walk("lidar", endless)
+    led = _walk("lidar", endless, is_led=True)
+    rooms = [*rooms, _walk("lidar", corridor_scans(_ROOM, 1))]
+    false = sum(room.num_degenerate for room in rooms) / sum(room.num_scans for room in rooms)
+    declared, of = blind.num_degenerate / blind.num_scans, "scans of a corridor without ends"
+    figures = [
+        figure("corridor_end_error_m", own.end_error_m, "m", "lower", "its ends in reach"),
+        figure("corridor_declared_fraction", declared, "", "higher", of),
+        figure("corridor_led_end_error_m", led.end_error_m, "m", "lower", "without ends, the motion given"),
+        figure("degenerate_false_fraction", false, "", "lower", "scans of rooms"),
+    ]
+    if not quick:
+        kiss = _walk("lidar", ended, "kiss-icp")
+        figures.append(figure("corridor_kiss_icp_end_error_m", kiss.end_error_m, "m", "lower"))
+    return figures
+
+
+def _street(folder: Path) -> list[Figure]:
+    """Return how many sweeps of a street are registered, and how evenly: the car goes 0.81 m with each at the end."""
+    odometry = make_odometry("lidar")
+    found = [
+        odometry.register(Scan(stamp_ns=i * 100_000_000, frame="lidar", points=_points_of(file)))
+        for i, file in enumerate(sorted(folder.glob("*.pcd")))
+    ]
+    poses = [each.start_from_sensor for each in found if isinstance(each, Registered)]
+    steps = np.array([np.linalg.norm(compose(invert(a), b)[:3, 3]) for a, b in pairwise(poses)])
+    return [
+        figure("street_registered_fraction", len(poses) / len(found)),
+        figure("street_step_change_m", np.abs(np.diff(steps)).max(), "m", "lower", "from sweep to sweep, the most"),
+    ]
+
+
+def _extrinsics() -> list[Figure]:
+    moved, turned, num_open = [], [], 0
+    for seed in _EXTRINSICS_SEEDS:
+        with tempfile.TemporaryDirectory() as folder:
+            config = RecordingConfig(
+                seed=seed, seconds=30.0, width=320, height=180, layout="nus_clb", camera_offset=True
+            )
+            make_recording(config, Path(folder), "b2", caster=None)
+            source = open_source(Path(folder) / "b2")
+            assert isinstance(source, LogSource)
+            found = estimated_mounting(source)
+        if not isinstance(found, HandEye):
+            continue
+        off = found.body_from_camera[:3, 3] - drawn_mounting(seed)[:3, 3]
+        is_open = np.isin(["forward", "left", "up"], found.open_names())
+        num_open += int(is_open.sum())
+        moved.append(float(np.abs(off[~is_open]).max(initial=0.0)))
+        turned.append(np.degrees(rotation_angle_rad(found.body_from_camera[:3, :3] @ drawn_mounting(seed)[:3, :3].T)))
+    if not moved:
+        return []
+    of, left_out = f"{len(moved)} mountings, the worst axis", f"{num_open} axes said to be open"
+    return [
+        figure("hand_eye_error_m", max(moved), "m", "lower", of, left_out=left_out),
+        figure("hand_eye_error_deg", max(turned), "deg", "lower", of),
+    ]
+
+
+def _frames(log: Path) -> Iterator[Posed]:
+    """Yield the depth frames of a log as scans, with the poses of the log."""
+    source = open_source(log)
+    for raw in source.frames():
+        yield scan_of_depth(raw.decode()), raw.world_from_camera
+    source.close()
+
+
+def _walk(sensor: Sensor, walk: Iterable[Posed], method: MethodName | None = None, *, is_led: bool = False) -> _Walked:
+    """Return the result of an odometry on scans with true poses; `is_led`: the true motion predicts."""
+    odometry = make_odometry(sensor, method)
+    stamps_ns: list[int] = []
+    poses: list[NDArray[np.float64]] = []
+    true: list[NDArray[np.float64]] = []
+    num_scans, num_degenerate, spent_s = 0, 0, 0.0
+    for scan, world_from_sensor in walk:
+        step = compose(invert(true[-1]), world_from_sensor) if is_led and true else None
+        started_s = time.process_time()
+        found = odometry.register(scan, step)
+        spent_s += time.process_time() - started_s
+        num_scans += 1
+        if isinstance(found, Registered):
+            num_degenerate += len(found.degenerate) > 0
+            stamps_ns.append(scan.stamp_ns)
+            poses.append(found.start_from_sensor)
+            true.append(world_from_sensor)
+    estimated, truth = np.array(poses), np.array(true)
+    moved = compose(invert(truth[0]), truth[-1])
+    return _Walked(
+        error=trajectory_error(stamps_ns, estimated, stamps_ns, truth),
+        end_error_m=float(np.linalg.norm(estimated[-1][:3, 3] - moved[:3, 3])),
+        num_scans=num_scans,
+        num_degenerate=num_degenerate,
+        ms=1e3 * spent_s / num_scans,
+        poses=estimated,
+    )
+
+
+def _points_of(file: Path) -> NDArray[np.float32]:
+    """Return the points (N, 3) of a binary PCD whose fields are four floats."""
+    header, _, data = file.read_bytes().partition(b"DATA binary\n")
+    count = next(int(line.split()[1]) for line in header.decode().splitlines() if line.startswith("POINTS"))
+    return np.ascontiguousarray(np.frombuffer(data, np.float32, 4 * count).reshape(count, 4)[:, :3])

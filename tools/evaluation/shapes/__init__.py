@@ -1,0 +1,1 @@
+"""Meshes and a spoiling generator for shapes, and the slow reference of sweeps."""
