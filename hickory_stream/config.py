@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from hickory_stream.base.config_text import converted, type_hints
+from hickory_stream.base.former_keys import with_current_names
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.depth_sensor import SensorConfig
@@ -26,58 +27,50 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunConfig(Ranged):
-    """How a run is carried out; of this only lossy `view_colors` change the map of a playback: the colours of meshes.
+    """How a run is carried out; of this only lossy `view_colors` change the map of a playback: the meshes' colours."""
 
-    Attributes:
-        workers: child processes that build shapes.
-        cluster: the address of a Dask scheduler, which then has the shapes built instead; `cluster_gpus` is the
-            share of the resource GPU that a job needs there.
-        shape_cache: shapes that were built from the same input before are not built again.
-        generator: the program of the reconstructor "external", by its TOML or its name; `i_accept` is what its licence
-            asks to be said.
-        worker_python: their interpreter, where it is not ours: one in which the chosen reconstructor can run.
-        job_timeout_s, job_memory_mb: a shape job that takes longer or more is tried once more, then given up; that
-            depends on the machine, so that such a run is marked as not reproducible. So is one whose worker died.
-        crop_margin: a kept view shows this share of its box more on every side.
-        view_colors: kept views have their colours as PNG, or lossy and smaller; their masks and depths are exact.
-        view_quality: how good those are that are lossy.
-        time_jump_s: stamps that go forward by more than this are a jump of time.
-        late_s: a frame whose stamp is behind the one before by no more than this is late, and left out.
-        grace_s: after a stop, this long is waited for jobs that are running.
-    """
-
+    #: Child processes that build shapes.
     workers: int = number(2, 1, 1024, "processes")
+    #: Address of a Dask scheduler, which then has the shapes built instead.
     cluster: str = ""
+    #: Share of the resource GPU that a job needs on the cluster.
     cluster_gpus: float = number(0.0, 0, 64, "GPUs")
-    shape_cache: bool = True
-    worker_python: str = ""
+    #: Program of the reconstructor "external", by its TOML or its name.
     generator: str = ""
-    i_accept: str = ""
+    #: The words by which the licence of that program is accepted.
+    accept_licence: str = ""
+    #: Interpreter of the workers, where it is not this one: one in which the chosen reconstructor can run.
+    worker_python: str = ""
+    #: Shapes that were built from the same input before are not built again.
+    shape_cache: bool = True
+    #: A shape job that takes longer is tried once more, then given up; such a run is marked as not reproducible.
     job_timeout_s: float = number(60.0, 1e-9, 1e6, "s")
+    #: The same for a job that takes more memory.
     job_memory_mb: float = number(4000.0, 1, 1e7, "MB")
+    #: A kept view shows this share of its box more on every side.
     crop_margin: float = number(0.08, 0, 10, "share")
+    #: Format of the colours of kept views; their masks and depths are exact.
     view_colors: Literal["png", "jpeg", "webp"] = "png"
+    #: Quality of lossy colours.
     view_quality: int = number(90, 1, 100, "percent")
+    #: Stamps that go forward by more than this are a jump of time.
     time_jump_s: float = number(60.0, 0.001, 1e9, "s")
-    late_s: float = number(1.0, 0, 1e9, "s")
+    #: A frame whose stamp is behind the one before by no more than this is late, and left out.
+    max_late_s: float = number(1.0, 0, 1e9, "s")
+    #: How long jobs that are running are waited for after a stop.
     grace_s: float = number(5.0, 0, 1e6, "s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JournalConfig(Ranged):
-    """What is kept of a run; nothing here changes the map.
+    """What is kept of a run; nothing here changes the map."""
 
-    Attributes:
-        flush_s: a lost power supply costs at most the events of so many seconds; a killed process costs none.
-        checkpoint_keyframes: the state of the core is kept every so many keyframes, later while loops are searched:
-            fewer make looking back, and going on after a kill, quicker, and the journal larger.
-        keep_images: the images of keyframes are kept, for `replay --rrd`; `jpeg_quality` where the log has none.
-    """
-
+    #: Maximum time between writes: a lost power supply costs at most the events of so many seconds.
     flush_s: float = number(2.0, 0, 86400, "s")
+    #: Keyframes between saved states of the core: fewer make looking back quicker, and the journal larger.
     checkpoint_keyframes: int = number(40, 1, 1_000_000_000, "keyframes")
+    #: Whether the images of keyframes are kept, for `replay --rrd`.
     keep_images: bool = True
-    jpeg_quality: int = number(80, 1, 100, "percent")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -96,31 +89,24 @@ class MapperConfig:
     journal: JournalConfig = field(default_factory=JournalConfig)
 
 
-def as_far_as_known(kind: type[T], data: Mapping[str, Any]) -> T:
+def as_far_as_known(data: Mapping[str, Any]) -> MapperConfig:
     """Return the configuration that another version wrote, as far as this one knows it; the rest has its defaults."""
+    return _known(MapperConfig, with_current_names(data))
+
+
+def _known(kind: type[T], data: Mapping[str, Any]) -> T:
     values: dict[str, Any] = {}
     for name, hint in type_hints(kind).items():  # type: ignore[arg-type] # a class is hashable
         if name not in data:
             continue
-        value = _with_lattice(data[name]) if hint is MappingConfig else data[name]
-        if dataclasses.is_dataclass(hint) and isinstance(value, dict):
-            values[name] = as_far_as_known(hint, value)  # type: ignore[arg-type]
+        if dataclasses.is_dataclass(hint) and isinstance(data[name], dict):
+            values[name] = _known(hint, data[name])  # type: ignore[arg-type]
             continue
         try:
-            values[name] = converted(hint, value, name)
+            values[name] = converted(hint, data[name], name)
         except ConfigError:
             pass  # it means something else there
     try:
         return kind(**values)
     except ValueError:
         return kind()
-
-
-def _with_lattice(mapping: Any) -> Any:
-    """Return what a manifest says of the mapping, of which versions without a lattice had the numbers elsewhere."""
-    if not isinstance(mapping, dict) or "lattice" in mapping:
-        return mapping
-    track = mapping.get("track")
-    points_m = track.get("voxel_m") if isinstance(track, dict) else None
-    found = {"points_m": points_m, "space_m": mapping.get("space_voxel_m")}
-    return mapping | {"lattice": {name: value for name, value in found.items() if value is not None}}

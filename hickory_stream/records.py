@@ -459,7 +459,7 @@ class ObservedSpace(GivesUpArrays):
 class MapPrior:
     """What the map knows before a keyframe, as the odometry has it since it last jumped.
 
-    The observed `space`; the `objects`, tentative ones among them, with one point per voxel of `points_m`.
+    The observed `space`; the `objects`, tentative ones among them, with one point per voxel of `object_m`.
     """
 
     space: ObservedSpace

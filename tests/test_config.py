@@ -2,18 +2,20 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import tomllib
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from hickory_stream.base.config_text import _GONE, _MOVED, from_dict, read_config, to_toml
+from hickory_stream.base.config_text import from_dict, read_config, to_toml
+from hickory_stream.base.former_keys import FORMER_KEYS, fixed_keys, with_current_names
 from hickory_stream.base.ranges import ranges_of
 from hickory_stream.config import MapperConfig, RunConfig, as_far_as_known
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.lattice import Lattice
-from hickory_stream.settings import Settings
+from hickory_stream.settings import SET_OFTEN, Settings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -153,7 +155,7 @@ def test_an_override_below_a_value_is_refused() -> None:
     [
         ("[mapper.keyframes]\nmin_intervall_s = 1.0", "did you mean mapper.keyframes.min_interval_s?"),
         ("[maper.run]\nworkers = 1", "unknown configuration key maper; did you mean mapper?"),
-        ("[mapper.run]\nzebra = 1", "known keys: cluster, "),
+        ("[mapper.run]\nzebra = 1", "known keys: accept_licence, cluster, "),
     ],
 )
 def test_a_misspelt_key_is_refused_with_the_nearest_one(file: Path, text: str, told: str) -> None:
@@ -163,30 +165,32 @@ def test_a_misspelt_key_is_refused_with_the_nearest_one(file: Path, text: str, t
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("[mapper.perception.observe]\nvoxel_m = 0.02", "set mapper.mapping.lattice.points_m, the one lattice"),
-        ("[mapper.mapping.track]\nvoxel_m = 0.02", "set mapper.mapping.lattice.points_m, the one lattice"),
-        ("[mapper.perception.space]\nvoxel_m = 0.1", "set mapper.mapping.lattice.space_m, the one lattice"),
-        ("[mapper.mapping]\nspace_voxel_m = 0.1", "set mapper.mapping.lattice.space_m, the one lattice"),
-        ("[mapper.mapping.parts]\nmin_apart = 3", "set mapper.mapping.split, its new name"),
+        ("[mapper.perception.observe]\nvoxel_m = 0.02", "set mapper.mapping.voxels.object_m"),
+        ("[mapper.mapping.track]\nvoxel_m = 0.02", "set mapper.mapping.voxels.object_m"),
+        ("[mapper.perception.space]\nvoxel_m = 0.1", "set mapper.mapping.voxels.space_m"),
+        ("[mapper.mapping]\nspace_voxel_m = 0.1", "set mapper.mapping.voxels.space_m"),
+        ("[mapper.mapping.lattice]\npoints_m = 0.02", "set mapper.mapping.voxels.object_m"),
+        ("[mapper.mapping.parts]\nmin_apart = 3", "set mapper.mapping.split"),
+        ("[mapper.run]\nlate_s = 3", "mapper.run.late_s is no setting any more: set mapper.run.max_late_s"),
+        ("[mapper.mapping.merge]\nsure_votes = 9", "merge.sure_votes is no setting any more: it is fixed at 6 now"),
+        ("[mapper.mapping.support]\nlevel_m = 0.2", "support.level_m is no setting any more: it is fixed at 0.15 now"),
     ],
 )
 def test_a_key_of_an_earlier_version_is_refused_with_the_one_to_set_instead(file: Path, text: str, told: str) -> None:
     assert told in refusal(file, text)
 
 
-@pytest.mark.parametrize(("old", "why"), list(_GONE.items()))
-def test_a_key_that_nothing_took_the_place_of_is_refused_with_the_reason(file: Path, old: str, why: str) -> None:
+@pytest.mark.parametrize("old", [*FORMER_KEYS, *fixed_keys()])
+def test_a_former_key_is_refused_and_is_none_today(file: Path, old: str) -> None:
     section, _, key = f"mapper.{old}".rpartition(".")
-    assert refusal(file, f"[{section}]\n{key} = 1") == f"mapper.{old} is no setting any more: {why}"
+    assert refusal(file, f"[{section}]\n{key} = 1").startswith(f"mapper.{old} is no setting any more: ")
     with pytest.raises(AttributeError):
         value_at(MapperConfig(), old)
 
 
-@pytest.mark.parametrize(("old", "new"), [(old, new) for old, (new, _) in _MOVED.items()])
-def test_what_is_to_be_set_instead_of_an_old_key_is_a_key_and_the_old_one_is_none(old: str, new: str) -> None:
-    assert value_at(MapperConfig(), new) is not None
-    with pytest.raises(AttributeError):
-        value_at(MapperConfig(), old)
+@pytest.mark.parametrize("instead", [text for text in FORMER_KEYS.values() if text.startswith("set ")])
+def test_what_to_set_instead_of_a_former_key_is_a_key(instead: str) -> None:
+    assert value_at(MapperConfig(), instead.removeprefix("set ")) is not None
 
 
 @pytest.mark.parametrize(
@@ -250,17 +254,50 @@ def test_what_another_version_wrote_is_read_as_far_as_it_is_known() -> None:
     data = json.loads(json.dumps(dataclasses.asdict(MapperConfig())))
     data["mapping"]["lifecycle"]["confirm_sightings"] = 7
     data["mapping"]["lifecycle"]["colour_of_the_moon"] = 3
-    data["mapping"]["lattice"]["space_m"] = "coarse"
+    data["mapping"]["voxels"]["space_m"] = "coarse"
     data["run"]["workers"] = -5
     del data["perception"]
-    found = as_far_as_known(MapperConfig, data)
+    found = as_far_as_known(data)
     assert found.mapping.lifecycle.confirm_sightings == 7
-    assert found.mapping.lattice == MapperConfig().mapping.lattice
+    assert found.mapping.voxels == MapperConfig().mapping.voxels
     assert (found.run, found.perception) == (RunConfig(), MapperConfig().perception)
 
 
-def test_the_lattices_of_a_map_of_an_older_version_are_those_that_its_tracks_and_its_space_had() -> None:
-    data = json.loads(json.dumps(dataclasses.asdict(MapperConfig())))
-    del data["mapping"]["lattice"]
-    data["mapping"]["track"]["voxel_m"], data["mapping"]["space_voxel_m"] = 0.02, 0.1
-    assert as_far_as_known(MapperConfig, data).mapping.lattice == Lattice(points_m=0.02, space_m=0.1)
+@pytest.mark.parametrize(
+    "old",
+    [
+        {"mapping": {"track": {"voxel_m": 0.02}, "space_voxel_m": 0.1}},
+        {"mapping": {"lattice": {"points_m": 0.02, "space_m": 0.1}}},
+    ],
+)
+def test_the_voxels_of_an_older_map_keep_their_sizes(old: dict[str, Any]) -> None:
+    assert as_far_as_known(old).mapping.voxels == Lattice(object_m=0.02, space_m=0.1)
+    assert from_dict(MapperConfig, with_current_names(old)).mapping.voxels == Lattice(object_m=0.02, space_m=0.1)
+
+
+def test_an_older_configuration_is_read_without_the_numbers_that_are_fixed_now() -> None:
+    old: dict[str, Any] = {"existence": {"fresh": 1.5, "full_sr": 0.004}, "support": {"level_m": 0.15}}
+    config = from_dict(MapperConfig, with_current_names({"mapping": old}))
+    assert config.mapping.existence.new_view_gain == 1.5
+    old["support"]["level_m"] = 0.2
+    with pytest.raises(ConfigError, match=r"mapping.support.level_m .* it is fixed at 0.15 now"):
+        from_dict(MapperConfig, with_current_names({"mapping": old}))
+
+
+def test_the_shapes_of_an_older_configuration_are_read_alone() -> None:
+    old = {"judgement": {"min_explained": 0.67}, "fit": {"cells": 16, "num_rounds": 1}}
+    assert with_current_names(old, "shapes.") == {"fit": {"cells": 16}}
+
+
+# ---- few keys --------------------------------------------------------------------------------------------------------
+
+
+def test_there_are_no_more_keys_than_can_be_read_in_five_minutes() -> None:
+    assert len(LEAVES) <= 160
+
+
+def test_the_sections_that_users_set_stand_first() -> None:
+    text = to_toml(Settings(), SET_OFTEN)
+    headings = [line.strip("[]") for line in text.splitlines() if line.startswith("[")]
+    assert tuple(headings[: len(SET_OFTEN)]) == SET_OFTEN
+    assert from_dict(Settings, tomllib.loads(text)) == Settings()

@@ -22,7 +22,7 @@ from hickory_stream.perception.models.fastsam import FastSam, FastSamConfig
 from hickory_stream.perception.models.library import ModelEntry, add_model, models_folder, sha256_of
 from hickory_stream.perception.models.network import Network, NetworkConfig
 from hickory_stream.perception.models.preprocessing import built_in_picture, normalised
-from hickory_stream.perception.models.semantic_graph import GraphSemantics, PanopticConfig
+from hickory_stream.perception.models.semantic_graph import MASK_THRESHOLD, MIN_OVERLAP, GraphSemantics, PanopticConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -255,8 +255,8 @@ def reference_classes(
         None,
         outputs,
         threshold=config.threshold,
-        mask_threshold=config.mask_threshold,
-        overlap_mask_area_threshold=config.overlap,
+        mask_threshold=MASK_THRESHOLD,
+        overlap_mask_area_threshold=MIN_OVERLAP,
         label_ids_to_fuse=set(),
         target_sizes=[size],
     )[0]

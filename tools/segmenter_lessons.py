@@ -15,7 +15,7 @@ from hickory_stream.perception.affinity.odds_split import SplitConfig, divided_b
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.masks import enlarged_mask
 from hickory_stream.perception.regions.fragment_odds import fragment_odds
-from hickory_stream.perception.regions.join import JoinConfig, region_graph_of
+from hickory_stream.perception.regions.join import region_graph_of
 from hickory_stream.perception.regions.trees import Trees
 from hickory_stream.records import Frame, Segmentation
 from hickory_stream.worlds.clutter.frames import frames_of
@@ -187,7 +187,7 @@ def lesson_of_pieces(pieces: Fragments, shown: NDArray[np.int32], network: Pixel
     said = None if network is None else network.odds(pieces.surface, None)
     if said is not None:
         pieces = replace(pieces, labels=divided_by_odds(pieces.labels, said, SplitConfig()))
-    measures = region_graph_of(pieces, JoinConfig())
+    measures = region_graph_of(pieces)
     if measures is None:
         return []
     labels, factor = pieces.labels, pieces.surface.factor

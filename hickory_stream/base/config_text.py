@@ -1,6 +1,6 @@
 """TOML into checked, frozen dataclasses, and back; a key that nobody declared is refused with the nearest one that is.
 
-It knows no configuration in particular but the names that keys had in earlier versions.
+It knows no configuration in particular; `former_keys` has the names that keys had in earlier versions.
 """
 
 from __future__ import annotations
@@ -12,54 +12,16 @@ import types
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from hickory_stream.base.former_keys import refusal
 from hickory_stream.base.json_text import toml_string
 from hickory_stream.base.ranges import ranges_of
 from hickory_stream.errors import ConfigError, RangeError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
 T = TypeVar("T")
-
-_ONE_LATTICE = "the one lattice of perception and mapping"
-_MOVED = {
-    "perception.observe.voxel_m": ("mapping.lattice.points_m", _ONE_LATTICE),
-    "mapping.track.voxel_m": ("mapping.lattice.points_m", _ONE_LATTICE),
-    "perception.space.voxel_m": ("mapping.lattice.space_m", _ONE_LATTICE),
-    "mapping.space_voxel_m": ("mapping.lattice.space_m", _ONE_LATTICE),
-    "perception.geometric.shades": ("perception.geometric.color_split", "its new name"),
-    "perception.geometric.hidden_area_px": ("perception.geometric.occluded_area_px", "its new name"),
-    "perception.geometric.hidden_share": ("perception.geometric.occluded_share", "its new name"),
-    "perception.geometric.structure.relief": ("perception.geometric.structure.raised_patches", "its new name"),
-    "perception.geometric.join.hidden": ("perception.geometric.join.bridging", "its new name"),
-    "perception.masks.hidden_share": ("perception.masks.occluded_share", "its new name"),
-    "mapping.parts": ("mapping.split", "its new name"),
-    "mapping.floating": ("mapping.unsupported", "its new name"),
-}
-"""Keys of earlier versions: what to set instead, and why."""
-
-_PRIOR = "what the map says of a frame is perception.geometric.join.map_prior"
-_LEARNED = "trees that have learned what the network's odds are worth join fragments"
-_SEEN = "what is filled follows from what was seen around it"
-_GONE = {
-    "perception.map_guided_merge": _PRIOR,
-    "perception.known": _PRIOR,
-    **dict.fromkeys(
-        (
-            f"perception.affinities.{name}"
-            for name in ("join", "least_odds", "far_weight", "trees_weight", "near_weight", "far_odds_weight")
-        ),
-        _LEARNED,
-    ),
-    "perception.affinities.odds_shift": _LEARNED,
-    "perception.affinities.structure_odds": "what is structure is seen by geometry",
-    "perception.affinities.thing_odds": "what is structure is seen by geometry",
-    **dict.fromkeys(
-        (f"shapes.fused.completion.{name}" for name in ("full_share", "min_hidden_m", "max_hidden_m")), _SEEN
-    ),
-}
-"""Keys of earlier versions without a successor, or the sections of such, and why."""
 
 
 def read_config(kind: type[T], path: Path | None, overrides: tuple[str, ...] = ()) -> T:
@@ -91,12 +53,8 @@ def from_dict(kind: type[T], data: dict[str, Any], where: str = "") -> T:
     fields = {f.name for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for key in data:
         if key not in fields:
-            old = f"{where}{key}".removeprefix("mapper.")
-            if old in _GONE:
-                raise ConfigError(f"{where}{key} is no setting any more: {_GONE[old]}")
-            if (moved := _MOVED.get(old)) is not None:
-                root = "mapper." if where.startswith("mapper.") else ""
-                raise ConfigError(f"{where}{key} is no setting any more: set {root}{moved[0]}, {moved[1]}")
+            if (instead := refusal(f"{where}{key}", data[key])) is not None:
+                raise ConfigError(instead)
             near = difflib.get_close_matches(key, fields, n=1)
             hint = f"did you mean {where}{near[0]}?" if near else f"known keys: {', '.join(sorted(fields))}"
             raise ConfigError(f"unknown configuration key {where}{key}; {hint}")
@@ -115,27 +73,30 @@ def type_hints(kind: type[Any]) -> Mapping[str, Any]:
     return get_type_hints(kind)
 
 
-def to_toml(config: Any) -> str:
-    """Return a configuration as TOML, sections in the order of their declaration; comments say what may be there."""
-    lines: list[str] = []
-    _write_section(config, "", lines)
-    return "\n".join(lines).strip() + "\n"
+def to_toml(config: Any, first: tuple[str, ...] = ()) -> str:
+    """Return a configuration as TOML; comments say what each value may be.
+
+    The sections named in `first` stand first, in that order; the others follow as they are declared.
+    """
+    sections = dict(_sections(config, ""))
+    order = [name for name in first if name in sections]
+    return "\n\n".join(sections[name] for name in dict.fromkeys([*order, *sections])) + "\n"
 
 
-def _write_section(config: Any, name: str, lines: list[str]) -> None:
+def _sections(config: Any, name: str) -> Iterator[tuple[str, str]]:
     values = [(f.name, getattr(config, f.name)) for f in dataclasses.fields(config)]
     plain = [(key, value) for key, value in values if not dataclasses.is_dataclass(value) and value is not None]
     unset = [key for key, value in values if value is None]
     if plain or unset:
-        if name:
-            summary = (type(config).__doc__ or "").partition("\n")[0]
-            lines += ["", f"# {summary}", f"[{name}]"]
+        summary = (type(config).__doc__ or "").partition("\n")[0]
         allowed = _allowed(type(config))
+        lines = [f"# {summary}", f"[{name}]"] if name else []
         lines += [f"{key} = {_toml_value(value)}" + allowed.get(key, "") for key, value in plain]
         lines += [f"# {key} is not set" + allowed.get(key, "").replace("  # ", ": ") for key in unset]
+        yield name, "\n".join(lines)
     for key, value in values:
         if dataclasses.is_dataclass(value):
-            _write_section(value, f"{name}.{key}" if name else key, lines)
+            yield from _sections(value, f"{name}.{key}" if name else key)
 
 
 def _allowed(kind: Any) -> dict[str, str]:

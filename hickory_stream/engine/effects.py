@@ -50,6 +50,10 @@ if TYPE_CHECKING:
     from hickory_stream.records import Frame, MapSnapshot, Observation, RawFrame
 
 
+# Quality of the kept images where the log has none.
+_JPEG_QUALITY = 80
+
+
 def crop_of(frame: Frame, observation: Observation, margin: float) -> Crop:
     """Return the cut-out of a frame around an observation, with `margin` of its box more on every side."""
     x0, y0, x1, y1 = observation.box_px
@@ -76,7 +80,7 @@ def color_of(raw: RawFrame, frame: Frame, config: JournalConfig) -> bytes | None
         return raw.color_bytes
     import cv2
 
-    quality = [cv2.IMWRITE_JPEG_QUALITY, config.jpeg_quality]
+    quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     encoded: bytes = cv2.imencode(".jpg", frame.rgb[..., ::-1], quality)[1].tobytes()
     return encoded
 

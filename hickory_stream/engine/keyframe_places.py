@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from hickory_stream.records import Frame
 
 
+# Returns with a greater sigma of depth are not used.
+_MAX_DEPTH_SIGMA_M = 0.1
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlacedFrame:
     """A keyframe at the pose at which it is mapped, and the event that says how that was found."""
@@ -59,7 +63,7 @@ class KeyframePlaces:
             return None
         odometry_from_camera = frame.world_from_camera
         spread_per_m = frame.sensor.spread_per_m
-        image = keyframe_surface(frame, self._config) if surface is None else surface
+        image = keyframe_surface(frame) if surface is None else surface
         found = self._registration.place(image, odometry_from_camera, frame.degenerate)
         if isinstance(found, KeptOut):
             return KeyframeKeptOut(frame_index=frame.index, stamp_ns=frame.stamp_ns, reason=found.reason)
@@ -98,7 +102,7 @@ class KeyframePlaces:
         last = history.last
         remembered = [
             Remembered(
-                image=_image(np.asarray(each.coarse.depth_mm), each.camera, each.event.spread_per_m, self._config),
+                image=_image(np.asarray(each.coarse.depth_mm), each.camera, each.event.spread_per_m),
                 map_from_camera=each.event.map_from_camera,
                 number=each.number,
                 is_anchor=each.event.is_anchor,
@@ -115,14 +119,10 @@ class KeyframePlaces:
         self._registration.restore(belief, remembered, history.num_placed)
 
 
-def keyframe_surface(frame: Frame, config: RegistrationConfig) -> SurfaceImage:
+def keyframe_surface(frame: Frame) -> SurfaceImage:
     """Return the surface by which a keyframe is registered; it needs nothing of the keyframes before."""
-    return _image(coarse_depth(frame.depth_m), frame.camera, frame.sensor.spread_per_m, config)
+    return _image(coarse_depth(frame.depth_m), frame.camera, frame.sensor.spread_per_m)
 
 
-def _image(
-    depth_mm: NDArray[np.uint16], camera: Camera, spread_per_m: float, config: RegistrationConfig
-) -> SurfaceImage:
-    return surface_image(
-        depth_mm, coarse_camera(camera), spread_per_m=spread_per_m, max_sigma_m=config.max_depth_sigma_m
-    )
+def _image(depth_mm: NDArray[np.uint16], camera: Camera, spread_per_m: float) -> SurfaceImage:
+    return surface_image(depth_mm, coarse_camera(camera), spread_per_m=spread_per_m, max_sigma_m=_MAX_DEPTH_SIGMA_M)

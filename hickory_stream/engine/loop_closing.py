@@ -16,6 +16,7 @@ import numpy as np
 
 from hickory_stream.events import LoopsSearched, PosesCorrected
 from hickory_stream.graph.solution import NoSolution
+from hickory_stream.loops.config import MIN_AGREEING_POINTS
 from hickory_stream.loops.pose_graph import graph_record, is_correction, pose_graph, submap_places
 from hickory_stream.loops.predictions import predictions
 from hickory_stream.loops.search import LoopQuery, search_loops
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from hickory_stream.records import Loop
 
 logger = logging.getLogger(__name__)
+# A submap is not searched in those before it that are fewer than this away.
+MIN_SUBMAPS_APART = 2
 
 
 class LoopCloser:
@@ -86,9 +89,9 @@ class LoopCloser:
             logger.warning("loops are left out: %s", solution.reason)
             return None
         record = graph_record(graph, solution, core.loops, began_ns)
-        places = submap_places(submaps, solution.world_from_node, self._loops)
+        places = submap_places(submaps, solution.world_from_node)
         before = [submap.world_from_submap for submap in submaps]
-        if not is_correction(submaps, places, before, self._loops):
+        if not is_correction(submaps, places, before):
             return PosesCorrected(stamp_ns=stamp_ns, submap_ids=(), world_from_submap=np.empty((0, 4, 4)), graph=record)
         # A submap that was opened and has no keyframe yet goes on from the last one.
         ids = [submap.id for submap in core.submaps]
@@ -108,9 +111,9 @@ class LoopCloser:
     def _found(self, search: SearchLoops) -> tuple[Loop, ...]:
         submaps = search.submaps
         later_id = submaps[-1].id
-        if later_id < self._loops.least_apart or len(submaps[-1].points) < self._loops.least_points:
+        if later_id < MIN_SUBMAPS_APART or len(submaps[-1].points) < MIN_AGREEING_POINTS:
             return ()
-        predicted = predictions(submaps, search.loops, self._graph, least_apart=self._loops.least_apart)
+        predicted = predictions(submaps, search.loops, self._graph, least_apart=MIN_SUBMAPS_APART)
         if isinstance(predicted, NoSolution):
             logger.warning("loops of submap %d are not searched: %s", later_id, predicted.reason)
             return ()

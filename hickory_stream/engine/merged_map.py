@@ -14,6 +14,7 @@ from hickory_stream.alignment.answer import Alignment
 from hickory_stream.base.atomic_files import disk_errors, link_or_copy, outside_errors, write_atomically
 from hickory_stream.base.config_text import from_dict
 from hickory_stream.base.confined import path_within
+from hickory_stream.base.former_keys import with_current_names
 from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.engine.shape_jobs.processor import processor_kind
 from hickory_stream.geometry.codecs.mesh_file import SUFFIX, mesh_file_bytes
@@ -62,7 +63,8 @@ def write_merged_map(
     """
     used = [saved for i, saved in enumerate(inputs) if i not in merged.left_out]
     # What ran on the machine where the first one was made is no part of this map.
-    config = {name: section for name, section in used[0].manifest.config.items() if name != "run"}
+    recorded = with_current_names(used[0].manifest.config)
+    config = {name: section for name, section in recorded.items() if name != "run"}
     names = {saved.manifest.extractor for saved in used}
     folder = create_map_folder(
         out,

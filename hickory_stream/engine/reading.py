@@ -226,15 +226,15 @@ class Reader:
 
     def _is_late(self, last_ns: int | None, stamp_ns: int) -> bool:
         """Return whether a frame is out of order: older than the one before, but by less than a jump of the clock."""
-        return last_ns is not None and 0 < last_ns - stamp_ns <= self._config.run.late_s * 1e9
+        return last_ns is not None and 0 < last_ns - stamp_ns <= self._config.run.max_late_s * 1e9
 
     async def _ahead(self, frame: Frame) -> Ahead:
         """Return what needs no map; nearly every keyframe is asked for all of it."""
         config = self._config
-        registration, space, lattice = config.registration, config.perception.space, config.mapping.lattice
+        space, lattice = config.perception.space, config.mapping.voxels
         surface: SurfaceImage | None = None
-        if registration.enabled:
-            surface = await on_thread(self._thread, keyframe_surface, frame, registration)
+        if config.registration.enabled:
+            surface = await on_thread(self._thread, keyframe_surface, frame)
         return Ahead(
             prepared=await on_thread(self._thread, self._segmenter.prepare, frame),
             patches=await on_thread(self._thread, self._extractor.extract, np.asarray(frame.rgb)),

@@ -360,7 +360,7 @@ class Run:
             ahead.prepared,
             self._parts.segmenter,
             config.perception,
-            lattice=config.mapping.lattice,
+            lattice=config.mapping.voxels,
             free_keys=ahead.free_keys,
         )
 

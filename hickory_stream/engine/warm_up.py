@@ -92,7 +92,7 @@ def rehearse(
         frame = _in_millimetres(raw.decode())
         places.place(frame)
         prepared, prior = segmenter.prepare(frame), core.prior()
-        perceived = perceive(frame, prior, prepared, segmenter, config.perception, lattice=config.mapping.lattice)
+        perceived = perceive(frame, prior, prepared, segmenter, config.perception, lattice=config.mapping.voxels)
         event = perceived.event(frame)
         waiting: list[Effect] = core.handle(event)
         while waiting:

@@ -116,13 +116,14 @@ class Evidence:
     @property
     def fewest_sightings(self) -> int:
         """The least number of sightings that can confirm a track, each of full weight and from a new viewpoint."""
-        return max(1, int(np.ceil(self.confirm / max(self.existence.fresh, self.existence.again, 1e-9))))
+        most = max(self.existence.new_view_gain, self.existence.same_view_gain, 1e-9)
+        return max(1, int(np.ceil(self.confirm / most)))
 
     @property
     def what_confirms(self) -> str:
         """What confirms a track, in words."""
-        fresh, again = self.existence.fresh, self.existence.again
-        worth = f"{fresh:g} for a sighting from another place, {again:g} for one more from the same"
+        new, same = self.existence.new_view_gain, self.existence.same_view_gain
+        worth = f"{new:g} for a sighting from another place, {same:g} for one more from the same"
         return f"a track takes evidence of {self.confirm:g}: {worth}, less for what is small or has little depth"
 
 

@@ -108,7 +108,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
         RecordingError: an image of the truth cannot be read.
     """
     config = told_config(path)
-    reach, voxel_m = range_of(config), config.mapping.lattice.space_m
+    reach, voxel_m = range_of(config), config.mapping.voxels.space_m
     stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
     middles = {item.id: _middle(truth, i) for i, item in enumerate(truth.objects)}
     found: dict[int, list[Sighting]] = {item.id: [] for item in truth.objects}

@@ -21,6 +21,20 @@ if TYPE_CHECKING:
     from hickory_stream.graph.config import GraphConfig
 
 LoopMethod = Literal["surface", "objects"]
+# No edge is known better than this.
+FLOOR_M = 0.01
+_FLOOR_RAD = 0.002
+# Noise of rotation, for the root of the path in metres.
+_TURN_NOISE = 0.0045
+# Error in rotation, for each radian turned.
+_TURN_SHARE = 0.005
+# Where every keyframe was registered, its covariance counts this many times: the surfaces compared err alike.
+_REGISTERED_FACTOR = 4.0
+# Error as a share of the path, and of the turn, along which scans did not constrain the motion.
+DEGENERATE_SHARE = 0.3
+# What is left open where the odometry jumped.
+_JUMP_M = 30.0
+_JUMP_RAD = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -115,20 +129,18 @@ def odometry_covariance(
         blind: (6, 6) the lengths of the way, along the axes of the second node, along which scans did not say where it
             went: turns (rad) and shifts (m); None: of no length.
     """
-    variance_m = _sum_of_squares(config.floor_m, config.way_share * way_m)
-    variance_rad = _sum_of_squares(config.floor_rad, config.turn_drift_per_m * way_m, config.turn_share * turn_rad)
-    variance_m += config.way_noise * config.way_noise * way_m + jumps * config.jump_m * config.jump_m
-    variance_rad += config.turn_noise * config.turn_noise * way_m + jumps * config.jump_rad * config.jump_rad
+    variance_m = _sum_of_squares(FLOOR_M, config.drift_share * way_m)
+    variance_rad = _sum_of_squares(_FLOOR_RAD, config.turn_drift_per_m * way_m, _TURN_SHARE * turn_rad)
+    variance_m += config.path_noise * config.path_noise * way_m + jumps * _JUMP_M * _JUMP_M
+    variance_rad += _TURN_NOISE * _TURN_NOISE * way_m + jumps * _JUMP_RAD * _JUMP_RAD
     covariance = np.diag([variance_rad] * 3 + [variance_m] * 3)
     if blind is None:
         return covariance
-    error = config.degenerate_share * blind
+    error = DEGENERATE_SHARE * blind
     return symmetric(covariance + portable.matmul(error, error.T))
 
 
-def registered_covariance(
-    covariance: NDArray[np.float64], after: NDArray[np.float64], config: GraphConfig
-) -> NDArray[np.float64]:
+def registered_covariance(covariance: NDArray[np.float64], after: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (6, 6) covariance of an edge whose keyframes were all registered to the surface of those before.
 
     Args:
@@ -136,8 +148,8 @@ def registered_covariance(
         after: (4, 4) the pose of the second node in the map.
         config: how much it counts.
     """
-    floor = np.diag([config.floor_rad * config.floor_rad] * 3 + [config.floor_m * config.floor_m] * 3)
-    return floor + config.registered_times * along_axes_of(after, covariance)
+    floor = np.diag([_FLOOR_RAD * _FLOOR_RAD] * 3 + [FLOOR_M * FLOOR_M] * 3)
+    return floor + _REGISTERED_FACTOR * along_axes_of(after, covariance)
 
 
 def along_axes_of(node: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:

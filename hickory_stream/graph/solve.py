@@ -37,6 +37,12 @@ _BELIEVED = 0.5
 _SAME_CHI2 = 0.01
 """Squared distances that differ by less are the same: what rounding leaves where loops do not concern one another."""
 
+# A loop is impossible above this squared Mahalanobis distance from the odometry's prediction: 99.9 % of chi-squared
+# with 6 degrees of freedom.
+GATE_CHI2 = 22.46
+# A loop is contradicted if its residual in the solution is above this: 99 % of chi-squared.
+INLIER_CHI2 = 16.81
+
 
 def solve(
     graph: PoseGraph, config: GraphConfig | None = None, *, accepted_before: Collection[int] = ()
@@ -52,10 +58,10 @@ def solve(
     """
     config = GraphConfig() if config is None else config
     chain = Chain(graph)
-    possible, reasons = _possible(graph, chain, config)
+    possible, reasons = _possible(graph, chain)
     try:
-        weights, start = _judged(chain, possible, config)
-        return _placed(graph, start, possible, weights, reasons, config, frozenset(accepted_before))
+        weights, start = _judged(chain, possible)
+        return _placed(graph, start, possible, weights, reasons, frozenset(accepted_before))
     except RuntimeError as error:
         # GTSAM's exceptions, e.g. of a system without a unique solution, are RuntimeErrors in Python.
         return NoSolution(reason=f"the pose graph could not be solved: {str(error).strip().splitlines()[0]}")
@@ -84,23 +90,23 @@ def relative_covariances(graph: PoseGraph, solution: Solution, pairs: Sequence[t
 # ---- the steps ------------------------------------------------------------------------------------------------------
 
 
-def _possible(graph: PoseGraph, chain: Chain, config: GraphConfig) -> tuple[list[LoopEdge], dict[int, str]]:
+def _possible(graph: PoseGraph, chain: Chain) -> tuple[list[LoopEdge], dict[int, str]]:
     """Return the loops that odometry allows, and why not of each other one."""
     possible, reasons = [], {}
     predictions = chain.predictions([(loop.earlier, loop.later) for loop in graph.loops])
     for loop, prediction in zip(graph.loops, predictions, strict=True):
         surprise = surprise_of(loop, prediction)
-        if surprise.chi2 <= config.gate_chi2:
+        if surprise.chi2 <= GATE_CHI2:
             possible.append(loop)
         else:
             reasons[loop.id] = (
                 f"impossible: {surprise.distance_m:.2f} m and {np.degrees(surprise.angle_rad):.1f} deg from where "
-                f"odometry predicts it (chi2 {surprise.chi2:.0f}, at most {config.gate_chi2:g})"
+                f"odometry predicts it (chi2 {surprise.chi2:.0f}, at most {GATE_CHI2:g})"
             )
     return possible, reasons
 
 
-def _judged(chain: Chain, loops: Sequence[LoopEdge], config: GraphConfig) -> tuple[list[float], NDArray[np.float64]]:
+def _judged(chain: Chain, loops: Sequence[LoopEdge]) -> tuple[list[float], NDArray[np.float64]]:
     """Return the weight, 0..1, of each loop, and about where (N, 4, 4) all nodes lie by them."""
     if not loops:
         return [], chain.world_from_node
@@ -111,7 +117,7 @@ def _judged(chain: Chain, loops: Sequence[LoopEdge], config: GraphConfig) -> tup
     for edge in edges:
         factors.add_odometry(edge)
     places = [factors.add_loop(loop) for loop in loops]
-    weights, values = factors.judged(places, config.inlier_chi2)
+    weights, values = factors.judged(places, INLIER_CHI2)
     weights = _reconsidered(factors, places, weights, values)
     return weights.tolist(), chain.carried(dict(zip(nodes, poses_of(values, nodes), strict=True)))
 
@@ -149,7 +155,6 @@ def _placed(
     possible: Sequence[LoopEdge],
     weights: Sequence[float],
     reasons: Mapping[int, str],
-    config: GraphConfig,
     accepted_before: frozenset[int],
 ) -> Solution | NoSolution:
     """Return the solution over the loops of some weight; those beyond the limit in it are left out, the worst first.
@@ -161,7 +166,7 @@ def _placed(
         factors, places = _whole(graph, believed, start)
         values = factors.optimized() if believed else factors.values
         residuals = [factors.chi2(place, values) for place in places]
-        if max(residuals, default=0.0) <= config.inlier_chi2:
+        if max(residuals, default=0.0) <= INLIER_CHI2:
             break
         del believed[int(np.argmax(residuals))]
     poses = settled(values, range(graph.num_nodes)) if believed else np.array(graph.world_from_node)

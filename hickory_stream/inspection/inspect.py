@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from math import hypot
 from typing import TYPE_CHECKING, Any, Literal
 
-from hickory_stream.config import MapperConfig, as_far_as_known
+from hickory_stream.config import as_far_as_known
 from hickory_stream.inspection.graph_summary import GraphSummary, summary_of
 from hickory_stream.inspection.graph_summary import told as graph_line
 from hickory_stream.inspection.object_geometry import Place, place_of
@@ -105,7 +105,7 @@ class MapSummary:
 
 def summarize(saved: SavedMap) -> MapSummary:
     """Return the numbers of a map."""
-    supports = supports_of(saved.snapshot, as_far_as_known(MapperConfig, saved.manifest.config).mapping)
+    supports = supports_of(saved.snapshot, as_far_as_known(saved.manifest.config).mapping)
     objects = tuple(_summarize_object(saved, tracked, supports[tracked.id]) for tracked in saved.snapshot.objects)
     checks = [summary.containment for summary in objects if summary.containment]
     return MapSummary(

@@ -147,7 +147,7 @@ def _story_of_keyframe_pixel(
     code = code_at(keyframe, pixel, range_of(config))
     _, _, text = meaning_of_code(keyframe, code, book)
     asked = AskedPixel(frame=frame, pixel=pixel, text=text)
-    point = place_in_keyframe(keyframe, pixel, code, config.mapping.lattice.space_m)
+    point = place_in_keyframe(keyframe, pixel, code, config.mapping.voxels.space_m)
     if point is None and depth_of is not None:
         map_from_camera = keyframe.map_from_odometry @ keyframe.observed.world_from_camera
         point = place_by_depth(depth_of(keyframe.observed.stamp_ns), pixel, keyframe.camera, map_from_camera)

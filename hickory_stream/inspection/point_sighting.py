@@ -34,6 +34,7 @@ PlaceWhere = Literal[Where, "hidden", "looked through", "unknown"]
 
 AT_M = 0.03
 """Largest distance from a point at which a surface or a mask still belongs to it."""
+
 # Depth tolerance at one metre: three sigmas of a small stereo camera; it grows with the square of the depth.
 _NOISE_M = 0.012
 
@@ -103,7 +104,7 @@ def _taken_for(
     book: TrackHistories,
 ) -> tuple[PlaceWhere, int | None, str]:
     """Return the label of a point (1, 3) in the odometry's world, the index of its observation, and both in words."""
-    observed, voxel_m = keyframe.observed, config.mapping.lattice.space_m
+    observed, voxel_m = keyframe.observed, config.mapping.voxels.space_m
     noise_m = AT_M + _NOISE_M * depth_m * depth_m
     index = _nearest_observation(observed.observations, point, min(noise_m, 2 * AT_M))
     if index is not None:

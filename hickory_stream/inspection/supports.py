@@ -65,8 +65,6 @@ def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple
             graph = SupportGraph(
                 bodies={other.id: bodies[other.id] for other in around},
                 space=space,
-                config=config.support,
-                unsupported=config.unsupported,
             )
             found[item.id] = graph.edges((item.id,))
     return found
@@ -131,5 +129,5 @@ def _may_touch(spheres: NDArray[np.float64], is_own: NDArray[np.bool_]) -> NDArr
 
 
 def _body(item: TrackedObject, config: MappingConfig) -> ObjectBody:
-    cloud = cloud_of(item.points_world, item.colors, config.lattice.points_m)
+    cloud = cloud_of(item.points_world, item.colors, config.voxels.object_m)
     return ObjectBody(id=item.id, cloud=cloud, solid=cloud, box=item.box, bounds=bounds_of(cloud.points))

@@ -26,12 +26,15 @@ if TYPE_CHECKING:
 
     from hickory_stream.graph.config import GraphConfig
     from hickory_stream.graph.solution import Solution
-    from hickory_stream.loops.config import LoopConfig
     from hickory_stream.records import Loop
 
 _GRAVITY_SIGMA_RAD = 0.01
 """How well the odometry knows the vertical: visual-inertial ones do to half a degree."""
 _NO_WAY = 1e-6
+# A solution of the graph that moves no submap by more than this, against those around it, is no correction: the map
+# resolves no less.
+_CORRECT_M = 0.02
+_CORRECT_DEG = 0.3
 
 
 class Node(Protocol):
@@ -111,7 +114,7 @@ def _edge_covariance(submap: Node, after: Node, config: GraphConfig) -> NDArray[
     by_way = odometry_covariance(submap.way_m, submap.turn_rad, config, jumps=int(after.after_jump), blind=blind)
     if submap.registered is None or after.after_jump:
         return by_way
-    by_surface = registered_covariance(submap.registered, anchor, config)
+    by_surface = registered_covariance(submap.registered, anchor)
     if submap.unfixed is not None:
         whole = np.maximum([submap.turn_rad] * 3 + [submap.way_m] * 3, _NO_WAY)
         sigmas = np.sqrt(by_way.diagonal() / whole)
@@ -148,9 +151,7 @@ def world_from_submaps(submaps: Sequence[Node], world_from_node: NDArray[np.floa
     return [compose(pose, invert(_anchor(submap))) for submap, pose in zip(submaps, world_from_node, strict=True)]
 
 
-def submap_places(
-    submaps: Sequence[Node], world_from_node: NDArray[np.float64], config: LoopConfig
-) -> list[NDArray[np.float64]]:
+def submap_places(submaps: Sequence[Node], world_from_node: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Return world_from_submap (4, 4) of each submap in a solution.
 
     From the last one back, a submap that the solution moves against the one after it by less than the map resolves has
@@ -158,7 +159,7 @@ def submap_places(
     """
     places = world_from_submaps(submaps, world_from_node)
     for i in range(len(places) - 2, -1, -1):
-        if _is_same(places[i], places[i + 1], _anchor(submaps[i + 1]), config):
+        if _is_same(places[i], places[i + 1], _anchor(submaps[i + 1])):
             places[i] = places[i + 1]
     return places
 
@@ -167,20 +168,17 @@ def is_correction(
     submaps: Sequence[Node],
     places: Sequence[NDArray[np.float64]],
     before: Sequence[NDArray[np.float64]],
-    config: LoopConfig,
 ) -> bool:
     """Return whether places of submaps, as the last one has them, differ from those before by what can be seen."""
     return not all(
-        _is_same(compose(invert(places[-1]), now), compose(invert(before[-1]), then), _anchor(submap), config)
+        _is_same(compose(invert(places[-1]), now), compose(invert(before[-1]), then), _anchor(submap))
         for submap, now, then in zip(submaps, places, before, strict=True)
     )
 
 
-def _is_same(a: NDArray[np.float64], b: NDArray[np.float64], anchor: NDArray[np.float64], config: LoopConfig) -> bool:
+def _is_same(a: NDArray[np.float64], b: NDArray[np.float64], anchor: NDArray[np.float64]) -> bool:
     step = compose(invert(compose(a, anchor)), compose(b, anchor))
-    return portable.norm(step[:3, 3]) < config.correct_m and rotation_angle_rad(step[:3, :3]) < np.radians(
-        config.correct_deg
-    )
+    return portable.norm(step[:3, 3]) < _CORRECT_M and rotation_angle_rad(step[:3, :3]) < np.radians(_CORRECT_DEG)
 
 
 def _anchor(submap: Node) -> NDArray[np.float64]:

@@ -25,6 +25,7 @@ from hickory_stream.geometry.rigid import (
 )
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.graph.gate import difference, mahalanobis2
+from hickory_stream.loops.config import MIN_AGREEING_POINTS
 from hickory_stream.loops.surfaces import Surface, SurfaceFit, approached, refined, registered
 from hickory_stream.records import Loop, MapSnapshot
 
@@ -45,6 +46,12 @@ _SURE_M = 0.1
 
 _SAME_M, _SAME_RAD = 0.15, 0.035
 _LEAST_OBJECTS = 4
+# Minimum share of a submap's surface in the other one for them to be a candidate.
+_MIN_OVERLAP = 0.15
+# Where the graph is less sure than this of where two submaps lie, only their objects can locate them.
+_MAX_SIGMA_M = 0.7
+# Another place nearby with more than this share of the best one's support makes a loop ambiguous.
+_RIVAL_SHARE = 0.85
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -63,9 +70,9 @@ class LoopQuery:
 
 def search_loops(query: LoopQuery, config: LoopConfig, align_config: AlignConfig | None = None) -> tuple[Loop, ...]:
     """Return the loops found, those that are not believed with the reason; none where nothing overlaps."""
-    if len(query.surfaces[query.later_id].points) < config.least_points:
+    if len(query.surfaces[query.later_id].points) < MIN_AGREEING_POINTS:
         return ()
-    known = [i for i in sorted(query.predicted) if query.predicted[i].sigma_m <= config.most_sigma_m]
+    known = [i for i in sorted(query.predicted) if query.predicted[i].sigma_m <= _MAX_SIGMA_M]
     loops = [_by_surface(query, earlier_id, config) for earlier_id in _overlapped(query, known, config)]
     if any(loop.reason is None for loop in loops) or len(known) == len(query.predicted):
         return tuple(loops)
@@ -82,12 +89,12 @@ def _overlapped(query: LoopQuery, earlier_ids: list[int], config: LoopConfig) ->
     shares: list[tuple[float, int]] = []
     for earlier_id in earlier_ids:
         earlier, predicted = query.surfaces[earlier_id], query.predicted[earlier_id]
-        if len(earlier.points) < config.least_points:
+        if len(earlier.points) < MIN_AGREEING_POINTS:
             continue
         share = _overlap(earlier.points, apply(predicted.earlier_from_later, later.points))
-        if share >= config.least_overlap:
+        if share >= _MIN_OVERLAP:
             shares.append((-share, earlier_id))
-    return sorted(earlier_id for _, earlier_id in sorted(shares)[: config.most_candidates])
+    return sorted(earlier_id for _, earlier_id in sorted(shares)[: config.max_candidates])
 
 
 def _overlap(earlier: NDArray[np.float64], later: NDArray[np.float64]) -> float:
@@ -109,7 +116,7 @@ def _by_surface(query: LoopQuery, earlier_id: int, config: LoopConfig) -> Loop:
     reason = _why_not(best, config)
     rivals = [fit.support for fit in fits if not _is_same(fit, best, later)]
     most = max(rivals, default=0)
-    if reason is None and most > config.rival_share * best.support:
+    if reason is None and most > _RIVAL_SHARE * best.support:
         reason = f"it fits elsewhere nearby as well: {best.support} points speak for it, {most} for that"
     return _loop(earlier_id, query.later_id, best, "surface", reason)
 
@@ -149,13 +156,13 @@ def _differ(a: NDArray[np.float64], b: NDArray[np.float64], covariance: NDArray[
 
 def _why_not(fit: SurfaceFit, config: LoopConfig) -> str | None:
     """Return why a fit is not believed, None where it is."""
-    if fit.num_met < config.least_points:
-        return f"{fit.num_met} points of the surfaces meet; expected {config.least_points} and more"
-    if fit.agreement < config.least_agreement:
+    if fit.num_met < MIN_AGREEING_POINTS:
+        return f"{fit.num_met} points of the surfaces meet; expected {MIN_AGREEING_POINTS} and more"
+    if fit.agreement < config.min_agreement:
         against = fit.num_known - fit.num_met
         return (
             f"{fit.agreement:.0%} of the surface agrees, {against} points lie in free space; "
-            f"expected {config.least_agreement:.0%} and more"
+            f"expected {config.min_agreement:.0%} and more"
         )
     return None
 
@@ -192,7 +199,7 @@ def _by_objects(query: LoopQuery, config: LoopConfig, align_config: AlignConfig 
     earlier_id = max(sorted(set(owners)), key=owners.count)
     start = compose(invert(places[earlier_id]), answer.a_from_b, places[query.later_id])
     earlier, later = query.surfaces[earlier_id], query.surfaces[query.later_id]
-    if min(len(earlier.points), len(later.points)) < config.least_points:
+    if min(len(earlier.points), len(later.points)) < MIN_AGREEING_POINTS:
         return None
     fit = registered(earlier, later, start, _WITHIN_SIGMAS * answer.translation_sigma_m)
     return _loop(earlier_id, query.later_id, fit, "objects", _why_not(fit, config))

@@ -7,25 +7,20 @@ from dataclasses import dataclass, field
 from hickory_stream.base.ranges import Ranged
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.mapping.entities.existence import ExistenceConfig
-from hickory_stream.mapping.entities.observed_space import FlushConfig
 from hickory_stream.mapping.entities.submaps import SubmapConfig
-from hickory_stream.mapping.entities.track import TrackConfig
 from hickory_stream.mapping.entities.views import ViewConfig
 from hickory_stream.mapping.rules.association import AssociateConfig
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.merging import MergeConfig
 from hickory_stream.mapping.rules.shape_requests import RequestConfig
 from hickory_stream.mapping.rules.splitting import TrackSplitConfig
-from hickory_stream.mapping.rules.support_graph import UnsupportedConfig
-from hickory_stream.mapping.rules.support_relations import SupportConfig
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MappingConfig(Ranged):
-    """The configuration of everything that the core decides, and the lattices on which perception tells it."""
+    """The configuration of everything that the core decides, and the voxels that it shares with perception."""
 
-    lattice: Lattice = field(default_factory=Lattice)
-    track: TrackConfig = field(default_factory=TrackConfig)
+    voxels: Lattice = field(default_factory=Lattice)
     associate: AssociateConfig = field(default_factory=AssociateConfig)
     existence: ExistenceConfig = field(default_factory=ExistenceConfig)
     lifecycle: LifecycleConfig = field(default_factory=LifecycleConfig)
@@ -33,7 +28,4 @@ class MappingConfig(Ranged):
     split: TrackSplitConfig = field(default_factory=TrackSplitConfig)
     views: ViewConfig = field(default_factory=ViewConfig)
     requests: RequestConfig = field(default_factory=RequestConfig)
-    flush: FlushConfig = field(default_factory=FlushConfig)
-    support: SupportConfig = field(default_factory=SupportConfig)
-    unsupported: UnsupportedConfig = field(default_factory=UnsupportedConfig)
     submaps: SubmapConfig = field(default_factory=SubmapConfig)

@@ -179,7 +179,7 @@ class MapperCore:
     def __init__(self, config: MappingConfig, associator: Associator | None = None) -> None:
         self._config = config
         self._tracker = Tracker(config, associator)
-        self._snapshots = Snapshots(config.lattice.points_m)
+        self._snapshots = Snapshots(config.voxels.object_m)
         self._state = _new_map(config)
 
     def handle(self, event: Event) -> list[Effect]:
@@ -241,7 +241,7 @@ class MapperCore:
         sightings = tracker.track(state, event)
         seen_ids = {sighting.track_id for sighting in sightings}
         promoted = split_tracks(state, event, seen_ids, config)
-        sightings = moved_out(state, sightings, promoted, config)
+        sightings = moved_out(state, sightings, promoted)
         changed_ids = {*(sighting.track_id for sighting in sightings), *promoted, *promoted.values()}
         effects += tracker.merge_tracks(state, changed_ids)
         state.stirred |= changed_ids
@@ -360,4 +360,4 @@ class MapperCore:
 
 
 def _new_map(config: MappingConfig) -> MapState:
-    return MapState(submaps=first_submap(config.lattice.space_m))
+    return MapState(submaps=first_submap(config.voxels.space_m))

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.events import SearchLoops
-    from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.mapping.entities.observed_space import SpaceState
     from hickory_stream.mapping.entities.submaps import Submaps
     from hickory_stream.mapping.rules.splitting import SplitCandidates
@@ -127,13 +126,11 @@ class MapState:
         host_id = self.tracks.host_of(track_id)
         return self.elsewhere.host_of(track_id) if host_id is None else host_id
 
-    def support_graph(self, config: MappingConfig, space: SpaceState | None = None) -> SupportGraph:
+    def support_graph(self, space: SpaceState | None = None) -> SupportGraph:
         """Return the support graph of `tracks`, which it follows as they change, in a space; None: what is near."""
         return SupportGraph(
             bodies=self.tracks,
             space=self.submaps.space if space is None else space,
-            config=config.support,
-            unsupported=config.unsupported,
         )
 
     def view_names(self) -> set[str]:

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.base.ranges import Ranged, number
-from hickory_stream.perception.fragments.color_split import ColorSplitConfig, split_by_color
+from hickory_stream.perception.fragments.color_split import split_by_color
 from hickory_stream.perception.fragments.over_segmentation import (
-    FragmentConfig,
     Fragments,
     concave_creases,
     fragments_of,
@@ -35,33 +34,28 @@ if TYPE_CHECKING:
     from hickory_stream.records import Frame, MapPrior
 
 
+# A mask smaller than a square with a side of this many sigmas of depth cannot be distinguished from noise.
+_MIN_SIDE_SIGMAS = 2.5
+# A mask with fewer working pixels, and more of its outline than this behind nearer surfaces, is rejected.
+_OCCLUDED_AREA_PX = 720
+_OCCLUDED_SHARE = 0.6
+# Minimum visible area of a support plane (horizontal surface of an object), and minimum number of working pixels of
+# a connected region of it.
+_SUPPORT_AREA_M2 = 0.03
+_SUPPORT_AREA_PX = 60
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GeometricConfig(Ranged):
-    """The stages of the geometric segmenter, and which masks it rejects.
-
-    Attributes:
-        min_area_px: masks with fewer working pixels are rejected ...
-        min_side_sigmas: ... and so are those whose area is less than a square with a side of this many sigmas of depth:
-            they cannot be distinguished from noise.
-        occluded_area_px: a mask with fewer working pixels ...
-        occluded_share: ... and more of its outline than this behind nearer surfaces is rejected.
-        max_extent_m: longer masks are rejected as structure.
-        support_area_m2: minimum visible area of a support plane (horizontal surface of an object) ...
-        support_area_px: ... and minimum number of working pixels of a connected region of it.
-    """
+    """The stages of the geometric segmenter, and which masks it rejects."""
 
     surface: SurfaceConfig = field(default_factory=SurfaceConfig)
     structure: StructureConfig = field(default_factory=StructureConfig)
-    fragments: FragmentConfig = field(default_factory=FragmentConfig)
-    color_split: ColorSplitConfig = field(default_factory=ColorSplitConfig)
     join: JoinConfig = field(default_factory=JoinConfig)
+    #: Masks with fewer working pixels are rejected.
     min_area_px: int = number(16, 1, 1_000_000, "px")
-    min_side_sigmas: float = number(2.5, 0, 100, "sigmas")
-    occluded_area_px: int = number(720, 0, 1_000_000, "px")
-    occluded_share: float = number(0.6, 0, 1, "share")
+    #: Longer masks are rejected as structure.
     max_extent_m: float = number(4.0, 0.01, 1000, "m")
-    support_area_m2: float = number(0.03, 0, 1000, "m2")
-    support_area_px: int = number(60, 1, 1_000_000, "px")
 
 
 class GeometricSegmenter:
@@ -117,17 +111,17 @@ class GeometricSegmenter:
     def room(self, surface: Surface, prior: MapPrior | None) -> RoomStructure:
         """Return the room structure in a frame; `prior` is the map so far."""
         space = None if prior is None else prior.space
-        return room_structure_of(surface, space, self._config.structure, self._config.support_area_m2)
+        return room_structure_of(surface, space, self._config.structure, _SUPPORT_AREA_M2)
 
     def divided(self, surface: Surface, room: RoomStructure) -> Fragments:
         """Return the over-segmentation of a surface, excluding structure."""
-        config, floor_z_m = self._config, room.floor_z_m
+        floor_z_m = room.floor_z_m
         heights = np.array([p.z_m for p in room.planes if floor_z_m is None or p.z_m > floor_z_m + 0.06])
-        supports = support_labels(surface, heights, min_pixels=config.support_area_px)
-        creases = concave_creases(surface, room.structure, config.fragments)
-        labels = fragments_of(surface, room.structure, supports, creases, config.fragments)
+        supports = support_labels(surface, heights, min_pixels=_SUPPORT_AREA_PX)
+        creases = concave_creases(surface, room.structure)
+        labels = fragments_of(surface, room.structure, supports, creases)
         boxes = label_boxes(labels, int(labels.max()) + 1)
-        labels = split_by_color(labels, boxes, surface.lab, config.color_split)
+        labels = split_by_color(labels, boxes, surface.lab)
         return Fragments(surface=surface, room=room, supports=supports, labels=labels)
 
 
@@ -172,9 +166,9 @@ def _why_not(
     if pixels < config.min_area_px:
         return f"{pixels} working pixels, fewer than {config.min_area_px}"
     side_m, sigma_m = _side_and_sigma_m(surface, labels, label, pixels, box)
-    if side_m < config.min_side_sigmas * sigma_m:
-        return f"{100 * side_m:.1f} cm in a square, less than {config.min_side_sigmas:g} sigmas of depth"
-    if occluded > config.occluded_share and pixels < config.occluded_area_px:
+    if side_m < _MIN_SIDE_SIGMAS * sigma_m:
+        return f"{100 * side_m:.1f} cm in a square, less than {_MIN_SIDE_SIGMAS:g} sigmas of depth"
+    if occluded > _OCCLUDED_SHARE and pixels < _OCCLUDED_AREA_PX:
         return f"{occluded:.0%} of the outline is occluded by nearer surfaces"
     return why_no_object(surface, labels, label, box, config.max_extent_m)
 

@@ -61,34 +61,32 @@ class InstanceMask:
         freeze(self, "mask", np.bool_, (y1 - y0, x1 - x0))
 
 
+# A mask that covers more of the image than this is the scene, not an object.
+_MAX_SHARE = 0.6
+# A mask with a larger share than this on floor, walls or ceiling is rejected.
+_STRUCTURE_SHARE = 0.5
+# Of two masks with a higher IoU the one with the better score is kept.
+_DUPLICATE_IOU = 0.8
+# A mask is inside a larger one if more than this share of it is.
+_INSIDE_SHARE = 0.85
+# A mask inside another one is an object of its own if it protrudes from the surface around it by this, plus three
+# sigma of depth, or if it is flat on a horizontal surface and has at least this area.
+_STANDS_OUT_M = 0.008
+_FLAT_AREA_M2 = 0.008
+# A mask of which smaller masks leave less than this share uncovered is a group of these masks.
+_VISIBLE_SHARE = 0.25
+# A small mask with more of its outline than this behind nearer surfaces is rejected.
+_OCCLUDED_SHARE = 0.6
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MaskConfig(Ranged):
-    """How overlapping masks are resolved, and which are rejected.
+    """Which masks of a network are rejected."""
 
-    Attributes:
-        min_area_px: smaller masks are rejected, in pixels of the frame.
-        max_share: a mask that covers more of the image than this is the scene, not an object.
-        structure_share: a mask with a larger share than this on floor, walls or ceiling is rejected.
-        duplicate_iou: of two masks with a higher IoU the one with the better score is kept.
-        inside_share: a mask is inside a larger one if more than this share of it is.
-        stands_out_m: a mask inside another one is an object of its own if it protrudes from the surface around it by
-            this, plus three sigma of depth ...
-        flat_area_m2: ... or if it is flat on a horizontal surface and has at least this area.
-        visible_share: a mask of which smaller masks leave less than this share uncovered is a group of these masks.
-        max_extent_m: longer masks are structure.
-        occluded_share: a small mask with more of its outline than this behind nearer surfaces is rejected.
-    """
-
+    #: Smaller masks are rejected, in pixels of the frame.
     min_area_px: int = number(240, 0, 1_000_000, "px")
-    max_share: float = number(0.6, 0, 1, "share")
-    structure_share: float = number(0.5, 0, 1, "share")
-    duplicate_iou: float = number(0.8, 0, 1, "IoU")
-    inside_share: float = number(0.85, 0, 1, "share")
-    stands_out_m: float = number(0.008, 0, 10, "m")
-    flat_area_m2: float = number(0.008, 0, 100, "m2")
-    visible_share: float = number(0.25, 0, 1, "share")
+    #: Longer masks are rejected as structure.
     max_extent_m: float = number(4.0, 0.01, 1000, "m")
-    occluded_share: float = number(0.6, 0, 1, "share")
 
 
 def compose(
@@ -102,13 +100,13 @@ def compose(
     reasons = [_why_unusable(mask, int(area), structure, config) for mask, area in zip(masks, areas, strict=True)]
     usable = [i for i, reason in enumerate(reasons) if reason is None]
     shared = _shared_pixels([masks[i] for i in usable])
-    _reject_duplicates(masks, usable, shared, reasons, config)
-    _reject_parts(masks, usable, shared, reasons, surface, config)
+    _reject_duplicates(masks, usable, shared, reasons)
+    _reject_parts(masks, usable, shared, reasons, surface)
     order = sorted((i for i in usable if reasons[i] is None), key=lambda i: -areas[i])
     painted = _painted(masks, order, structure.shape)
     left = np.bincount(painted.ravel(), minlength=len(masks) + 1)[1:]
     for i in order:
-        if left[i] < config.visible_share * areas[i]:
+        if left[i] < _VISIBLE_SHARE * areas[i]:
             reasons[i] = f"{1 - left[i] / areas[i]:.0%} of it is made up of smaller masks"
     kept = [i for i in order if reasons[i] is None]
     labels = painted if len(kept) == len(order) else _painted(masks, kept, structure.shape)
@@ -202,10 +200,10 @@ def _why_unusable(mask: InstanceMask, area: int, structure: NDArray[np.bool_], c
     x0, y0, x1, y1 = mask.box_px
     if area < max(config.min_area_px, 1):
         return f"{area} pixels, fewer than {max(config.min_area_px, 1)}"
-    if area > config.max_share * structure.size:
+    if area > _MAX_SHARE * structure.size:
         return f"{area / structure.size:.0%} of the image: the scene"
     on_structure = np.count_nonzero(structure[y0:y1, x0:x1] & mask.mask) / area
-    if on_structure > config.structure_share:
+    if on_structure > _STRUCTURE_SHARE:
         return f"{on_structure:.0%} of it is floor, wall or ceiling"
     return None
 
@@ -215,7 +213,6 @@ def _reject_duplicates(
     usable: Sequence[int],
     shared: NDArray[np.int64],
     reasons: list[str | None],
-    config: MaskConfig,
 ) -> None:
     """Reject duplicates of better masks; `shared` (N, N): pixels shared by `usable` masks, areas on its diagonal."""
     areas = shared.diagonal()
@@ -223,7 +220,7 @@ def _reject_duplicates(
     kept: list[int] = []
     for j in sorted(range(len(usable)), key=lambda j: (-masks[usable[j]].score, j)):
         most = float(iou[kept, j].max(initial=0.0))
-        if most > config.duplicate_iou:
+        if most > _DUPLICATE_IOU:
             reasons[usable[j]] = f"a better mask covers the same (IoU {most:.2f})"
         else:
             kept.append(j)
@@ -235,15 +232,14 @@ def _reject_parts(
     shared: NDArray[np.int64],
     reasons: list[str | None],
     surface: Surface,
-    config: MaskConfig,
 ) -> None:
     """Reject masks inside a larger one, the smallest around them, from whose surface they do not protrude."""
     areas = np.maximum(shared.diagonal(), 1)
     kept: list[int] = []
     for j in sorted((j for j in range(len(usable)) if reasons[usable[j]] is None), key=lambda j: (-areas[j], j)):
-        around = np.asarray(kept, dtype=np.int64)[shared[kept, j] > config.inside_share * areas[j]]
+        around = np.asarray(kept, dtype=np.int64)[shared[kept, j] > _INSIDE_SHARE * areas[j]]
         is_own = len(around) == 0 or _is_own_thing(
-            masks[usable[j]], masks[usable[around[-1]]], areas[j] / areas[around[-1]], surface, config
+            masks[usable[j]], masks[usable[around[-1]]], areas[j] / areas[around[-1]], surface
         )
         if is_own:
             kept.append(j)
@@ -251,7 +247,7 @@ def _reject_parts(
             reasons[usable[j]] = "part of a larger mask: nothing stands out"
 
 
-def _is_own_thing(inner: InstanceMask, outer: InstanceMask, share: float, surface: Surface, config: MaskConfig) -> bool:
+def _is_own_thing(inner: InstanceMask, outer: InstanceMask, share: float, surface: Surface) -> bool:
     """Return whether a mask inside another one protrudes from the surface around it, or is flat on a horizontal one.
 
     `share` is the ratio of their areas.
@@ -275,9 +271,9 @@ def _is_own_thing(inner: InstanceMask, outer: InstanceMask, share: float, surfac
     normal, offset = _plane_of(points[ring].astype(np.float64))
     distance = np.abs(portable.matmul(points[seen], normal) - offset)
     # It suffices if 30 % of the mask protrude: the rim of a bowl, or the body of a cup behind its handle.
-    if np.quantile(distance, 0.7) > config.stands_out_m + 3 * float(np.median(sigma_m[seen])):
+    if np.quantile(distance, 0.7) > _STANDS_OUT_M + 3 * float(np.median(sigma_m[seen])):
         return True
-    return bool(abs(normal[2]) > 0.95 and _area_m2(points, seen, surface) > config.flat_area_m2)
+    return bool(abs(normal[2]) > 0.95 and _area_m2(points, seen, surface) > _FLAT_AREA_M2)
 
 
 def _working_lattice(first: int, last: int, factor: int, size: int) -> range:
@@ -369,7 +365,7 @@ def _why_no_objects(labels: NDArray[np.int32], surface: Surface, config: MaskCon
     found = []
     for label in map(int, np.flatnonzero(pixels[1:]) + 1):
         why = why_no_object(surface, small, label, boxes[label], config.max_extent_m)
-        if occluded[label] > config.occluded_share and pixels[label] < small_area:
+        if occluded[label] > _OCCLUDED_SHARE and pixels[label] < small_area:
             why = f"{occluded[label]:.0%} of the outline is occluded by nearer surfaces"
         if why is not None:
             found.append((label, why))

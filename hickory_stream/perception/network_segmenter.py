@@ -46,17 +46,13 @@ def thing_log_odds(labels: NDArray[np.int32], odds: PixelOdds) -> NDArray[np.flo
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NetworkJoinConfig(Ranged):
-    """How the network's log-odds are used.
+    """How the network's log-odds are used."""
 
-    Attributes:
-        learned_probability: minimum probability for a merge by the trees that use the network's odds (forest `odds`).
-        structure_shift: added to the network's log-odds that a mask is part of the room; the mask is rejected if the
-            sum is positive. Lower values reject fewer masks, -8 none.
-        split: when the network divides fragments that geometry and colour did not divide.
-    """
-
+    #: Minimum probability for a merge by the trees that use the network's odds (forest `odds`).
     learned_probability: float = number(0.35, 0, 1, "probability")
+    #: Added to the log-odds that a mask is part of the room; lower values reject fewer masks, -8 none.
     structure_shift: float = number(-1.0, -8, 8, "log-odds")
+    #: When the network divides fragments that geometry and colour did not divide.
     split: SplitConfig = field(default_factory=SplitConfig)
 
 

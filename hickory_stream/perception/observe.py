@@ -31,27 +31,24 @@ if TYPE_CHECKING:
 MILLIMETRE, MOST_MM = np.float32(0.001), 65535
 """As players make metres of the millimetres that cameras give."""
 
+# Near the rim of a mask a return counts only within this many sigmas of depth of its neighbour further inside.
+_AGREE_SIGMAS = 3.0
+# A return needs at least this many of its 24 neighbours within those sigmas of its depth.
+_MIN_NEIGHBORS = 5
+# A mask with fewer returns is rejected, and so is one whose returns lie in fewer cells.
+_MIN_RETURNS = 24
+_MIN_POINTS = 12
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObserveConfig(Ranged):
-    """How masks are lifted.
+    """How masks are lifted."""
 
-    Attributes:
-        min_depth_m, max_depth_m: the range of reliable returns.
-        agree_sigmas: near the rim of a mask a return counts only if it is within this many sigmas of depth of its
-            neighbour further inside the mask.
-        min_neighbors: a return needs at least this many of its 24 neighbours within `agree_sigmas` of its depth.
-        min_returns: a mask with fewer returns is rejected ...
-        min_points: ... and so is one whose returns lie in fewer cells.
-        max_box_m: maximum side of an object's box.
-    """
-
+    #: Nearer returns are not reliable.
     min_depth_m: float = number(0.2, 0, 100, "m")
+    #: Farther returns are not reliable.
     max_depth_m: float = number(5.0, 0.1, 1000, "m")
-    agree_sigmas: float = number(3.0, 0, 100, "sigmas")
-    min_neighbors: int = number(5, 0, 24, "returns")
-    min_returns: int = number(24, 1, 1_000_000, "returns")
-    min_points: int = number(12, 1, 1_000_000, "points")
+    #: Maximum side of an object's box.
     max_box_m: float = number(4.0, 0.01, 1000, "m")
 
     def __post_init__(self) -> None:
@@ -67,7 +64,7 @@ def observe(
     rejected: list[RejectedMask] = list(segmentation.rejected)
     alone = segmentation.alone
     for box_px, mask in _masks(segmentation.instances):
-        lifted = _lift(frame, box_px, mask, config, lattice.points_m)
+        lifted = _lift(frame, box_px, mask, config, lattice.object_m)
         if isinstance(lifted, str):
             rejected.append(RejectedMask(box_px=box_px, reason=lifted, mask=mask))
             continue
@@ -78,7 +75,7 @@ def observe(
                 mask=mask,
                 points_world=lifted.points,
                 colors=lifted.colors,
-                box=gravity_aligned_box(lifted.company, lattice.points_m),
+                box=gravity_aligned_box(lifted.company, lattice.object_m),
                 r_area=float(np.count_nonzero(mask)) / mask_area_of(frame.camera),
                 r_depth=lifted.valid_share,
                 is_cut=_touches_border(box_px, frame.camera),
@@ -129,18 +126,18 @@ def _lift(
         depth,
         frame.rgb[y0:y1, x0:x1],
         mask,
-        _supported(depth, _agreeing(depth, mask, frame, config), frame, config),
+        _supported(depth, _agreeing(depth, mask, frame), frame),
         *rays_of(camera),
         np.float32(config.min_depth_m),
         np.float32(config.max_depth_m),
     )
     if len(points) == 0:
         return "no reliable depth in the mask"
-    if len(points) < config.min_returns:
-        return f"{len(points)} sure returns, fewer than {config.min_returns}"
+    if len(points) < _MIN_RETURNS:
+        return f"{len(points)} sure returns, fewer than {_MIN_RETURNS}"
     points, colors = means_in_world(points, colors, frame.world_from_camera, voxel_m)
-    if len(points) < config.min_points:
-        return f"{len(points)} points, fewer than {config.min_points}"
+    if len(points) < _MIN_POINTS:
+        return f"{len(points)} points, fewer than {_MIN_POINTS}"
     company = points[in_company(points)]
     size_m = float(extent_of(company).max())
     if size_m > config.max_box_m:
@@ -280,15 +277,13 @@ def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:
     return kept[erode_px : erode_px + mask.shape[0], erode_px : erode_px + mask.shape[1]]
 
 
-def _agreeing(
-    depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame, config: ObserveConfig
-) -> NDArray[np.bool_]:
+def _agreeing(depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame) -> NDArray[np.bool_]:
     """Return the mask without rim pixels that belong to another surface or mix two surfaces (flying pixels)."""
     edge_px = frame.sensor.edge_px(frame.camera.fx)
     inner = _eroded(mask, edge_px)
     law = frame.sensor.law
     for _ in range(edge_px):
-        inner = _with_agreeing(depth, mask, inner, law, config.agree_sigmas)
+        inner = _with_agreeing(depth, mask, inner, law, _AGREE_SIGMAS)
     return inner
 
 
@@ -310,13 +305,9 @@ def _with_agreeing(depth, mask, inner, law, sigmas):
     return out
 
 
-def _supported(
-    depth: NDArray[np.float32], inner: NDArray[np.bool_], frame: Frame, config: ObserveConfig
-) -> NDArray[np.bool_]:
+def _supported(depth: NDArray[np.float32], inner: NDArray[np.bool_], frame: Frame) -> NDArray[np.bool_]:
     """Return (h, w) which returns have enough image neighbours on the same surface, whatever their depth."""
-    supported: NDArray[np.bool_] = _with_support(
-        depth, inner, frame.sensor.law, config.agree_sigmas, config.min_neighbors
-    )
+    supported: NDArray[np.bool_] = _with_support(depth, inner, frame.sensor.law, _AGREE_SIGMAS, _MIN_NEIGHBORS)
     return supported
 
 

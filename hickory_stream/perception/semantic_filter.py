@@ -36,18 +36,15 @@ DYNAMIC = ("person", "animal", "car", "dog", "cat", "bicycle", "bike", "motorbik
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FilterConfig(Ranged):
-    """Which classes are excluded as objects.
+    """Which classes are excluded as objects."""
 
-    Attributes:
-        structure: names of classes that are part of the room; their pixels become structure.
-        dynamic: names of classes that move by themselves; their pixels are neither object nor structure.
-        share: a mask is rejected if at least this share of it is on one of these classes ...
-        iou: ... or if its IoU with all pixels of such a class is at least this.
-    """
-
+    #: Names of classes that are part of the room; their pixels become structure.
     structure: tuple[str, ...] = STRUCTURE
+    #: Names of classes that move by themselves; their pixels are neither object nor structure.
     dynamic: tuple[str, ...] = DYNAMIC
+    #: A mask with at least this share on one of these classes is rejected.
     share: float = number(0.3, 0.001, 1, "share")
+    #: So is a mask whose IoU with all pixels of such a class is at least this.
     iou: float = number(0.3, 0.001, 1, "IoU")
 
 

@@ -27,14 +27,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SpaceConfig(Ranged):
-    """The sampling of rays.
+    """The sampling of rays."""
 
-    Attributes:
-        stride_px: stride of the rays in pixels, in both directions.
-        max_depth_m: farther returns are ignored.
-    """
-
+    #: Stride of the rays in pixels, in both directions.
     stride_px: int = number(6, 1, 1000, "px")
+    #: Farther returns are ignored.
     max_depth_m: float = number(5.0, 0.1, 1000, "m")
 
 

@@ -25,21 +25,20 @@ if TYPE_CHECKING:
     from hickory_stream.records import Frame
 
 
+# Half the side of the window of a normal.
+_NORMAL_RADIUS_PX = 3
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SurfaceConfig(Ranged):
-    """How the surface is computed from depth.
+    """How the surface is computed from depth."""
 
-    Attributes:
-        width_px: width at which frames are segmented; larger frames are reduced by a whole factor.
-        max_depth_m: returns beyond are ignored.
-        min_depth_m: returns nearer are ignored.
-        normal_radius_px: half the side of the window of a normal.
-    """
-
+    #: Width at which frames are segmented; larger frames are reduced by a whole factor.
     width_px: int = number(320, 32, 8192, "px")
+    #: Farther returns are ignored.
     max_depth_m: float = number(6.0, 0.1, 1000, "m")
+    #: Nearer returns are ignored.
     min_depth_m: float = number(0.2, 0, 100, "m")
-    normal_radius_px: int = number(3, 1, 100, "px")
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -83,7 +82,7 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
         rgb = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
     u = ((np.arange(width) - camera.cx) / camera.fx).astype(np.float32)
     v = ((np.arange(height) - camera.cy) / camera.fy).astype(np.float32)
-    normals_camera = _normals(depth, u, v, config.normal_radius_px, np.float32(frame.sensor.spread_per_m))
+    normals_camera = _normals(depth, u, v, _NORMAL_RADIUS_PX, np.float32(frame.sensor.spread_per_m))
     return Surface(
         factor=factor,
         camera=camera,

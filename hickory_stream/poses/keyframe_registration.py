@@ -61,6 +61,39 @@ _EVERY_DIRECTION, _NO_DIRECTION = np.eye(6), no_directions()
 Placing = Literal["first", "fits", "new ground", "begun anew"]
 """How the pose of a keyframe was found: it fits the surface; or there is none to compare it with."""
 
+# The odometry's error that each keyframe adds, beside `drift_share` and `turn_share`.
+_STEP_M = 0.001
+_TURN_DEG = 0.05
+# The odometry's error in rotation, for every metre of the path.
+_TURN_OF_METRE_DEG = 0.05
+# The odometry's error along a motion that its own scans did not constrain, as a share of that motion.
+_UNSEEN_SHARE = 0.3
+# The greatest error of the odometry's vertical, at any time.
+_TILT_DEG = 0.5
+# The odometry's error after it, or the stamps, jumped.
+_JUMP_M = 0.05
+_JUMP_DEG = 2.0
+# From this many keyframes in a row that contradict the odometry by this much on, every keyframe is registered.
+_CONTRADICTION_SIGMAS = 2.5
+_CONTRADICTIONS = 4
+# A result farther from the odometry than this is rejected.
+_BOUND_SIGMAS = 6.0
+# A keyframe is registered to at most this many earlier ones, of which so many are the last ones.
+_NUM_PATCHES = 12
+NUM_RECENT = 3
+# A keyframe that shares more than this with so many remembered ones need not be remembered.
+_ANCHOR_OVERLAP = 0.7
+_NUM_COVERING = 3
+# With fewer points to compare the ground is new, and the pose is the odometry's.
+_MIN_POINTS = 300
+# A keyframe with a smaller share of its compared points on the surface is kept out of the map.
+_MIN_FIT = 0.35
+# After a keyframe that was kept out, or a jump, the surface alone must be as sure as this of the pose.
+_FOUND_M = 0.02
+_FOUND_DEG = 1.0
+# After this many in a row that were kept out the robot is elsewhere: the surface starts again.
+LOST_KEYFRAMES = 8
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Belief:
@@ -153,9 +186,9 @@ class KeyframeRegistration:
         if self._belief is None:
             return self._accepted("first", image, _fresh(odometry_from_camera), None)
         prior = self._prior(odometry_from_camera, unseen)
-        found = align(image, self._patches(image, prior.map_from_camera), prior, self._config)
+        found = align(image, self._patches(image, prior.map_from_camera), prior)
         expected = self._expected(prior, odometry_from_camera)
-        fit = found.fit(self._config.least_points)
+        fit = found.fit(_MIN_POINTS)
         reason = self._why_not(found, fit, prior)
         if reason is None and fit is None:
             return self._accepted("new ground", image, expected, None)
@@ -164,7 +197,7 @@ class KeyframeRegistration:
             registered = self._registered(found, prior, expected, unknown, is_guess=len(unseen) > 0)
             return self._accepted("fits", image, registered, fit, unknown)
         self._num_kept_out += 1
-        if not self._has_jumped and self._num_kept_out < self._config.lost_keyframes:
+        if not self._has_jumped and self._num_kept_out < LOST_KEYFRAMES:
             self._widened = min(2.0 * self._widened, _MOST_WIDENED)
             return KeptOut(reason=reason)
         self._anchors, self._recent = [], []
@@ -180,7 +213,7 @@ class KeyframeRegistration:
         patches = [patch_of(each.image, each.map_from_camera, odd=each.number % 2 == 1) for each in remembered]
         anchors = [patch for patch, each in zip(patches, remembered, strict=True) if each.is_anchor]
         self._anchors = anchors[-self._config.max_anchors :]
-        self._recent = patches[-self._config.num_recent :] if self._config.num_recent else []
+        self._recent = patches[-NUM_RECENT:]
 
     # ---- what is expected --------------------------------------------------------------------------------------------
 
@@ -194,19 +227,19 @@ class KeyframeRegistration:
         before, now = belief.odometry_from_camera, odometry_from_camera
         way_m = portable.norm(now[:3, 3] - before[:3, 3])
         turned = rotation_angle_rad(portable.matmul(before[:3, :3].T, now[:3, :3]))
-        turn_deg = config.turn_deg + config.turn_of_metre_deg * way_m + config.turn_share * np.degrees(turned)
-        moved_m = config.step_m + config.way_share * way_m
+        turn_deg = _TURN_DEG + _TURN_OF_METRE_DEG * way_m + config.turn_share * np.degrees(turned)
+        moved_m = _STEP_M + config.drift_share * way_m
         if self._has_jumped:
-            turn_deg, moved_m = turn_deg + config.jump_deg, moved_m + config.jump_m
+            turn_deg, moved_m = turn_deg + _JUMP_DEG, moved_m + _JUMP_M
         spread = self._widened * np.array([*3 * [np.radians(turn_deg)], *3 * [moved_m]])
         map_from_camera = compose(belief.map_from_odometry, now)
         lever = portable.matmul(belief.map_from_odometry[:3, :3], now[:3, 3] - before[:3, 3])
         covariance = _carried(belief.covariance, lever) + np.diag(spread * spread)
         if len(unseen):
-            guessed = config.unseen_share * np.array([turned, turned, turned, way_m, way_m, way_m])
+            guessed = _UNSEEN_SHARE * np.array([turned, turned, turned, way_m, way_m, way_m])
             guesses = turned_directions(map_from_camera, unseen) * guessed
             covariance = covariance + portable.matmul(guesses.T, guesses)
-        tilt_rad = np.radians(config.tilt_deg)
+        tilt_rad = np.radians(_TILT_DEG)
         return PosePrior(
             map_from_camera=map_from_camera,
             information=inverse(covariance),
@@ -227,13 +260,12 @@ class KeyframeRegistration:
 
     def _patches(self, image: SurfaceImage, map_from_camera: NDArray[np.float64]) -> list[Patch]:
         """Return the last keyframes, and of those before the ones that saw most of the same, the oldest first."""
-        config = self._config
         camera_from_map = invert(map_from_camera)
         recent = {id(patch) for patch in self._recent}
         others = [patch for patch in self._anchors if id(patch) not in recent]
         shares = [share_seen(patch, camera_from_map, image.camera) for patch in others]
         order = sorted(range(len(others)), key=lambda i: (-round(_SHARE_STEPS * shares[i]), i))
-        wanted = max(config.num_patches - len(self._recent), 0)
+        wanted = max(_NUM_PATCHES - len(self._recent), 0)
         chosen = [others[i] for i in order[:wanted] if shares[i] >= _LEAST_SEEN]
         return [*chosen, *self._recent]
 
@@ -241,15 +273,14 @@ class KeyframeRegistration:
 
     def _why_not(self, found: Aligned, fit: float | None, prior: PosePrior) -> str | None:
         """Return why a keyframe does not fit, None where it does, or where nothing speaks against it."""
-        config = self._config
-        if fit is not None and not fit >= config.least_fit:
-            return f"{fit:.0%} of what it should show of the map is there; expected {config.least_fit:.0%} and more"
+        if fit is not None and not fit >= _MIN_FIT:
+            return f"{fit:.0%} of what it should show of the map is there; expected {_MIN_FIT:.0%} and more"
         sigmas = _sigmas(found.off, prior.information)
-        if fit is not None and not sigmas <= config.bound_sigmas:
+        if fit is not None and not sigmas <= _BOUND_SIGMAS:
             moved_m, turned_deg = portable.norm(found.off[3:]), float(np.degrees(portable.norm(found.off[:3])))
             return (
                 f"it fits {moved_m:.2f} m and {turned_deg:.1f} degrees from where the odometry has it, {sigmas:.0f} "
-                f"sigma of its drift; expected {config.bound_sigmas:g} and less"
+                f"sigma of its drift; expected {_BOUND_SIGMAS:g} and less"
             )
         # Who does not know where he is does not learn it from new ground, nor from a floor.
         is_lost = self._num_kept_out > 0 or self._has_jumped
@@ -260,22 +291,22 @@ class KeyframeRegistration:
     def _tells_where(self, found: Aligned) -> bool:
         """Return whether the surface alone says where a keyframe is, in every direction."""
         variances = np.diag(inverse(found.information + _NOTHING * np.eye(6)))
-        limits = np.array([*3 * [np.radians(self._config.found_deg)], *3 * [self._config.found_m]])
+        limits = np.array([*3 * [np.radians(_FOUND_DEG)], *3 * [_FOUND_M]])
         return bool((variances <= limits * limits).all())
 
     def _registered(
         self, found: Aligned, prior: PosePrior, expected: Belief, unknown: NDArray[np.float64], *, is_guess: bool
     ) -> Belief:
         """Return what is believed after a keyframe that fits; its surface says nothing along `unknown` (K, 6)."""
-        config, belief = self._config, self._belief
+        belief = self._belief
         assert belief is not None
         off, information = _without(unknown, found.off), _information_without(unknown, found.information)
         covariance = inverse(prior.information + information)
         num_against = 0
-        if not belief.corrects and _sigmas(off, information) > config.contradiction_sigmas:
+        if not belief.corrects and _sigmas(off, information) > _CONTRADICTION_SIGMAS:
             num_against = belief.num_against + 1
         # After a jump, or what did not fit, or against a guess, one word of the surface is enough.
-        is_enough = num_against >= config.contradictions or self._has_jumped or self._num_kept_out > 0 or is_guess
+        is_enough = num_against >= _CONTRADICTIONS or self._has_jumped or self._num_kept_out > 0 or is_guess
         corrects = belief.corrects or (num_against > 0 and is_enough)
         if not corrects:
             return replace(expected, covariance=covariance, num_against=num_against)
@@ -304,13 +335,13 @@ class KeyframeRegistration:
         map_from_camera = odometry if is_identity else compose(belief.map_from_odometry, odometry)
         patch = patch_of(image, map_from_camera, odd=self._num_placed % 2 == 1)
         covering = sum(
-            share_seen(patch, invert(anchor.map_from_camera), image.camera) > config.anchor_overlap
+            share_seen(patch, invert(anchor.map_from_camera), image.camera) > _ANCHOR_OVERLAP
             for anchor in self._anchors
         )
-        is_anchor = covering < config.num_covering
+        is_anchor = covering < _NUM_COVERING
         if is_anchor:
             self._anchors = [*self._anchors, patch][-config.max_anchors :]
-        self._recent = [*self._recent, patch][-config.num_recent :] if config.num_recent else []
+        self._recent = [*self._recent, patch][-NUM_RECENT:]
         self._num_placed += 1
         self._belief = belief
         self._widened, self._has_jumped, self._num_kept_out = 1.0, False, 0

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.camera import Camera
-    from hickory_stream.poses.registration_config import RegistrationConfig
     from hickory_stream.poses.surface_image import SurfaceImage
 
 _NEAREST_M = 0.2
@@ -40,6 +39,17 @@ _THROUGH_M = 0.1
 _NUM_PROBES = 40
 _LEVEL = 0.9
 """The cosine to the vertical from which on a normal is that of a level surface."""
+
+# Added to the noise of each point: surfaces are no smoother than this.
+_SURFACE_NOISE_M = 0.005
+# The points of a keyframe count as at most this many independent measurements: neighbours err alike.
+_NUM_INDEPENDENT = 200.0
+# The scale of the robust kernel in the first and in the last step, and the number of steps.
+_FIRST_SCALE_M = 0.06
+_LAST_SCALE_M = 0.015
+_NUM_ITERATIONS = 6
+# Surfaces whose normals have a smaller cosine are not the same.
+_MIN_COSINE = 0.85
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -120,13 +130,13 @@ def share_seen(patch: Patch, camera_from_map: NDArray[np.float64], camera: Camer
     return float(_num_in_view(patch.probes, camera_from_patch, lens, camera.width, camera.height)) / len(patch.probes)
 
 
-def align(image: SurfaceImage, patches: Sequence[Patch], prior: PosePrior, config: RegistrationConfig) -> Aligned:
+def align(image: SurfaceImage, patches: Sequence[Patch], prior: PosePrior) -> Aligned:
     """Return the most likely pose of a keyframe by its surface, the patches and what is expected."""
     lens = image.camera.fx, image.camera.fy, image.camera.cx, image.camera.cy
     pose, off = prior.map_from_camera, np.zeros(6)
     counts = np.zeros(4, dtype=np.int64)
     information = np.zeros((6, 6))
-    for step in range(config.num_iterations):
+    for step in range(_NUM_ITERATIONS):
         hessian, slope = np.zeros((6, 6)), np.zeros(6)
         counts[:] = 0
         camera_from_map = invert(pose)
@@ -141,13 +151,13 @@ def align(image: SurfaceImage, patches: Sequence[Patch], prior: PosePrior, confi
                 image.sigma_m,
                 lens,
                 pose[2, :3].copy(),
-                (_scale_m(step, config), config.least_cosine, config.surface_noise_m * config.surface_noise_m),
+                (_scale_m(step), _MIN_COSINE, _SURFACE_NOISE_M * _SURFACE_NOISE_M),
                 hessian,
                 slope,
                 counts,
             )
         # Neighbouring points err alike, and each point of the keyframe was compared with several patches.
-        share = min(1.0, config.num_independent / max(int(counts[0]), 1))
+        share = min(1.0, _NUM_INDEPENDENT / max(int(counts[0]), 1))
         turned = _in_map_axes(pose)
         information = share * portable.matmul(portable.matmul(turned, _mirrored(hessian)), turned.T)
         slope = share * portable.matmul(turned, slope)
@@ -182,9 +192,9 @@ def inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(0.5 * (out + out.T))
 
 
-def _scale_m(step: int, config: RegistrationConfig) -> float:
+def _scale_m(step: int) -> float:
     """Return the scale of the kernel: halved with every step until it is the last one."""
-    return float(max(config.first_scale_m / (1 << min(step, 30)), config.last_scale_m))
+    return float(max(_FIRST_SCALE_M / (1 << min(step, 30)), _LAST_SCALE_M))
 
 
 def _mirrored(upper: NDArray[np.float64]) -> NDArray[np.float64]:

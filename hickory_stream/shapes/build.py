@@ -16,7 +16,6 @@ from hickory_stream.geometry.superquadric import Superquadrics, moved
 from hickory_stream.geometry.superquadric_surface import surface_points
 from hickory_stream.ports import BuiltShape, NoShape, Reconstruction, Reconstructor, ShapeInputs
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fitted_shape
-from hickory_stream.shapes.generated.blend import BlendConfig
 from hickory_stream.shapes.generated.judgement import JudgementConfig
 from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
 from hickory_stream.shapes.generated.reconstructor import GeneratedReconstructor
@@ -39,7 +38,7 @@ _SURFACE_POINTS = 500
 class ShapeConfig:
     """`reconstructor` makes layer 2, "fused", "single_view" or "external"; the others configure the steps.
 
-    "external" is the generator that `run.generator` names; `placement`, `judgement` and `blend` are for its shapes.
+    "external" is the generator that `run.generator` names; `placement` and `judgement` are for its shapes.
     """
 
     reconstructor: ReconstructorName = "fused"
@@ -47,7 +46,6 @@ class ShapeConfig:
     single_view: SingleViewConfig = field(default_factory=SingleViewConfig)
     placement: PlacementConfig = field(default_factory=PlacementConfig)
     judgement: JudgementConfig = field(default_factory=JudgementConfig)
-    blend: BlendConfig = field(default_factory=BlendConfig)
     # A reconstruction is accurate to about a centimetre; a finer grid would fit its noise and take longer.
     fit: FitConfig = field(default_factory=lambda: FitConfig(cells=40))
     inflate: InflateConfig = field(default_factory=InflateConfig)
@@ -76,7 +74,6 @@ def make_reconstructor(
             embedded=FusedReconstructor(config.fused),
             refiner=refiner or EmbeddedPlacement(config.placement),
             volume=config.fused.volume,
-            blend=config.blend,
             judgement=config.judgement,
         )
     assert_never(name)

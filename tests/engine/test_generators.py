@@ -75,7 +75,7 @@ def toml(tmp_path: Path) -> Path:
 
 
 def config(toml: Path, i_accept: str = "I do research") -> MapperConfig:
-    run = RunConfig(generator=str(toml), i_accept=i_accept)
+    run = RunConfig(generator=str(toml), accept_licence=i_accept)
     return MapperConfig(run=run, shapes=ShapeConfig(reconstructor="external"))
 
 
@@ -176,7 +176,7 @@ def test_a_pose_that_is_no_similarity_is_refused(tmp_path: Path, rows: object) -
 
 
 def test_a_licence_that_was_not_accepted_is_refused_with_what_to_say(toml: Path) -> None:
-    with pytest.raises(ConfigError, match=r'run\.i_accept = "I do research"'):
+    with pytest.raises(ConfigError, match=r'run\.accept_licence = "I do research"'):
         chosen_generator(config(toml, i_accept=""))
 
 
@@ -224,7 +224,7 @@ def test_a_job_never_names_the_program(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_run_has_shapes_of_the_generator_and_says_so_in_decisions_and_summary(tmp_path: Path, toml: Path) -> None:
-    chosen = ("shapes.reconstructor=external", f"run.generator={toml}", "run.i_accept=I do research")
+    chosen = ("shapes.reconstructor=external", f"run.generator={toml}", "run.accept_licence=I do research")
     run = map_scene(tmp_path, *chosen, boxes=SCENE_BOXES[-1:], child_workers=True)
     (tracked,) = run.snapshots[-1].objects
     assert tracked.shape is not None
@@ -238,13 +238,13 @@ def test_what_was_made_up_is_taken_back_when_a_later_view_sees_free_space_there(
     tmp_path: Path, toml: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     toml.write_text(toml.read_text().replace('"box_generator.py"]', '"box_generator.py", "deep"]'))
-    chosen = ("shapes.reconstructor=external", f"run.generator={toml}", "run.i_accept=I do research")
+    chosen = ("shapes.reconstructor=external", f"run.generator={toml}", "run.accept_licence=I do research")
     # All else that would ask again is switched off.
     rare = (
         "mapping.requests.interval_s=0",
         "mapping.requests.min_gain=1.95",
         "mapping.requests.final_gain=9",
-        "shapes.judgement.most_less=0.3",
+        "shapes.judgement.max_less=0.3",
     )
     walk = SceneSource(14, SCENE_BOXES[-1:], step_of=lambda i: i // 2 if i < 6 else 3 * i - 15)
     run = map_scene(

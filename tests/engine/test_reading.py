@@ -53,8 +53,8 @@ def test_a_keyframe_of_a_playback_comes_with_all_that_needs_no_map() -> None:
         assert isinstance(ahead.prepared, Surface)
         np.testing.assert_array_equal(ahead.patches, ColorTextureDescriptor().extract(frame.rgb))
         assert ahead.surface is not None
-        np.testing.assert_array_equal(ahead.surface.points, keyframe_surface(frame, config.registration).points)
-        alone = perceive(frame, None, None, SEGMENTER, config.perception, lattice=config.mapping.lattice)
+        np.testing.assert_array_equal(ahead.surface.points, keyframe_surface(frame).points)
+        alone = perceive(frame, None, None, SEGMENTER, config.perception, lattice=config.mapping.voxels)
         np.testing.assert_array_equal(ahead.free_keys, alone.space.free_keys)
 
 

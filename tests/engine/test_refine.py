@@ -142,7 +142,7 @@ def test_a_generator_names_its_refiner_whose_licence_and_content_count_too(tmp_p
     assert found is not None
     for each in (spec, found):
         check_licence(each, "one; two")
-    with pytest.raises(ConfigError, match=r'run\.i_accept = "two"'):
+    with pytest.raises(ConfigError, match=r'run\.accept_licence = "two"'):
         check_licence(found, "one")
     refiner.write_text('name = "r2"\ncommand = ["python"]\n')
     assert fingerprint(spec) != before

@@ -45,7 +45,7 @@ CONFIG = (
     "mapping.submaps.travel_m=1.4",
     "mapping.submaps.loop_latency_s=0.6",
     "registration.enabled=false",
-    "graph.way_noise=0.3",
+    "graph.path_noise=0.3",
 )
 
 

@@ -75,7 +75,7 @@ def mapped(rung: Rung, truth: Truth, frames: list[Frame]) -> tuple[TrackedObject
     segmenter, core = segmenter_of(rung, images, config), core_of(rung, images, config)
     assert segmenter is not None
     for frame in frames:
-        seen = perceive(frame, core.prior(), None, segmenter, config.perception, lattice=config.mapping.lattice)
+        seen = perceive(frame, core.prior(), None, segmenter, config.perception, lattice=config.mapping.voxels)
         drive(core, [seen.event(frame)])
     last: list[Event] = [SourceEnded(stamp_ns=frames[-1].stamp_ns)]
     drive(core, last)

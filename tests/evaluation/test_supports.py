@@ -21,7 +21,7 @@ from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe
 if TYPE_CHECKING:
     from hickory_stream.records import MapSnapshot, TrackedObject
 
-CONFIG = MappingConfig(lattice=Lattice(points_m=VOXEL_M))
+CONFIG = MappingConfig(voxels=Lattice(object_m=VOXEL_M))
 PLACE = from_rotation_translation(yaw_rotation(0.7), np.array([4.0, 1.0, 0.2]))
 
 

@@ -7,7 +7,14 @@ import pytest
 
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
 from hickory_stream.graph.config import GraphConfig
-from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odometry_covariance, tangent_covariance
+from hickory_stream.graph.factors import (
+    DEGENERATE_SHARE,
+    LoopEdge,
+    OdometryEdge,
+    PoseGraph,
+    odometry_covariance,
+    tangent_covariance,
+)
 
 CONFIG = GraphConfig()
 
@@ -29,7 +36,7 @@ def test_odometry_is_wider_along_what_scans_left_open_alone_and_a_jump_nearly_fr
     plain = odometry_covariance(5.0, 0.2, CONFIG)
     along = np.array([0.0, 0.0, 0.0, 0.6, 0.8, 0.0])
     wider = odometry_covariance(5.0, 0.2, CONFIG, blind=5.0 * np.outer(along, along)) - plain
-    assert along @ wider @ along == pytest.approx((CONFIG.degenerate_share * 5.0) ** 2)
+    assert along @ wider @ along == pytest.approx((DEGENERATE_SHARE * 5.0) ** 2)
     across = np.array([0.0, 0.0, 0.0, -0.8, 0.6, 0.0])
     assert np.abs(wider @ across).max() == pytest.approx(0.0, abs=1e-12)
     jumped = odometry_covariance(5.0, 0.2, CONFIG, jumps=1)

@@ -80,7 +80,7 @@ def test_starts_that_come_to_one_place_are_refined_once(monkeypatch: pytest.Monk
 def test_what_lies_in_free_space_is_no_loop() -> None:
     empty = surface(room()[:5], free=air())
     full = [*room()[:5], *(side for i in range(5) for side in box(0.2 + 0.7 * i, 0.3 + 0.5 * (i % 2), 0.5, 1.8))]
-    (loop,) = search_loops(query(empty, surface(full, seed=1)), replace(CONFIG, least_agreement=0.9))
+    (loop,) = search_loops(query(empty, surface(full, seed=1)), replace(CONFIG, min_agreement=0.9))
     assert loop.reason is not None
     assert "free space" in loop.reason
 

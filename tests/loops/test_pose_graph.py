@@ -7,6 +7,7 @@ import pytest
 
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from hickory_stream.graph.config import GraphConfig
+from hickory_stream.graph.factors import DEGENERATE_SHARE, FLOOR_M
 from hickory_stream.graph.solution import Solution
 from hickory_stream.graph.solve import solve
 from hickory_stream.loops.config import LoopConfig
@@ -47,7 +48,7 @@ STAMPS = [10 * i for i in range(5)]
 def test_a_loop_bends_the_way_back_and_what_it_says_holds_in_the_places() -> None:
     solution = solve(pose_graph(WALK, [HOME], STAMPS, CONFIG), CONFIG)
     assert isinstance(solution, Solution)
-    places = submap_places(WALK, solution.world_from_node, LOOPS)
+    places = submap_places(WALK, solution.world_from_node)
     assert solution.accepted == (0,)
     assert np.array_equal(places[0], np.eye(4))
     between = invert(places[0]) @ places[4]
@@ -56,7 +57,7 @@ def test_a_loop_bends_the_way_back_and_what_it_says_holds_in_the_places() -> Non
         float(np.linalg.norm((place @ s.anchor - s.anchor)[:3, 3])) for place, s in zip(places, WALK, strict=True)
     ]
     assert moved_m == sorted(moved_m)
-    assert is_correction(WALK, places, [np.eye(4)] * 5, LOOPS)
+    assert is_correction(WALK, places, [np.eye(4)] * 5)
 
 
 def test_what_a_search_did_not_believe_is_in_no_graph_but_in_its_record() -> None:
@@ -76,17 +77,17 @@ def test_submaps_that_a_solution_hardly_moves_against_each_other_stay_one_piece(
     nodes = np.array([s.anchor for s in WALK])
     nodes[1, 0, 3] += 0.005
     nodes[2, 0, 3] += 0.5
-    places = submap_places(WALK, nodes, LOOPS)
+    places = submap_places(WALK, nodes)
     assert places[4] is places[3]
     assert np.allclose(places[2][:3, 3], [0.5, 0, 0])
     assert np.allclose(places[1][:3, 3], [0.005, 0, 0])
     assert places[0] is places[1]
-    assert not is_correction(WALK, [places[4]] * 5, [np.eye(4)] * 5, LOOPS)
+    assert not is_correction(WALK, [places[4]] * 5, [np.eye(4)] * 5)
 
 
 def test_all_submaps_moved_alike_are_no_correction_and_a_jump_is_an_edge_that_gives_way() -> None:
     away = from_rotation_translation(yaw_rotation(1.0), np.array([3.0, 4.0, 0.0]))
-    assert not is_correction(WALK, [away] * 5, [np.eye(4)] * 5, LOOPS)
+    assert not is_correction(WALK, [away] * 5, [np.eye(4)] * 5)
     torn = [*WALK[:2], replace(WALK[2], after_jump=True), *WALK[3:]]
     edges = pose_graph(torn, [], STAMPS, CONFIG).odometry
     assert [edge.is_jump for edge in edges] == [False, True, False, False]
@@ -99,7 +100,7 @@ def test_the_edge_of_a_registered_submap_is_as_sure_as_its_least_sure_keyframe_a
     registered = [replace(WALK[0], registered=covariance), turned, *WALK[2:]]
     edges = pose_graph(registered, [], STAMPS, CONFIG).odometry
     by_way = pose_graph(WALK, [], STAMPS, CONFIG).odometry
-    floor = CONFIG.floor_m**2
+    floor = FLOOR_M**2
     expected = [floor + 4e-6, floor + 16e-4, floor + 4e-6]  # the map's x is the next anchor's -y
     assert np.allclose(edges[0].covariance.diagonal()[3:], expected)
     assert np.array_equal(edges[1].covariance, by_way[1].covariance)
@@ -129,7 +130,7 @@ def test_along_what_the_odometry_did_not_see_an_edge_is_wider_unless_a_registrat
     unseen = [replace(WALK[0], blind=blind), *WALK[1:]]
     plain, wide = (pose_graph(each, [], STAMPS, CONFIG).odometry[0].covariance for each in (WALK, unseen))
     along = np.concatenate([np.zeros(3), WALK[1].anchor[:3, :3].T[:, 1]])
-    assert along @ (wide - plain) @ along == pytest.approx((CONFIG.degenerate_share * 4.0) ** 2)
+    assert along @ (wide - plain) @ along == pytest.approx((DEGENERATE_SHARE * 4.0) ** 2)
     seen = [replace(unseen[0], registered=np.eye(6) * 1e-6), *WALK[1:]]
     assert (pose_graph(seen, [], STAMPS, CONFIG).odometry[0].covariance.diagonal() < plain.diagonal()).all()
 

@@ -29,8 +29,7 @@ from hickory_stream.mapping.entities.cloud import cloud_of
 from hickory_stream.mapping.entities.existence import Existence
 from hickory_stream.mapping.entities.observed_space import SpaceState, empty_space
 from hickory_stream.mapping.entities.track import Track
-from hickory_stream.mapping.rules.support_graph import SupportGraph, UnsupportedConfig
-from hickory_stream.mapping.rules.support_relations import SupportConfig
+from hickory_stream.mapping.rules.support_graph import SupportGraph
 from hickory_stream.records import Containment, MaskFeature, ObjectShape, Observation, Phase, SpaceObservation, View
 
 VOXEL_M = 0.02
@@ -99,7 +98,7 @@ def graph_of(
     """The support graph of tracks, in a room where nothing was seen but a floor, unless another one is given."""
     bodies = tracks if isinstance(tracks, Mapping) else {item.id: item for item in tracks}
     room = replace(empty_space(0.05), floor_z_m=floor_z_m) if space is None else space
-    return SupportGraph(bodies=bodies, space=room, config=SupportConfig(), unsupported=UnsupportedConfig())
+    return SupportGraph(bodies=bodies, space=room)
 
 
 def view(frame_index: int, *, score: float | None = None, r_area: float = 0.05, r_depth: float = 0.9) -> View:

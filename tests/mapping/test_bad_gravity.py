@@ -86,7 +86,7 @@ def played(
             camera=SCENE_CAMERA,
             world_from_camera=said,
         )
-        seen = perceive(frame, core.prior(), None, segmenter, config, lattice=mapping.lattice)
+        seen = perceive(frame, core.prior(), None, segmenter, config, lattice=mapping.voxels)
 
         def features(effect, frame=frame, seen=seen):  # type: ignore[no-untyped-def]
             from hickory_stream.events import FeaturesReady

@@ -51,8 +51,8 @@ from tests.mapping.mapping_fixtures import (
 from tests.strategies import unit_share
 
 CONFIG = MappingConfig(
-    lattice=Lattice(points_m=VOXEL_M),
-    existence=ExistenceConfig(fresh=1.0, again=1.0, least=1.0),  # each sighting counts as one
+    voxels=Lattice(object_m=VOXEL_M),
+    existence=ExistenceConfig(new_view_gain=1.0, same_view_gain=1.0, min_gain=1.0),  # each sighting counts as one
     lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=4),
     merge=MergeConfig(min_votes=3),
     requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5, kilopoint_s=0.0),
@@ -378,7 +378,7 @@ def test_an_object_comes_back_under_its_own_id_after_it_was_dormant_and_archived
 
 
 def looked_through(frame_index: int) -> FrameObserved:
-    free = keys_of_points(np.concatenate([A, A + np.float32(0.01)]), CONFIG.lattice.space_m)
+    free = keys_of_points(np.concatenate([A, A + np.float32(0.01)]), CONFIG.voxels.space_m)
     return replace(frame(frame_index), space=space(free=free))
 
 
@@ -408,7 +408,7 @@ def test_an_object_that_grows_into_a_wall_becomes_structure_and_pieces_of_it_are
     snapshot = core.snapshot()
     assert snapshot.objects == ()
     structure = snapshot.submaps[0].observed_space.structure
-    assert np.isin(keys_of_points(wall, CONFIG.lattice.space_m), structure).mean() > 0.9
+    assert np.isin(keys_of_points(wall, CONFIG.voxels.space_m), structure).mean() > 0.9
     drive(core, [frame(5, observation(0, A + np.float32([0, 3, 0])))])
     assert len(core.snapshot().objects) == 1
 

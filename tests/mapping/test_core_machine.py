@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 
 MAX_IN_FLIGHT = 2
 CONFIG = MappingConfig(
-    lattice=Lattice(points_m=VOXEL_M),
-    existence=ExistenceConfig(fresh=1.0, again=1.0, least=1.0),  # each sighting counts as one
+    voxels=Lattice(object_m=VOXEL_M),
+    existence=ExistenceConfig(new_view_gain=1.0, same_view_gain=1.0, min_gain=1.0),  # each sighting counts as one
     lifecycle=LifecycleConfig(confirm_sightings=2, tentative_s=3.0, dormant_s=2.0, archive_s=6.0, phantom_frames=2),
     merge=MergeConfig(min_votes=2),
     requests=RequestConfig(
@@ -152,7 +152,7 @@ class CoreUnderRandomEvents(RuleBasedStateMachine):
         ]
         free = None
         if looked_through is not None:
-            free = keys_of_points(points_at(looked_through, "box", 0.0), CONFIG.lattice.space_m)
+            free = keys_of_points(points_at(looked_through, "box", 0.0), CONFIG.voxels.space_m)
         event = keyframe(self.num_frames, shown, stamp_ns=self.stamp_ns, seen=space(free=free), angle_rad=angle_rad)
         self.num_frames += 1
         effects = self.tell(event)

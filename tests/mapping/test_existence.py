@@ -49,7 +49,7 @@ def test_from_one_place_it_takes_as_many_sightings_as_are_configured() -> None:
 
 def test_what_is_far_or_has_little_sure_depth_is_a_weaker_witness() -> None:
     near, far = seen_from((1.5, 0.0), (0.0, 1.5)), seen_from((25.0, 0.0), (0.0, 25.0))
-    assert far.evidence == pytest.approx(CONFIG.least * near.evidence)
+    assert far.evidence == pytest.approx(CONFIG.min_gain * near.evidence)
     patchy = seen_from((1.5, 0.0), (0.0, 1.5), thing=replace(THING, r_depth=0.6))
     assert patchy.evidence == pytest.approx(0.6 * near.evidence)
 
@@ -69,5 +69,7 @@ def test_two_that_are_one_are_as_sure_as_the_surer() -> None:
 @given(st.lists(st.tuples(st.floats(-5, 5), st.floats(0.5, 5)), min_size=1, max_size=30))
 def test_every_sighting_adds_between_the_least_and_the_most(cameras: list[tuple[float, float]]) -> None:
     evidence = seen_from(*cameras).evidence
-    assert CONFIG.least * CONFIG.again * len(cameras) <= evidence <= CONFIG.fresh * len(cameras) + 1e-9
+    assert (
+        CONFIG.min_gain * CONFIG.same_view_gain * len(cameras) <= evidence <= CONFIG.new_view_gain * len(cameras) + 1e-9
+    )
     assert len(seen_from(*cameras).places) <= 12

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 CONFIG = MappingConfig(
-    lattice=Lattice(points_m=VOXEL_M),
-    existence=ExistenceConfig(fresh=1.0, again=1.0, least=1.0),
+    voxels=Lattice(object_m=VOXEL_M),
+    existence=ExistenceConfig(new_view_gain=1.0, same_view_gain=1.0, min_gain=1.0),
     lifecycle=LifecycleConfig(confirm_sightings=2),
     merge=MergeConfig(min_votes=2),
     requests=RequestConfig(first_sightings=2),
@@ -51,7 +51,7 @@ FLOOR = np.stack(np.meshgrid(np.arange(-1, 1, 0.05), np.arange(-1, 1, 0.05), [0.
 def driven() -> Mapping[str, object]:
     """The state of a core with two tracks, one of which has taken in a third; a candidate, shape jobs, submaps."""
     core = MapperCore(CONFIG)
-    floor, free = (keys_of_points(FLOOR + np.array([0, 0, z]), CONFIG.lattice.space_m) for z in (0.02, 0.6))
+    floor, free = (keys_of_points(FLOOR + np.array([0, 0, z]), CONFIG.voxels.space_m) for z in (0.02, 0.6))
     seen = space(structure=floor, free=free, floor_z_m=0.0)
     apart = [observation(0, LEFT), observation(1, RIGHT), observation(2, FAR)]
     for i in range(3):

@@ -19,7 +19,6 @@ from hickory_stream.mapping.entities.existence import Existence
 from hickory_stream.mapping.entities.submaps import first_submap, with_room, with_seen
 from hickory_stream.mapping.entities.track import ShapeState
 from hickory_stream.mapping.entities.track_table import TrackTable
-from hickory_stream.mapping.entities.views import ViewConfig
 from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules.lifecycle import (
     LIFE_CYCLE,
@@ -46,12 +45,10 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.rules.lifecycle import Transition
 
 CONFIG = MappingConfig(
-    lattice=Lattice(points_m=VOXEL_M),
-    lifecycle=LifecycleConfig(
-        confirm_sightings=3, tentative_s=8.0, dormant_s=4.0, archive_s=60.0, phantom_frames=4, phantom_share=0.7
-    ),
+    voxels=Lattice(object_m=VOXEL_M),
+    lifecycle=LifecycleConfig(confirm_sightings=3, tentative_s=8.0, dormant_s=4.0, archive_s=60.0, phantom_frames=4),
 )
-SPACE_M = CONFIG.lattice.space_m
+SPACE_M = CONFIG.voxels.space_m
 TENTATIVE, ACTIVE, DORMANT, ARCHIVED, ROOM = Phase
 README = Path(__file__).resolve().parent.parent.parent / "hickory_stream" / "mapping" / "README.md"
 BOX = box_surface((0, 0, 0.1))
@@ -243,7 +240,7 @@ def test_a_new_track_is_tentative(event: LifeEvent) -> None:
 @pytest.mark.parametrize(("kept", "gone", "after"), [(3, 4, ARCHIVED), (3, 3, ACTIVE), (4, 3, ACTIVE)])
 def test_a_track_takes_over_the_phase_of_one_that_was_seen_more_often(kept: int, gone: int, after: Phase) -> None:
     other = track(2, BOX, sightings=gone, phase=ARCHIVED)
-    assert merge(track(1, BOX, sightings=kept), other, VOXEL_M, ViewConfig()).phase is after
+    assert merge(track(1, BOX, sightings=kept), other, VOXEL_M).phase is after
     assert {row.to for row in LIFE_CYCLE if row.event is LifeEvent.TAKES_IN} == {Other.ITS_PHASE}
 
 
@@ -255,7 +252,7 @@ def test_a_thing_that_takes_in_what_was_taken_for_the_room_stays_one(
     kept: Phase, gone: Phase, after: Phase, sightings: int
 ) -> None:
     one, other = track(1, BOX, sightings=5, phase=kept), track(2, BOX, sightings=sightings, phase=gone)
-    assert merge(one, other, VOXEL_M, ViewConfig()).phase is after
+    assert merge(one, other, VOXEL_M).phase is after
 
 
 def test_all_that_the_table_names_is_carried_out() -> None:

@@ -90,7 +90,7 @@ def test_a_gain_counts_for_more_where_it_is_predicted_to_cost_less() -> None:
 def test_an_open_job_is_replaced_when_the_view_is_so_much_better_that_it_pays(
     score: float, passed_s: float, is_replaced: bool
 ) -> None:
-    config = replace(CONFIG, replace_by=0.5, latency_s=4.0)
+    config = replace(CONFIG, latency_s=4.0)
     waiting = scored(seen(1), score, 0.1, open_ticket=7, asked_clock_ns=0)
     clock_ns = round(passed_s * SECOND_NS)
     assert next_replacements({1: waiting}, clock_ns, config) == ([1] if is_replaced else [])
@@ -100,9 +100,7 @@ def test_an_open_job_is_replaced_when_the_view_is_so_much_better_that_it_pays(
     assert next_replacements({1: ended}, clock_ns, config) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("job_s", 0.0), ("view_s", -1.0), ("kilopoint_s", -1.0), ("replace_by", -0.1)]
-)
+@pytest.mark.parametrize(("name", "value"), [("job_s", 0.0), ("view_s", -1.0), ("kilopoint_s", -1.0)])
 def test_costs_that_no_job_has_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         RequestConfig(**{name: value})

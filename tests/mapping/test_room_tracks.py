@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hickory_stream.records import Decision
 
 CONFIG = MappingConfig(
-    lattice=Lattice(points_m=VOXEL_M), lifecycle=LifecycleConfig(confirm_sightings=3, phantom_frames=2)
+    voxels=Lattice(object_m=VOXEL_M), lifecycle=LifecycleConfig(confirm_sightings=3, phantom_frames=2)
 )
 
 
@@ -116,7 +116,7 @@ def test_pieces_of_what_is_part_of_the_room_are_no_objects_and_a_thing_before_it
 def test_what_was_taken_for_a_part_of_the_room_and_is_seen_through_is_gone() -> None:
     core = MapperCore(CONFIG)
     drive(core, [seen(i, FRONT) for i in range(4)])
-    through = np.unique(keys_of_points(FRONT, CONFIG.lattice.space_m))
+    through = np.unique(keys_of_points(FRONT, CONFIG.voxels.space_m))
     effects = drive(core, [seen(4 + i, free=through) for i in range(2)])
     assert [d.cause for d in decisions(effects) if d.kind == "drop"] == ["looked through"]
     assert structure(core) == 0
@@ -125,7 +125,7 @@ def test_what_was_taken_for_a_part_of_the_room_and_is_seen_through_is_gone() -> 
 
 def test_the_segmenter_is_not_told_what_the_map_concluded_and_structure_that_frames_showed_is() -> None:
     core = MapperCore(CONFIG)
-    wall = np.unique(keys_of_points(box_surface((3.0, 0.0, 1.2), (0.1, 4.0, 2.4)), CONFIG.lattice.space_m))
+    wall = np.unique(keys_of_points(box_surface((3.0, 0.0, 1.2), (0.1, 4.0, 2.4)), CONFIG.voxels.space_m))
     shown = space(structure=wall, floor_z_m=0.0)
     drive(core, [keyframe(i, [observation(0, FRONT)], seen=shown) for i in range(4)])
     prior = core.prior()

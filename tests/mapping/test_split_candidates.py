@@ -13,7 +13,7 @@ from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.cloud import cloud_of
-from hickory_stream.mapping.entities.observed_space import FlushConfig, add, empty_space, is_edge, is_flush, with_room
+from hickory_stream.mapping.entities.observed_space import add, empty_space, is_edge, is_flush, with_room
 from hickory_stream.mapping.rules.association import AssociateConfig, is_swollen
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.splitting import TrackSplitConfig, reassigned, with_keyframe
@@ -41,7 +41,7 @@ def test_a_part_that_is_seen_apart_often_is_an_object() -> None:
     parts = {}
     for frame in range(4):
         assert not any(part.is_object(CONFIG) for part in parts.get(1, ()))
-        parts = with_keyframe(parts, frame, [(1, cloud(SET))], [(1, cloud(DRESSER))], CONFIG)
+        parts = with_keyframe(parts, frame, [(1, cloud(SET))], [(1, cloud(DRESSER))])
     assert [part.is_object(CONFIG) for part in parts[1]] == [True]
 
 
@@ -49,29 +49,29 @@ def test_being_seen_as_one_counts_against_it() -> None:
     parts = {}
     both = cloud(np.concatenate([DRESSER, SET]))
     for frame in range(6):
-        parts = with_keyframe(parts, 2 * frame, [(1, cloud(SET))], [], CONFIG)
-        parts = with_keyframe(parts, 2 * frame + 1, [], [(1, both)], CONFIG)
+        parts = with_keyframe(parts, 2 * frame, [(1, cloud(SET))], [])
+        parts = with_keyframe(parts, 2 * frame + 1, [], [(1, both)])
     assert [(len(part.frames), part.together, part.is_object(CONFIG)) for part in parts[1]] == [(6, 6, False)]
 
 
 def test_what_shows_a_part_alone_says_nothing_of_its_host() -> None:
-    parts = with_keyframe({}, 0, [(1, cloud(SET))], [], CONFIG)
-    parts = with_keyframe(parts, 1, [], [(1, cloud(SET))], CONFIG)
+    parts = with_keyframe({}, 0, [(1, cloud(SET))], [])
+    parts = with_keyframe(parts, 1, [], [(1, cloud(SET))])
     assert [(part.frames, part.together) for part in parts[1]] == [((0,), 0)]
 
 
 def test_parts_at_different_places_are_different_parts() -> None:
-    parts = with_keyframe({}, 0, [(1, cloud(SET)), (1, cloud(SET + np.float32([0, 0.6, 0])))], [], CONFIG)
+    parts = with_keyframe({}, 0, [(1, cloud(SET)), (1, cloud(SET + np.float32([0, 0.6, 0])))], [])
     assert [len(part.frames) for part in parts[1]] == [1, 1]
 
 
 def test_parts_go_where_their_host_goes() -> None:
-    parts = with_keyframe({}, 0, [(2, cloud(SET))], [], CONFIG)
+    parts = with_keyframe({}, 0, [(2, cloud(SET))], [])
     assert list(reassigned(parts, 1, 2)) == [1]
 
 
 def test_the_core_promotes_what_an_early_view_swallowed() -> None:
-    core = MapperCore(MappingConfig(lattice=Lattice(points_m=VOXEL_M)))
+    core = MapperCore(MappingConfig(voxels=Lattice(object_m=VOXEL_M)))
     both = np.concatenate([DRESSER, SET])
     frames = [keyframe(i, [observation(0, both)]) for i in range(3)]
     frames += [keyframe(i, [observation(0, DRESSER), observation(1, SET)]) for i in range(3, 14)]
@@ -82,7 +82,7 @@ def test_the_core_promotes_what_an_early_view_swallowed() -> None:
 
 
 def test_the_core_keeps_as_one_what_is_seen_as_one() -> None:
-    core = MapperCore(MappingConfig(lattice=Lattice(points_m=VOXEL_M)))
+    core = MapperCore(MappingConfig(voxels=Lattice(object_m=VOXEL_M)))
     both = np.concatenate([DRESSER, SET])
     for i in range(12):
         seen = [observation(0, both)] if i % 2 == 0 else [observation(0, DRESSER), observation(1, SET)]
@@ -91,7 +91,7 @@ def test_the_core_keeps_as_one_what_is_seen_as_one() -> None:
 
 
 def test_the_core_promotes_what_lies_on_a_track_whose_rest_is_seen_as_another_thing() -> None:
-    core = MapperCore(MappingConfig(lattice=Lattice(points_m=VOXEL_M)))
+    core = MapperCore(MappingConfig(voxels=Lattice(object_m=VOXEL_M)))
     table = box_surface((0.0, 0.0, 0.7), (1.2, 0.8, 0.04))
     tray, mug = box_surface((0.3, 0.1, 0.75), (0.4, 0.3, 0.06)), box_surface((0.3, 0.1, 0.84), (0.1, 0.1, 0.12))
     early = [observation(0, table), observation(1, np.concatenate([tray, mug]))]
@@ -139,19 +139,17 @@ def test_an_upright_slab_from_the_floor_to_above_the_waist_is_a_piece_of_wall(
 
 
 def test_a_slender_strip_along_a_wall_is_its_edge_and_a_lamp_in_the_room_is_not() -> None:
-    config = FlushConfig()
     y, z = (grid.ravel() for grid in np.meshgrid(np.arange(0, 2, 0.02), np.arange(0, 2.5, 0.02)))
     keys = np.unique(keys_of_points(np.stack([np.full(len(y), 1.0), y, z], axis=1).astype(np.float32), 0.05))
     state = empty_space(0.05)
     for _ in range(2):
         state = add(state, space(structure=keys))
-    assert is_edge(state, track(1, box_surface((1.0, -0.03, 1.2), (0.06, 0.05, 0.8))).box, config)
-    assert not is_edge(state, track(2, box_surface((0.6, 0.5, 0.8), (0.05, 0.05, 1.4))).box, config)
-    assert not is_edge(state, track(3, box_surface((0.96, 0.5, 1.0), (0.08, 0.08, 0.3))).box, config)  # a bottle
+    assert is_edge(state, track(1, box_surface((1.0, -0.03, 1.2), (0.06, 0.05, 0.8))).box)
+    assert not is_edge(state, track(2, box_surface((0.6, 0.5, 0.8), (0.05, 0.05, 1.4))).box)
+    assert not is_edge(state, track(3, box_surface((0.96, 0.5, 1.0), (0.08, 0.08, 0.3))).box)  # a bottle
 
 
 def test_a_flat_thing_is_more_wall_only_where_the_wall_goes_on_around_it() -> None:
-    config = FlushConfig()
     y, z = (grid.ravel() for grid in np.meshgrid(np.arange(-2, 2, 0.02), np.arange(0, 2.5, 0.02)))
     wall = np.stack([np.full(len(y), 1.0), y, z], axis=1).astype(np.float32)
     keys = np.unique(keys_of_points(wall, 0.05))
@@ -160,7 +158,7 @@ def test_a_flat_thing_is_more_wall_only_where_the_wall_goes_on_around_it() -> No
         state = add(state, space(structure=keys))
     patch = track(1, box_surface((1.0, 0.0, 1.0), (0.04, 0.8, 0.6)))
     television = track(2, box_surface((0.85, 0.0, 1.0), (0.04, 0.8, 0.6)))
-    assert is_flush(state, patch.box, config)
-    assert not is_flush(state, television.box, config)
-    assert not is_flush(empty_space(0.05), patch.box, config)
-    assert not is_flush(with_room(empty_space(0.05), keys), patch.box, config)  # tracks set aside, not seen walls
+    assert is_flush(state, patch.box)
+    assert not is_flush(state, television.box)
+    assert not is_flush(empty_space(0.05), patch.box)
+    assert not is_flush(with_room(empty_space(0.05), keys), patch.box)  # tracks set aside, not seen walls

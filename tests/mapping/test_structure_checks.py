@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.entities.track import Track
 
 CONFIG = MappingConfig()
-SPACE_M = CONFIG.lattice.space_m
+SPACE_M = CONFIG.voxels.space_m
 BOX = box_surface((0.0, 0.0, 0.5), (0.4, 0.4, 0.4))
 
 
@@ -38,7 +38,7 @@ def share_of_box(share: float) -> np.ndarray:
 
 @pytest.mark.parametrize(("share", "is_told"), [(0.02, False), (0.5, True), (1.0, False)])
 def test_more_than_a_seam_and_less_than_all_of_a_track_lies_in_a_wall(share: float, is_told: bool) -> None:
-    in_wall = points_in_wall(track(1, BOX, sightings=1), space_with(share_of_box(share), 6), CONFIG)
+    in_wall = points_in_wall(track(1, BOX, sightings=1), space_with(share_of_box(share), 6))
     assert (in_wall is not None) == is_told
     if in_wall is not None:
         cloud = track(1, BOX, sightings=1).cloud
@@ -48,12 +48,12 @@ def test_more_than_a_seam_and_less_than_all_of_a_track_lies_in_a_wall(share: flo
 
 def test_what_was_seen_as_the_track_more_often_than_as_the_wall_stays() -> None:
     state = space_with(share_of_box(0.5), 6)
-    assert points_in_wall(track(1, BOX, sightings=2), state, CONFIG) is not None
-    assert points_in_wall(track(1, BOX, sightings=3), state, CONFIG) is None
+    assert points_in_wall(track(1, BOX, sightings=2), state) is not None
+    assert points_in_wall(track(1, BOX, sightings=3), state) is None
 
 
 def test_too_few_keyframes_make_no_wall() -> None:
-    assert points_in_wall(track(1, BOX, sightings=1), space_with(share_of_box(0.5), 3), CONFIG) is None
+    assert points_in_wall(track(1, BOX, sightings=1), space_with(share_of_box(0.5), 3)) is None
 
 
 def test_what_rays_passed_for_the_most_part_was_looked_through() -> None:

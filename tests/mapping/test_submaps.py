@@ -56,8 +56,8 @@ from tests.mapping.mapping_fixtures import (
 )
 
 CONFIG = MappingConfig(
-    lattice=Lattice(points_m=VOXEL_M),
-    existence=ExistenceConfig(fresh=1.0, again=1.0, least=1.0),  # each sighting counts as one
+    voxels=Lattice(object_m=VOXEL_M),
+    existence=ExistenceConfig(new_view_gain=1.0, same_view_gain=1.0, min_gain=1.0),  # each sighting counts as one
     lifecycle=LifecycleConfig(confirm_sightings=3, dormant_s=4.0, tentative_s=8.0, phantom_frames=2),
     requests=RequestConfig(first_sightings=3, max_in_flight=2, latency_s=1.5),
     submaps=SubmapConfig(travel_m=1.5),

@@ -13,6 +13,8 @@ from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import ViewConfig
 from hickory_stream.mapping.rules.merging import (
+    DUPLICATE_SHARE,
+    SURE_SHARE,
     MergeConfig,
     VoteBook,
     Votes,
@@ -140,7 +142,7 @@ def test_what_was_seen_apart_needs_more_overlap_to_be_one() -> None:
     # Two sheets of equal size, one voxel thick: about six tenths of either lie on the other, between the two limits.
     sheet = np.stack(np.meshgrid(np.arange(50), np.arange(20), [0.5]), axis=-1).reshape(-1, 3) * VOXEL_M
     shifted = sheet + np.array([20 * VOXEL_M, 0, 0])
-    assert CONFIG.duplicate_share < 30 / 50 < 31 / 50 < CONFIG.sure_share
+    assert DUPLICATE_SHARE < 30 / 50 < 31 / 50 < SURE_SHARE
     sheets = [track(i, (points + VOXEL_M / 2).astype(np.float32)) for i, points in ((1, sheet), (2, shifted))]
     assert found(VoteBook(), *sheets) == (1, 2)
     assert found(VoteBook().plus([(1, 2)], apart=1), *sheets) is None
@@ -160,7 +162,7 @@ def test_only_pairs_with_a_changed_track_are_looked_at() -> None:
 def test_points_on_another_track_are_foreign_and_a_track_that_is_covered_is_named() -> None:
     left, right = box_surface((0, 0, 0.1)), box_surface((0.24, 0, 0.1))
     seen = cloud(np.concatenate([left, right]))
-    foreign, covered = foreign_points(seen, track(1, left), [track(2, right)], CONFIG)
+    foreign, covered = foreign_points(seen, track(1, left), [track(2, right)])
     assert covered == [2]
     assert (seen.points[foreign][:, 0] > 0.12).all()
     assert foreign.sum() > 0.8 * (seen.points[:, 0] > 0.14).sum()
@@ -168,21 +170,21 @@ def test_points_on_another_track_are_foreign_and_a_track_that_is_covered_is_name
 
 def test_points_that_lie_on_the_own_track_too_stay() -> None:
     points = box_surface((0, 0, 0.1))
-    foreign, covered = foreign_points(cloud(points), track(1, points), [track(2, points)], CONFIG)
+    foreign, covered = foreign_points(cloud(points), track(1, points), [track(2, points)])
     assert not foreign.any()
     assert covered == [2]
 
 
 def test_a_track_that_is_only_brushed_is_not_covered() -> None:
     vase, table = box_surface((0, 0, 0.2), (0.08, 0.08, 0.4)), box_surface((0, 0, -0.02), (1.2, 0.8, 0.04))
-    _, covered = foreign_points(cloud(vase), track(1, vase), [track(2, table)], CONFIG)
+    _, covered = foreign_points(cloud(vase), track(1, vase), [track(2, table)])
     # The vase's lowest cells are beside the table's: less than a third of it.
     assert covered == []
 
 
 def test_nothing_is_foreign_where_no_other_track_is() -> None:
     points = box_surface((0, 0, 0.1))
-    foreign, covered = foreign_points(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))], CONFIG)
+    foreign, covered = foreign_points(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))])
     assert not foreign.any()
     assert covered == []
 
@@ -217,7 +219,7 @@ def two_tracks() -> tuple[Track, Track]:
 
 def test_a_merged_track_was_seen_first_and_last_when_either_was_and_remembers_every_id() -> None:
     kept, gone = two_tracks()
-    one = merge(kept, gone, VOXEL_M, VIEWS)
+    one = merge(kept, gone, VOXEL_M)
     assert (one.id, one.merged_ids) == (1, (5, 6, 7))
     assert (one.first_seen_ns, one.last_seen_ns) == (1 * SECOND_NS, 9 * SECOND_NS)
     assert (one.seen_clock_ns, one.seen_through) == (6, 1)
@@ -225,14 +227,14 @@ def test_a_merged_track_was_seen_first_and_last_when_either_was_and_remembers_ev
 
 def test_a_merged_track_has_the_points_of_both_in_its_cloud_and_its_box() -> None:
     kept, gone = two_tracks()
-    one = merge(kept, gone, VOXEL_M, VIEWS)
+    one = merge(kept, gone, VOXEL_M)
     assert np.array_equal(one.cloud.keys, np.union1d(kept.cloud.keys, gone.cloud.keys))
     assert one.box.contains(one.cloud.points, VOXEL_M).all()
 
 
 def test_a_merged_track_has_the_better_best_view_and_the_better_view_of_every_sector_under_its_own_id() -> None:
     kept, gone = two_tracks()
-    one = merge(kept, gone, VOXEL_M, VIEWS)
+    one = merge(kept, gone, VOXEL_M)
     assert one.best_view is not None
     assert (one.best_view.frame_index, one.best_view.score, one.best_view.object_id) == (6, 0.5, 1)
     assert [(sector, kept_view.frame_index) for sector, kept_view in one.coverage] == [(0, 5), (2, 6)]
@@ -241,11 +243,11 @@ def test_a_merged_track_has_the_better_best_view_and_the_better_view_of_every_se
 
 def test_a_merged_track_has_the_shape_that_there_is_and_the_phase_of_the_one_seen_more() -> None:
     kept, gone = two_tracks()
-    one = merge(kept, gone, VOXEL_M, VIEWS)
+    one = merge(kept, gone, VOXEL_M)
     assert one.shape is gone.shape
     assert one.phase is Phase.DORMANT
     mine = shape(9)
-    assert merge(replace(kept, shape=mine), gone, VOXEL_M, VIEWS).shape is mine
+    assert merge(replace(kept, shape=mine), gone, VOXEL_M).shape is mine
 
 
 def test_observations_meet_whose_boxes_are_within_a_hand_of_each_other() -> None:

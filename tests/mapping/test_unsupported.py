@@ -9,13 +9,12 @@ import pytest
 
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.entities.observed_space import add, empty_space
-from hickory_stream.mapping.rules.support_graph import UnsupportedConfig, attachment_of
+from hickory_stream.mapping.rules.support_graph import attachment_of
 from tests.mapping.mapping_fixtures import box_surface, space, track
 
 if TYPE_CHECKING:
     from hickory_stream.mapping.entities.observed_space import SpaceState
 
-CONFIG = UnsupportedConfig()
 POT = track(1, box_surface((0.0, 0.0, 0.3), (0.3, 0.3, 0.6)))
 BRANCH = track(2, box_surface((0.32, 0.0, 0.75), (0.16, 0.12, 0.12)))
 
@@ -39,7 +38,7 @@ def room(*, free: bool = True, wall_x_m: float | None = None) -> SpaceState:
 
 def test_a_branch_in_the_air_belongs_to_the_nearest_thing() -> None:
     far = track(3, box_surface((0.8, 0.0, 0.3), (0.2, 0.2, 0.6)))
-    host = attachment_of(BRANCH, [POT, BRANCH, far], room(), CONFIG)
+    host = attachment_of(BRANCH, [POT, BRANCH, far], room())
     assert host is not None
     assert host.id == POT.id
 
@@ -55,9 +54,9 @@ def test_a_branch_in_the_air_belongs_to_the_nearest_thing() -> None:
     ids=["it stands on something", "it hangs on a wall", "nobody saw what is below", "nothing is near"],
 )
 def test_what_is_held_by_something_or_by_nothing_near_stays_itself(others: list, state: SpaceState) -> None:
-    assert attachment_of(BRANCH, [*others, BRANCH], state, CONFIG) is None
+    assert attachment_of(BRANCH, [*others, BRANCH], state) is None
 
 
 def test_what_is_near_the_floor_is_supported() -> None:
     low = track(2, box_surface((0.3, 0.0, 0.2), (0.2, 0.2, 0.1)))
-    assert attachment_of(low, [POT, low], room(), CONFIG) is None
+    assert attachment_of(low, [POT, low], room()) is None

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.mapping.entities.views import (
+    CUT_FACTOR,
     Strategy,
     ViewConfig,
     better,
@@ -55,7 +56,7 @@ def test_the_variance_is_that_of_features_of_the_papers_length() -> None:
 def test_a_view_that_the_border_cuts_is_worth_less_than_the_same_view_whole() -> None:
     whole = replace(view(1), is_cut=False)
     cut = replace(whole, is_cut=True)
-    assert score(cut, 0.3, CONFIG) == pytest.approx(CONFIG.cut_worth * score(whole, 0.3, CONFIG))
+    assert score(cut, 0.3, CONFIG) == pytest.approx(CUT_FACTOR * score(whole, 0.3, CONFIG))
     assert score(cut, 0.3, ViewConfig(strategy="max_area")) == score(whole, 0.3, ViewConfig(strategy="max_area"))
 
 
@@ -171,6 +172,6 @@ def test_a_view_that_is_cut_or_lacks_depth_or_is_small_is_less_useful() -> None:
 
 @given(views(), views())
 def test_a_kept_view_gives_way_only_to_one_that_is_clearly_better(a: View, b: View) -> None:
-    assert covers_better(a, None, CONFIG)
-    assert not (covers_better(a, b, CONFIG) and covers_better(b, a, CONFIG))
-    assert not covers_better(a, a, CONFIG)
+    assert covers_better(a, None)
+    assert not (covers_better(a, b) and covers_better(b, a))
+    assert not covers_better(a, a)

@@ -8,14 +8,12 @@ from numpy.typing import NDArray
 
 from hickory_stream.perception.cielab import lab_of
 from hickory_stream.perception.fragments.color_split import (
-    ColorSplitConfig,
     _histogram,
     split_by_color,
 )
 from hickory_stream.perception.masks import label_boxes
 from tests.strategies import seeds
 
-CONFIG = ColorSplitConfig()
 ORANGE, RED, WHITE = (230, 150, 60), (215, 40, 40), (240, 240, 235)
 
 
@@ -24,8 +22,8 @@ def checks(height: int, width: int, one: tuple[int, int, int], side: int = 5) ->
     return np.where(((u + v) % 2 == 0)[..., None], one, WHITE).astype(np.uint8)
 
 
-def divided(rgb: NDArray[np.uint8], labels: NDArray[np.int32], config: ColorSplitConfig = CONFIG) -> NDArray[np.int32]:
-    return split_by_color(labels, label_boxes(labels, int(labels.max()) + 1), lab_of(rgb), config)
+def divided(rgb: NDArray[np.uint8], labels: NDArray[np.int32], depth: int = 2) -> NDArray[np.int32]:
+    return split_by_color(labels, label_boxes(labels, int(labels.max()) + 1), lab_of(rgb), depth)
 
 
 def test_two_patterned_boxes_that_are_flush_are_two() -> None:
@@ -59,7 +57,7 @@ def test_a_piece_is_divided_again() -> None:
     rgb[:30], rgb[30:60], rgb[60:] = RED, (60, 90, 200), (70, 200, 90)
     out = divided(rgb, np.ones((90, 40), dtype=np.int32))
     assert len({int(out[v, 20]) for v in (10, 45, 80)}) == 3
-    once = divided(rgb, np.ones((90, 40), dtype=np.int32), ColorSplitConfig(depth=1))
+    once = divided(rgb, np.ones((90, 40), dtype=np.int32), depth=1)
     assert len(np.unique(once)) == 2
 
 

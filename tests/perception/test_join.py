@@ -29,7 +29,7 @@ def pieces():
 
 
 def measures_of(pieces, labels):
-    return region_graph_of(replace(pieces, labels=labels), JoinConfig())
+    return region_graph_of(replace(pieces, labels=labels))
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_a_darker_neighbour_is_as_many_grains_away_as_its_surface_is_rough(piece
 
 
 def test_each_round_joins_what_is_likeliest_for_both_sides(graph):
-    steps = list(rounds(graph, lambda features: np.ones(len(features["aside"])), JoinConfig(rounds=50)))
+    steps = list(rounds(graph, lambda features: np.ones(len(features["aside"])), JoinConfig(), most=50))
     assert (np.diff([step.numbers.max() for step in steps]) < 0).all()
     assert len(steps[-1].pairs) == 0 or steps[-1].numbers.max() == 1
 
@@ -110,7 +110,7 @@ def test_each_round_joins_what_is_likeliest_for_both_sides(graph):
 @pytest.mark.parametrize("forest", EMBEDDED)
 def test_every_forest_of_the_package_asks_only_for_what_a_round_tells(graph, forest):
     trees = embedded_trees(forest)
-    step = next(rounds(graph, trees.probabilities, JoinConfig(rounds=0)))
+    step = next(rounds(graph, trees.probabilities, JoinConfig(), most=0))
     assert set(trees.features) <= set(step.features)
     assert (forest == "odds") == (not set(ODDS_FEATURES).isdisjoint(trees.features))
     found = trees.probabilities(step.features)
@@ -127,7 +127,7 @@ def test_no_more_rounds_than_asked_for(graph):
     def by_size(features):
         return features["small_pixels"] / 20
 
-    steps = list(rounds(graph, by_size, JoinConfig(rounds=1, probability=0.0)))
+    steps = list(rounds(graph, by_size, JoinConfig(probability=0.0), most=1))
     assert len(steps) == 2
 
 

@@ -18,7 +18,7 @@ from hickory_stream.perception.regions.map_prior import MapPriorConfig, fragment
 from hickory_stream.perception.surface import surface_of
 from hickory_stream.records import MapPrior, ObservedSpace, Phase, TrackedObject
 
-POINTS_M = Lattice().points_m
+POINTS_M = Lattice().object_m
 NOWHERE = ObservedSpace(voxel_m=0.05, free=np.empty(0, np.int64), structure=np.empty(0, np.int64), floor_z_m=0.0)
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 CONFIG = MapPriorConfig()

@@ -67,11 +67,11 @@ def test_with_odds_shifted_further_than_the_network_is_sure_nothing_is_divided(t
 
 
 def test_what_is_smaller_than_a_piece_may_be_stays_with_what_is_around_it(three_in_a_row):
-    things = np.ones((HEIGHT, WIDTH), np.int32)
-    things[10:12, 10:12] = 2
+    small, large = np.ones((HEIGHT, WIDTH), np.int32), np.ones((HEIGHT, WIDTH), np.int32)
+    small[10:12, 10:12] = large[10:12, 10:13] = 2
     labels = np.ones((2 * HEIGHT, 2 * WIDTH), np.int32)
-    assert divided_by_odds(labels, said_of(things), SplitConfig(odds_shift=0.5, min_pixels=5)).max() == 1
-    assert divided_by_odds(labels, said_of(things), SplitConfig(odds_shift=0.5, min_pixels=4)).max() == 2
+    assert divided_by_odds(labels, said_of(small), SplitConfig(odds_shift=0.5)).max() == 1
+    assert divided_by_odds(labels, said_of(large), SplitConfig(odds_shift=0.5)).max() == 2
 
 
 def test_no_fragments_are_divided_into_none():

@@ -6,11 +6,10 @@ from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.cielab import lab_of
-from hickory_stream.perception.structure.raised_patches import NearPlane, RaisedPatchConfig, raised_patches
+from hickory_stream.perception.structure.raised_patches import NearPlane, raised_patches
 from hickory_stream.perception.surface import Surface
 
 SHAPE = (60, 80)
-CONFIG = RaisedPatchConfig()
 # The back of a shelf, and the board beside it, the one over it.
 PATCH, BOARDS = np.s_[20:40, 20:50], (np.s_[16:44, 14:20], np.s_[14:20, 20:50])
 WOOD, PAINT = (120, 80, 40), (200, 205, 210)
@@ -57,7 +56,7 @@ def patch_share(found: NDArray[np.bool_]) -> tuple[float, float]:
 def found_in(surface: Surface, off_m: float, *, held: bool = True, is_floor: bool = False) -> NDArray[np.bool_]:
     structure = structure_of(held=held)
     plane = NearPlane(distance_m=distances(off_m, float(surface.sigma_m[0, 0])), near=structure, is_floor=is_floor)
-    return raised_patches([plane], structure, surface, CONFIG)
+    return raised_patches([plane], structure, surface)
 
 
 def test_a_back_panel_two_sigma_before_the_wall_is_none_of_the_wall() -> None:
@@ -73,7 +72,7 @@ def test_a_foot_that_only_touches_its_leg_is_none_of_the_floor() -> None:
     shares = []
     for is_floor in (True, False):
         plane = NearPlane(distance_m=distances(0.022), near=structure, is_floor=is_floor)
-        shares.append(patch_share(raised_patches([plane], structure, surface, CONFIG))[0])
+        shares.append(patch_share(raised_patches([plane], structure, surface))[0])
     assert shares[0] > 0.9
     assert shares[1] == 0.0
 
@@ -95,8 +94,8 @@ def test_what_stands_off_one_plane_and_lies_in_another_is_structure() -> None:
     structure = structure_of()
     wall = NearPlane(distance_m=distances(0.022), near=structure, is_floor=False)
     floor = NearPlane(distance_m=np.zeros(SHAPE, dtype=np.float32), near=structure, is_floor=True)
-    assert not raised_patches([wall, floor], structure, scene(), CONFIG).any()
+    assert not raised_patches([wall, floor], structure, scene()).any()
 
 
 def test_without_planes_nothing_stands_off() -> None:
-    assert not raised_patches([], structure_of(), scene(), CONFIG).any()
+    assert not raised_patches([], structure_of(), scene()).any()

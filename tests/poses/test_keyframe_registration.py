@@ -22,7 +22,14 @@ from registration_scenes import (
 from hickory_stream.box_scene import SceneBox
 from hickory_stream.errors import RangeError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
-from hickory_stream.poses.keyframe_registration import KeptOut, KeyframeRegistration, Placed, Remembered
+from hickory_stream.poses.keyframe_registration import (
+    LOST_KEYFRAMES,
+    NUM_RECENT,
+    KeptOut,
+    KeyframeRegistration,
+    Placed,
+    Remembered,
+)
 from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.poses.surface_image import surface_image
 
@@ -157,10 +164,10 @@ def test_a_robot_that_was_carried_away_is_kept_out_and_then_begins_anew() -> Non
         assert isinstance(registration.place(image(i), TRUE[i]), Placed)
     # Its wheels did not turn: it sees another corner of the room, and the odometry goes on from where it was.
     carried = compose(TRUE[12], invert(true_pose(20)))
-    odometry = [compose(carried, true_pose(20 + i)) for i in range(CONFIG.lost_keyframes + 4)]
+    odometry = [compose(carried, true_pose(20 + i)) for i in range(LOST_KEYFRAMES + 4)]
     away = [registration.place(image(20 + i), pose) for i, pose in enumerate(odometry)]
     out = [each for each in away if isinstance(each, KeptOut)]
-    assert len(out) == CONFIG.lost_keyframes - 1
+    assert len(out) == LOST_KEYFRAMES - 1
     assert "of what it should show of the map is there" in out[0].reason
     hows = [each.how for each in away if isinstance(each, Placed)]
     assert hows[0] == "begun anew"
@@ -172,7 +179,7 @@ def test_a_slip_of_the_odometry_is_found_again() -> None:
     odometry = [*TRUE[:12], *(compose(slip, pose) for pose in TRUE[12:])]
     found = walked(odometry)
     num_out = sum(isinstance(each, KeptOut) for each in found)
-    assert 0 < num_out < CONFIG.lost_keyframes
+    assert 0 < num_out < LOST_KEYFRAMES
     assert errors_m(poses_of(found)[-20:], NUM_KEYFRAMES - 20).max() < 0.02
 
 
@@ -215,7 +222,7 @@ def test_what_was_restored_goes_on_to_the_same_places(corrected: list[Placed | K
     remembered = [
         Remembered(image=image(i), map_from_camera=each.map_from_camera, number=i, is_anchor=each.is_anchor)
         for i, each in enumerate(placed[:until])
-        if each.is_anchor or i >= until - CONFIG.num_recent
+        if each.is_anchor or i >= until - NUM_RECENT
     ]
     registration = KeyframeRegistration(CONFIG)
     registration.restore(placed[until - 1].belief, remembered, until)
@@ -244,5 +251,5 @@ def test_the_covariance_covers_the_error(corrected: list[Placed | KeptOut]) -> N
 
 
 def test_a_configuration_out_of_its_ranges_is_refused() -> None:
-    with pytest.raises(RangeError, match="last_scale_m"):
-        RegistrationConfig(first_scale_m=0.01, last_scale_m=0.02)
+    with pytest.raises(RangeError, match="drift_share"):
+        RegistrationConfig(drift_share=1.1)

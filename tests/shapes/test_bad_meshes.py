@@ -18,7 +18,7 @@ from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superqu
 from hickory_stream.shapes.inflate.inflation import InflateConfig, inflated
 from hickory_stream.shapes.mesh_validation import usable
 
-COARSE = FitConfig(cells=24, joint_samples=800, num_rounds=1)
+COARSE = FitConfig(cells=24, joint_samples=800)
 
 
 def mesh_of(vertices: object, faces: object) -> Mesh:

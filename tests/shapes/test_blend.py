@@ -12,13 +12,13 @@ from scipy.spatial import cKDTree
 from hickory_stream.geometry.mesh import is_closed
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import Reconstruction, ShapeInputs
-from hickory_stream.shapes.generated.blend import BlendConfig, blended
+from hickory_stream.shapes.generated.blend import blended
 from hickory_stream.shapes.generated.distance_field import even_samples
 from hickory_stream.shapes.reconstruct.fused import VolumeConfig
 from tests.shapes.shape_fixtures import shape_inputs
 from tools.benchmarks.oracle import plain_mesh
 
-VOLUME = VolumeConfig(cells=32, smoothing=5)
+VOLUME = VolumeConfig(cells=32)
 
 
 def body(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
@@ -33,7 +33,7 @@ def inputs() -> ShapeInputs:
 
 def joined(made: trimesh.Trimesh, inputs: ShapeInputs) -> tuple[Reconstruction, np.ndarray]:
     mesh = plain_mesh(np.asarray(made.vertices), np.asarray(made.faces))
-    answer = blended(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), inputs, VOLUME, BlendConfig())
+    answer = blended(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), inputs, VOLUME)
     assert isinstance(answer, Reconstruction)
     return answer, apply(answer.world_from_object, answer.mesh.vertices.astype(np.float64))
 

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from hickory_stream.shapes.reconstruct.completion import FREE, SOLID, CompletionConfig, solid_of
+from hickory_stream.shapes.reconstruct.completion import FREE, SOLID, solid_of
 
-CONFIG = CompletionConfig()
 INNER = (slice(3, 17), slice(3, 17), slice(3, 17))
 
 
@@ -18,7 +17,7 @@ def seen_front(free_depth: int) -> np.ndarray:
 
 
 def test_a_box_of_which_only_the_front_was_seen_is_filled_behind_it_as_far_as_it_is_looked_at() -> None:
-    solid = solid_of(seen_front(0), INNER, None, 0, CONFIG)
+    solid = solid_of(seen_front(0), INNER, None, 0)
     assert solid[INNER][1:-1, 1:8, 1:-1].mean() > 0.95
     assert solid[INNER][1:-1, 1:-1, 1:-1].mean() > 0.75
     assert not solid[:, :3].any()
@@ -26,7 +25,7 @@ def test_a_box_of_which_only_the_front_was_seen_is_filled_behind_it_as_far_as_it
 
 def test_where_much_was_seen_free_what_hides_behind_the_front_is_not_filled_to_the_end() -> None:
     states = seen_front(11)
-    solid = solid_of(states, INNER, None, 0, CONFIG)
+    solid = solid_of(states, INNER, None, 0)
     assert not (solid & (states == FREE)).any()
     assert solid[INNER].mean() < 0.45
 
@@ -52,16 +51,16 @@ BED = (slice(5, 35), slice(4, 35), slice(3, 20))
 
 def test_nothing_is_filled_under_a_bed_and_its_feet_stay() -> None:
     states = seen_bed()
-    solid = solid_of(states, BED, 3, 3, CONFIG, is_wide=True)
+    solid = solid_of(states, BED, 3, 3, is_wide=True)
     assert not solid[10:30, 10:30, 3:8].any()
     assert solid[10:30, 10:30, 10:19].all()
     assert solid[5:7, 4:6, 3:9].all()
 
 
 def test_what_is_narrow_or_comes_down_in_many_places_is_filled_to_the_support() -> None:
-    narrow = solid_of(seen_bed(), BED, 3, 3, CONFIG, is_wide=False)
+    narrow = solid_of(seen_bed(), BED, 3, 3, is_wide=False)
     assert narrow[12:28, 12:28, 3:8].mean() > 0.6
     states = seen_bed()
     states[5:35, 4, 3:9] = states[5, 4:35, 3:9] = states[34, 4:35, 3:9] = SOLID
-    closed = solid_of(states, BED, 3, 3, CONFIG, is_wide=True)
+    closed = solid_of(states, BED, 3, 3, is_wide=True)
     assert closed[12:28, 12:28, 3:8].mean() > 0.6

@@ -9,10 +9,8 @@ import pytest
 import trimesh
 
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
-from hickory_stream.shapes.generated.judgement import JudgementConfig, by_other_views, newly_seen
+from hickory_stream.shapes.generated.judgement import by_other_views, newly_seen
 from tools.benchmarks.oracle import Sighted, plain_mesh, sighted
-
-CONFIG = JudgementConfig()
 
 
 class Knows:
@@ -63,7 +61,7 @@ def test_a_shape_is_asked_for_what_its_own_views_did_not_show(seen: Sighted) -> 
 def test_a_made_up_back_loses_against_an_embedded_shape_that_foretold_more(seen: Sighted) -> None:
     true, flat = placed(seen, flattened=0.0), placed(seen, flattened=0.9)
     knows = Knows(true)
-    refused = by_other_views(flat, seen.made_from, 1, knows, CONFIG)
+    refused = by_other_views(flat, seen.made_from, 1, knows)
     assert refused is not None
     assert not refused.is_accepted
     assert "the embedded one 1.00" in refused.reason
@@ -76,7 +74,7 @@ def test_a_made_up_back_loses_against_an_embedded_shape_that_foretold_more(seen:
 @pytest.mark.parametrize("other", ["flat", "none"])
 def test_a_shape_that_foretold_what_was_seen_is_kept(seen: Sighted, other: str) -> None:
     embedded = NoShape(reason="no") if other == "none" else placed(seen, flattened=0.9)
-    verdict = by_other_views(placed(seen, flattened=0.0), seen.made_from, 1, Knows(embedded), CONFIG)
+    verdict = by_other_views(placed(seen, flattened=0.0), seen.made_from, 1, Knows(embedded))
     assert verdict is not None
     assert verdict.is_accepted
     assert verdict.reason.startswith("foretold 1.00")

@@ -18,7 +18,7 @@ PLATE = Superquadrics(
     exponents=np.full((1, 2), 0.1), semi_axes_m=np.array([[0.6, 0.4, 0.02]]), world_from_local=np.eye(4)[None]
 )
 NO_POINTS = np.empty((0, 3))
-COARSE = FitConfig(cells=24, joint_samples=800, num_rounds=1)
+COARSE = FitConfig(cells=24, joint_samples=800)
 
 
 @st.composite

@@ -142,7 +142,7 @@ def test_distances_are_those_to_the_surface() -> None:
 
 
 def evidence_of(mesh: Mesh, seen: Sighted) -> ShapeEvidence:
-    found = shape_evidence(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), seen.made_from, 1, JudgementConfig())
+    found = shape_evidence(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), seen.made_from, 1)
     assert found is not None
     return found
 
@@ -151,15 +151,15 @@ def test_the_truth_is_accepted_and_other_things_are_refused_with_the_number_that
     truth = evidence_of(seen.mesh_world, seen)
     assert truth.explained > 0.9
     assert truth.violated < 0.1
-    assert judged(truth, JudgementConfig()).is_accepted
+    assert judged(truth).is_accepted
     low, high = seen.mesh_world.vertices.min(axis=0), seen.mesh_world.vertices.max(axis=0)
     filled = trimesh.creation.box(high - low).apply_translation((low + high) / 2).subdivide().subdivide()
     block = evidence_of(plain_mesh(np.asarray(filled.vertices), np.asarray(filled.faces)), seen)
-    verdict = judged(block, JudgementConfig())
+    verdict = judged(block)
     assert not verdict.is_accepted
     assert "in free space" in verdict.reason
     above = plain_mesh(seen.mesh_world.vertices + np.array([0, 0, 0.2]), seen.mesh_world.faces)
-    assert "off its support" in judged(evidence_of(above, seen), JudgementConfig()).reason
+    assert "off its support" in judged(evidence_of(above, seen)).reason
 
 
 def test_what_is_worth_less_than_the_embedded_shape_does_not_replace_it() -> None:

@@ -6,10 +6,9 @@ import pytest
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.shapes.reconstruct.symmetry import RevolutionConfig, half_turn_of
+from hickory_stream.shapes.reconstruct.symmetry import half_turn_of
 from hickory_stream.shapes.reconstruct.tsdf import DepthView
 
-CONFIG = RevolutionConfig()
 CAMERA_WORLD = np.array([0.0, 0.0, 0.3])
 AHEAD = np.array([2.0, 0.4])
 
@@ -31,7 +30,7 @@ def arc(radius: float) -> np.ndarray:
 @pytest.mark.parametrize("noise_m", [0.0, 0.005])
 @pytest.mark.parametrize("radius", [0.04, 0.15])
 def test_an_arc_is_turned_about_its_middle(radius: float, noise_m: float) -> None:
-    turn = half_turn_of(extruded(arc(radius), noise_m), CAMERA_WORLD, [], 0.01, CONFIG)
+    turn = half_turn_of(extruded(arc(radius), noise_m), CAMERA_WORLD, [], 0.01)
     assert turn is not None
     assert np.linalg.det(turn[:3, :3]) == pytest.approx(1)
     axis = turn[:2, 3] / 2
@@ -45,7 +44,7 @@ def test_the_front_of_a_box_is_not_round(yaw_deg: float) -> None:
     faces = np.concatenate([np.stack([side, -0.15 + 0 * side], axis=1), np.stack([-0.15 + 0 * side, side], axis=1)])
     turned = faces @ np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
     front = turned if yaw_deg else faces[:60]
-    assert half_turn_of(extruded(front, 0.002), CAMERA_WORLD, [], 0.01, CONFIG) is None
+    assert half_turn_of(extruded(front, 0.002), CAMERA_WORLD, [], 0.01) is None
 
 
 def test_what_was_seen_through_behind_is_not_turned() -> None:
@@ -63,9 +62,9 @@ def test_what_was_seen_through_behind_is_not_turned() -> None:
         camera_from_world=invert(pose),
     )
     assert (apply(view.camera_from_world, points)[:, 2] > 0.5).all()
-    assert half_turn_of(points, CAMERA_WORLD, [view], 0.01, CONFIG) is None
+    assert half_turn_of(points, CAMERA_WORLD, [view], 0.01) is None
 
 
 def test_points_above_the_camera_have_no_front() -> None:
     points = np.array([[0.0, 0.0, 1.0]] * 30)
-    assert half_turn_of(points, CAMERA_WORLD, [], 0.01, CONFIG) is None
+    assert half_turn_of(points, CAMERA_WORLD, [], 0.01) is None

@@ -70,7 +70,7 @@ def play_first_layer(
     core = MapperCore(config.mapping)
     for frame in keyframes_of(log, config, max_keyframes):
         prior = core.prior()
-        perceived = perceive(frame, prior, None, segmenter, config.perception, lattice=config.mapping.lattice)
+        perceived = perceive(frame, prior, None, segmenter, config.perception, lattice=config.mapping.voxels)
         event = perceived.event(frame)
 
         def features(effect: ComputeFeatures, frame: Frame = frame, perceived: Perceived = perceived) -> FeaturesReady:

@@ -19,7 +19,6 @@ from hickory_stream.evaluation.surface_score import diameter_m
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import MeshPlacement, Reconstruction
 from hickory_stream.shapes.generated.judgement import (
-    JudgementConfig,
     ShapeEvidence,
     judged,
     shape_evidence,
@@ -146,9 +145,7 @@ def _row(kind: str, seen: Sighted, given: Generated, refiner: EmbeddedPlacement)
     carried = placement.world_from_mesh @ given.mesh_from_true
     moved = apply(carried, true)
     world = placed_mesh(given.mesh, placement)
-    evidence = shape_evidence(
-        Reconstruction(mesh=world, world_from_object=np.eye(4)), seen.made_from, 1, JudgementConfig()
-    )
+    evidence = shape_evidence(Reconstruction(mesh=world, world_from_object=np.eye(4)), seen.made_from, 1)
     return Row(
         kind=kind,
         given=given,
@@ -185,10 +182,9 @@ def _of_placement(plain: list[Row], spoiled: list[Row], where: str) -> list[Figu
 def _of_judgement(
     pool: ProcessPoolExecutor, spoiled: list[Row], swapped: list[Row], strange: list[Row]
 ) -> list[Figure]:
-    config = JudgementConfig()
     refused = []
     for row in spoiled:
-        verdict = judged(row.evidence, config) if row.evidence is not None else None
+        verdict = judged(row.evidence) if row.evidence is not None else None
         refused.append(verdict is None or not verdict.is_accepted)
         if refused[-1]:
             print(f"good one refused, {row.kind}, F1 {row.f1:.2f}: {verdict.reason if verdict else 'not placed'}")
@@ -200,7 +196,7 @@ def _of_judgement(
         ("stranger", strangers, "objects swapped for one of another class"),
     ):
         wrong = [row for row in rows if row.f1 < _SAME_F1]
-        accepted = [row.evidence is not None and judged(row.evidence, config).is_accepted for row in wrong]
+        accepted = [row.evidence is not None and judged(row.evidence).is_accepted for row in wrong]
         taken = [row for row, is_in in zip(wrong, accepted, strict=True) if is_in]
         outcomes = []
         for row, found in zip(taken, pool.map(outcome_of, taken), strict=True):

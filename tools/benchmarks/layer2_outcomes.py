@@ -12,7 +12,7 @@ from hickory_stream.evaluation.exposed import exposed_samples
 from hickory_stream.evaluation.surface_score import diameter_m
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import Reconstruction
-from hickory_stream.shapes.generated.blend import BlendConfig, blended
+from hickory_stream.shapes.generated.blend import blended
 from hickory_stream.shapes.generated.distance_field import even_samples
 from hickory_stream.shapes.generated.judgement import (
     JudgementConfig,
@@ -66,17 +66,17 @@ class Outcome:
 
 def outcome_of(row: Row) -> Outcome | None:
     """Return what becomes of an object; None where the generated shape is refused, or either fails."""
-    config, inputs = JudgementConfig(), row.seen.made_from
-    if row.placement is None or row.evidence is None or not judged(row.evidence, config).is_accepted:
+    inputs = row.seen.made_from
+    if row.placement is None or row.evidence is None or not judged(row.evidence).is_accepted:
         return None
     world = Reconstruction(mesh=placed_mesh(row.given.mesh, row.placement), world_from_object=np.eye(4))
     embedded = FusedReconstructor(FusedConfig())
-    made, fused = blended(world, inputs, VolumeConfig(), BlendConfig()), embedded.reconstruct(inputs)
+    made, fused = blended(world, inputs, VolumeConfig()), embedded.reconstruct(inputs)
     if not (isinstance(made, Reconstruction) and isinstance(fused, Reconstruction)):
         return None
-    final, own = shape_evidence(made, inputs, 1, config), shape_evidence(fused, inputs, len(inputs.crops), config)
-    is_kept = final is None or own is None or replaces(final, own, config).is_accepted
-    foretold = by_other_views(world, inputs, 1, embedded, config)
+    final, own = shape_evidence(made, inputs, 1), shape_evidence(fused, inputs, len(inputs.crops))
+    is_kept = final is None or own is None or replaces(final, own, JudgementConfig()).is_accepted
+    foretold = by_other_views(world, inputs, 1, embedded)
     is_kept &= foretold is None or foretold.is_accepted
     return Outcome(blended=_f1_of(made, row.seen), fused=_f1_of(fused, row.seen), is_kept=is_kept)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.engine.loop_closing import MIN_SUBMAPS_APART
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import odometry_covariance
 from hickory_stream.graph.solution import NoSolution, Solution
@@ -63,7 +64,7 @@ def _closed(rooms: list[SeenRoom]) -> tuple[tuple[Loop, ...], tuple[int, ...]]:
     config, later = GraphConfig(), len(rooms) - 1
     submaps = [_surveyed(i, room) for i, room in enumerate(rooms)]
     stamps = list(range(len(rooms)))
-    predicted = predictions(submaps, (), config, least_apart=LoopConfig().least_apart)
+    predicted = predictions(submaps, (), config, least_apart=MIN_SUBMAPS_APART)
     assert not isinstance(predicted, NoSolution)
     query = LoopQuery(later_id=later, surfaces=Surfaces(submaps), predicted=predicted)
     loops = search_loops(query, LoopConfig())

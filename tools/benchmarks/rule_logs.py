@@ -98,7 +98,7 @@ class RuleLog:
                 prepared if is_prepared else None,
                 segmenter,
                 perception,
-                lattice=config.mapping.lattice,
+                lattice=config.mapping.voxels,
             )
             yield replace(seen.event(frame), coarse=None)
 

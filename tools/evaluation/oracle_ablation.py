@@ -165,10 +165,7 @@ def mapping_of(rung: Rung, config: MappingConfig) -> MappingConfig:
     """Return the map's configuration; with true structure, the rules that reclassify objects as structure are off."""
     if rung not in ("structure", "association"):
         return config
-    lifecycle = replace(
-        config.lifecycle, structure_m=1e3, structure_m3=1e6, wall_thickness_m=0.0, structure_share=1.0, wall_share=1.0
-    )
-    return replace(config, lifecycle=lifecycle, flush=replace(config.flush, thickness_m=0.0, edge_width_m=0.0))
+    return replace(config, lifecycle=replace(config.lifecycle, finds_structure=False))
 
 
 def _dense(ids: NDArray[np.int32]) -> NDArray[np.int32]:

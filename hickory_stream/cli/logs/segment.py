@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     config = settings.perception
     frame = sensed(_frame(options), 0, settings.sensor)
     segmenter, extractor = make_segmenter(config), make_extractor(config)
-    perceived = perceive(frame, None, segmenter.prepare(frame), segmenter, config, lattice=settings.mapping.lattice)
+    perceived = perceive(frame, None, segmenter.prepare(frame), segmenter, config, lattice=settings.mapping.voxels)
     patches = extractor.extract(np.asarray(frame.rgb))
     picture = segmentation_picture(frame.rgb, perceived.segmentation, perceived.rejected, patches)
     write_picture(options.out, picture)

@@ -52,7 +52,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    from hickory_stream.config import MapperConfig, as_far_as_known
+    from hickory_stream.config import as_far_as_known
     from hickory_stream.query.answers import ask
     from hickory_stream.query.grammar import UnknownWord
     from hickory_stream.query.map_index import index_of
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"found -o {options.out}, expected a name that ends in .png")
     viewer = None if options.viewer is None else parse_place(options.viewer, "--from")
     saved = open_map_at(options.map, options.at)
-    index = index_of(saved.snapshot, as_far_as_known(MapperConfig, saved.manifest.config).mapping)
+    index = index_of(saved.snapshot, as_far_as_known(saved.manifest.config).mapping)
     question = " ".join(options.question)
     try:
         answers = ask(index, question, viewer)

@@ -28,6 +28,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 def _dump(options: argparse.Namespace) -> int:
     from hickory_stream.base.config_text import to_toml
+    from hickory_stream.settings import SET_OFTEN
 
     settings = read_settings(options)
     if options.json:
@@ -35,7 +36,7 @@ def _dump(options: argparse.Namespace) -> int:
 
         print(output("config-dump", dataclasses.asdict(settings), indent=1))
     else:
-        print(to_toml(settings), end="")
+        print(to_toml(settings, SET_OFTEN), end="")
     return 0
 
 

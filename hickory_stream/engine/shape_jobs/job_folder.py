@@ -25,6 +25,7 @@ import numpy as np
 from hickory_stream.base.atomic_files import disk_errors, link_or_copy, outside_errors, write_atomically
 from hickory_stream.base.config_text import from_dict
 from hickory_stream.base.confined import path_within, plain_name, read_within
+from hickory_stream.base.former_keys import with_current_names
 from hickory_stream.base.json_text import dumps, dumps_exactly
 from hickory_stream.errors import HickoryError, WorkerError
 from hickory_stream.geometry.boxes import OrientedBox
@@ -106,7 +107,7 @@ def read_job(folder: Path) -> tuple[ShapeInputs, ShapeConfig]:
         box=OrientedBox(world_from_box=job["world_from_box"], half_extents_m=job["half_extents_m"]),
         support_z_m=job["support_z_m"],
     )
-    return inputs, from_dict(ShapeConfig, job["config"])
+    return inputs, from_dict(ShapeConfig, with_current_names(job["config"], "shapes."), "shapes.")
 
 
 def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hickory_stream.base.config_text import from_dict
+from hickory_stream.base.former_keys import with_current_names
 from hickory_stream.config import MapperConfig, as_far_as_known
 from hickory_stream.errors import ConfigError, MapFolderError
 from hickory_stream.map_folder.manifest import read_manifest
@@ -27,7 +28,7 @@ def recorded_config(path: Path) -> MapperConfig:
     """
     manifest = read_manifest(path)
     try:
-        return from_dict(MapperConfig, dict(manifest.config))
+        return from_dict(MapperConfig, with_current_names(manifest.config))
     except ConfigError as error:
         raise MapFolderError(
             f"{path} was made by hickory-stream {manifest.software_version}: {error}; play the log again"
@@ -51,7 +52,7 @@ def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False
                 f"{path} was made with run.{key} = {was!r}, here it is {now!r}; what a map names is never run or "
                 f"connected to: give --set mapper.run.{key}=... if you know it, or --use-current-workers"
             )
-    machine = {key: getattr(own, key) for key in (*MACHINE_KEYS, "cluster_gpus", "i_accept")}
+    machine = {key: getattr(own, key) for key in (*MACHINE_KEYS, "cluster_gpus", "accept_licence")}
     return replace(recorded, run=replace(recorded.run, **machine))
 
 
@@ -63,4 +64,4 @@ def told_config(path: Path) -> MapperConfig:
     Raises:
         MapFolderError: there is no map.
     """
-    return as_far_as_known(MapperConfig, read_manifest(path).config)
+    return as_far_as_known(read_manifest(path).config)

@@ -24,6 +24,7 @@ from hickory_stream.map_folder.history.registration_history import registration_
 from hickory_stream.map_folder.manifest import Manifest, read_manifest
 from hickory_stream.map_folder.writer import MapFolder, reopen_map_folder
 from hickory_stream.mapping.rules.keyframes import Keyframe
+from hickory_stream.poses.keyframe_registration import NUM_RECENT
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -95,7 +96,7 @@ def resume_point_of(journal: Journal, config: MapperConfig) -> ResumePoint | Non
         open_jobs=tuple(replay.open_jobs.values()),
         mesh_names=tuple(sorted(mesh_names(journal))),
         last_frame=frames[-1],
-        registration=registration_history(journal, len(journal), num_recent=config.registration.num_recent),
+        registration=registration_history(journal, len(journal), num_recent=NUM_RECENT),
     )
 
 

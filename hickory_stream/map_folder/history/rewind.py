@@ -14,6 +14,7 @@ from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.registration_history import registration_history
 from hickory_stream.map_folder.history.time_travel import step_at
+from hickory_stream.poses.keyframe_registration import NUM_RECENT
 
 if TYPE_CHECKING:
     from hickory_stream.config import MapperConfig
@@ -63,8 +64,7 @@ def rewound_to(folder: MapFolder, config: MapperConfig, stamp_ns: int, now: Mapp
                     assert isinstance(event, ShapeReady | ShapeFailed)
                     if event.ticket in wanted:
                         answers[event.ticket] = event
-        recent = config.registration.num_recent
-        registration = registration_history(journal, replay.num_steps, num_recent=recent)
+        registration = registration_history(journal, replay.num_steps, num_recent=NUM_RECENT)
     names = replay.core.view_names()
     lost = folder.keep_views(names)
     return Rewound(

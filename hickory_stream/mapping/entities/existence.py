@@ -23,27 +23,24 @@ if TYPE_CHECKING:
 
 # Maximum number of stored viewpoints: an object seen from this many was confirmed long ago.
 _MOST_PLACES = 12
+# Viewing directions that differ by this angle are independent, and so are viewing distances with this ratio; less
+# counts in proportion.
+_APART_RAD = 0.6
+_APART_RATIO = 2.0
+# Sightings of objects that subtend less than this solid angle are weaker evidence, in proportion.
+_FULL_SR = 0.004
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExistenceConfig(Ranged):
-    """How much evidence one sighting contributes.
+    """How much evidence one sighting contributes."""
 
-    Attributes:
-        apart_rad: viewing directions that differ by this angle are independent; smaller angles count in proportion.
-        apart_ratio: viewing distances with this ratio are independent, too.
-        fresh: evidence of a sighting from an independent viewpoint.
-        again: evidence of one more sighting from the same viewpoint.
-        full_sr: sightings of objects that subtend less than this solid angle are weaker evidence, in proportion ...
-        least: ... down to this share of the full evidence.
-    """
-
-    apart_rad: float = number(0.6, 0.001, 3.15, "rad")
-    apart_ratio: float = number(2.0, 1.001, 1000, "ratio")
-    fresh: float = number(2.0, 0, 1000, "sightings")
-    again: float = number(0.7, 0, 1000, "sightings")
-    full_sr: float = number(0.004, 0, 12.6, "sr")
-    least: float = number(0.5, 0, 1, "share")
+    #: Evidence of a sighting from an independent viewpoint.
+    new_view_gain: float = number(2.0, 0, 1000, "sightings")
+    #: Evidence of one more sighting from the same viewpoint.
+    same_view_gain: float = number(0.7, 0, 1000, "sightings")
+    #: Small objects give weaker evidence, down to this share.
+    min_gain: float = number(0.5, 0, 1, "share")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -62,8 +59,8 @@ def no_evidence() -> Existence:
 def sighted(known: Existence, seen: Observation, camera: NDArray[np.float64], config: ExistenceConfig) -> Existence:
     """Return the existence after one more sighting from a camera at (3,), in the world."""
     way = seen.box.center - camera
-    novelty = _novelty(known.places, seen.box.center, camera, config)
-    worth = config.again + (config.fresh - config.again) * novelty
+    novelty = _novelty(known.places, seen.box.center, camera)
+    worth = config.same_view_gain + (config.new_view_gain - config.same_view_gain) * novelty
     is_place = novelty >= 1.0 and len(known.places) < _MOST_PLACES
     return Existence(
         evidence=known.evidence + worth * _sharpness(seen, portable.norm(way), config),
@@ -88,9 +85,7 @@ def doubted(known: Existence) -> Existence:
     return Existence(evidence=max(known.evidence - 1.0, 0.0), places=known.places)
 
 
-def _novelty(
-    places: NDArray[np.float64], middle: NDArray[np.float64], camera: NDArray[np.float64], config: ExistenceConfig
-) -> float:
+def _novelty(places: NDArray[np.float64], middle: NDArray[np.float64], camera: NDArray[np.float64]) -> float:
     """Return how independent a viewpoint is of the stored ones: 0 for the same, 1 for an independent one."""
     way = middle - camera
     reach_m = max(portable.norm(way), 1e-6)
@@ -100,8 +95,8 @@ def _novelty(
         other_m = max(portable.norm(other), 1e-6)
         cosine = min(max(portable.dot(way, other) / (reach_m * other_m), -1.0), 1.0)
         # The chord between two unit directions: approximately the angle where that is small.
-        turned = float(np.sqrt(2.0 - 2.0 * cosine)) / config.apart_rad
-        nearer = (max(reach_m, other_m) / min(reach_m, other_m) - 1.0) / (config.apart_ratio - 1.0)
+        turned = float(np.sqrt(2.0 - 2.0 * cosine)) / _APART_RAD
+        nearer = (max(reach_m, other_m) / min(reach_m, other_m) - 1.0) / (_APART_RATIO - 1.0)
         novelty = min(novelty, max(turned, nearer))
     return novelty
 
@@ -111,5 +106,4 @@ def _sharpness(seen: Observation, distance_m: float, config: ExistenceConfig) ->
     x, y, z = (float(side) for side in 2 * seen.box.half_extents_m)
     # The visible area is approximated by the mean area of the faces of the observed box.
     solid_angle = (x * y + y * z + z * x) / 3 / max(distance_m * distance_m, 1e-6)
-    share = min(solid_angle / config.full_sr, 1.0) if config.full_sr > 0 else 1.0
-    return max(share * seen.r_depth, config.least)
+    return max(min(solid_angle / _FULL_SR, 1.0) * seen.r_depth, config.min_gain)

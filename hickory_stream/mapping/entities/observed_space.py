@@ -16,7 +16,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.arrays import check_array
 from hickory_stream.geometry.lazy_arrays import GivesUpArrays, read_briefly
 from hickory_stream.geometry.rigid import apply, invert
@@ -79,29 +78,23 @@ _NO_STEP_M, _NO_TABLE_M2 = 0.3, 6.0
 _STOREY_M = 2.4
 # The range of voxel indices.
 _FAR = 1 << 20
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class FlushConfig(Ranged):
-    """When a flat object is a part of the wall around it: by sizes and by the share of its border that is in a wall.
-
-    Structure counts if it lies from half of `reach_m` to `reach_m` beyond the border (nearer structure may be a wall
-    that meets the object at an edge), and in the object's own plane: the middle of the structure may be off the middle
-    of the object by `max_offset` of half its thickness. Structure up to `foot_m` above the floor does not count, since
-    every object stands on the floor. An upright strip that is thinner than `edge_width_m`, taller than `edge_height_m`
-    and has structure within `edge_reach_m` along most of its height is the edge of a wall or the frame of a door.
-    """
-
-    thickness_m: float = number(0.12, 0, 100, "m")
-    min_size_m: float = number(0.2, 0, 100, "m")
-    reach_m: float = number(0.2, 0, 100, "m")
-    border_share: float = number(0.25, 0, 1, "share")
-    max_offset: float = number(0.8, 0, 100, "ratio")
-    foot_m: float = number(0.1, 0, 100, "m")
-    edge_width_m: float = number(0.1, 0, 100, "m")
-    edge_height_m: float = number(0.38, 0, 100, "m")
-    edge_reach_m: float = number(0.1, 0, 100, "m")
-    edge_share: float = number(0.8, 0, 1, "share")
+# A flat object no thicker, but larger than this is a part of the wall around it if this share of its border is in a
+# wall.
+_FLUSH_THICKNESS_M = 0.12
+_FLUSH_SIZE_M = 0.2
+_FLUSH_BORDER_SHARE = 0.25
+# Structure counts from half of this to this beyond the border: nearer, it may be a wall that meets the object.
+_FLUSH_REACH_M = 0.2
+# The middle of the structure may be off the middle of the object by this share of half its thickness.
+_FLUSH_OFFSET = 0.8
+# Structure up to this height above the floor does not count, since every object stands on the floor.
+_FLUSH_FOOT_M = 0.1
+# An upright strip that is thinner and taller than this, with structure this near along this share of its height, is
+# the edge of a wall or the frame of a door.
+_EDGE_WIDTH_M = 0.1
+_EDGE_HEIGHT_M = 0.38
+_EDGE_REACH_M = 0.1
+_EDGE_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -435,39 +428,39 @@ def _share_in(sorted_keys, points, step, voxel_m):
     return num_in / count
 
 
-def is_flush(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
+def is_flush(state: SpaceState, box: OrientedBox) -> bool:
     """Return whether a flat object is coplanar with structure around it: a part of the same wall."""
     half = box.half_extents_m
     thin = int(np.argmin(half))
     wide = np.delete(half, thin)
-    if 2 * half[thin] > config.thickness_m or 2 * wide.min() < config.min_size_m:
+    if 2 * half[thin] > _FLUSH_THICKNESS_M or 2 * wide.min() < _FLUSH_SIZE_M:
         return False
-    centers = _structure_around(state, box, config.reach_m)
+    centers = _structure_around(state, box, _FLUSH_REACH_M)
     if state.floor_z_m is not None:
-        centers = centers[centers[:, 2] > state.floor_z_m + config.foot_m]
+        centers = centers[centers[:, 2] > state.floor_z_m + _FLUSH_FOOT_M]
     local = apply(invert(box.world_from_box), centers)
     offset, in_plane = local[:, thin], np.delete(local, thin, axis=1)
     beyond = (np.abs(in_plane) - wide).max(axis=1)
     around = (
-        (beyond > config.reach_m / 2) & (beyond < config.reach_m) & (np.abs(offset) < half[thin] + state.voxel_m / 2)
+        (beyond > _FLUSH_REACH_M / 2) & (beyond < _FLUSH_REACH_M) & (np.abs(offset) < half[thin] + state.voxel_m / 2)
     )
-    if not around.any() or abs(float(np.median(offset[around]))) > config.max_offset * half[thin] + state.voxel_m / 4:
+    if not around.any() or abs(float(np.median(offset[around]))) > _FLUSH_OFFSET * half[thin] + state.voxel_m / 4:
         return False
     # Each cell of the border counts once, however many structure voxels lie behind it.
     border = np.unique(np.floor(np.clip(in_plane[around], -wide, wide) / state.voxel_m), axis=0)
-    return len(border) * state.voxel_m > config.border_share * 4 * float(wide.sum())
+    return len(border) * state.voxel_m > _FLUSH_BORDER_SHARE * 4 * float(wide.sum())
 
 
-def is_edge(state: SpaceState, box: OrientedBox, config: FlushConfig) -> bool:
+def is_edge(state: SpaceState, box: OrientedBox) -> bool:
     """Return whether an object is a slender upright strip along structure: the edge of a wall, the frame of a door."""
     *widths, height = 2 * box.half_extents_m
-    if max(widths) > config.edge_width_m or height < config.edge_height_m:
+    if max(widths) > _EDGE_WIDTH_M or height < _EDGE_HEIGHT_M:
         return False
     steps = np.linspace(-height / 2, height / 2, int(height / state.voxel_m) + 1)
     axis = box.center + steps[:, None] * np.array([0.0, 0.0, 1.0])
-    centers = _structure_around(state, box, config.edge_reach_m)
+    centers = _structure_around(state, box, _EDGE_REACH_M)
     distances_m = np.linalg.norm(axis[:, None] - centers[None], axis=2).min(axis=1, initial=np.inf)
-    return float((distances_m < config.edge_reach_m).mean()) > config.edge_share
+    return float((distances_m < _EDGE_REACH_M).mean()) > _EDGE_SHARE
 
 
 def sees_structure(state: SpaceState, box: OrientedBox, points: NDArray[np.float32], reach_m: float) -> bool:

@@ -83,29 +83,25 @@ _NO_POINTS, _NO_KEYS = np.empty((0, 3), np.float32), np.empty(0, np.int64)
 # next keyframe may look beside it. Where it is moved it reaches further by the second length.
 LEAST_BESIDE_M = 4.0
 _MOST_BESIDE_M = 8.0
+# The odometry's drift within a submap: a share of the path, and a length for each radian that the camera turned.
+_DRIFT_SHARE = 0.01
+_DRIFT_PER_RAD_M = 0.005
+# The voxel size of a submap's surface, in which loops are searched, and the greatest depth of its points.
+_SURFACE_M = 0.08
+_SURFACE_RANGE_M = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SubmapConfig(Ranged):
-    """When a submap ends, besides jumps of the odometry.
+    """When a submap ends, besides jumps of the odometry."""
 
-    Attributes:
-        travel_m: after this length of the camera's path.
-        drift_m, drift_share, drift_per_rad_m: when the odometry may have drifted by `drift_m` in it: by a share of the
-            path, and by a length for each radian that the camera turned.
-        surface_m: the voxel size of its surface, in which loops are searched.
-        surface_range_m: depth beyond this is no part of its surface.
-        searches_loops: whether a submap that has ended is searched in those before it.
-        loop_latency_s: what a search found takes effect at the first keyframe so long after the submap's end.
-    """
-
+    #: Length of the camera's path after which a submap ends.
     travel_m: float = number(15.0, 0.01, 1e6, "m")
+    #: Drift that the odometry may have gathered in a submap before it ends.
     drift_m: float = number(0.06, 0.001, 1e6, "m")
-    drift_share: float = number(0.01, 0, 1, "share")
-    drift_per_rad_m: float = number(0.005, 0, 10, "m")
-    surface_m: float = number(0.08, 0.01, 1, "m")
-    surface_range_m: float = number(5.0, 0.5, 100, "m")
+    #: Whether a submap that has ended is searched in those before it.
     searches_loops: bool = True
+    #: The result of a search takes effect at the first keyframe this long after the submap's end.
     loop_latency_s: float = number(3.0, 0, 3600, "s")
 
 
@@ -213,7 +209,7 @@ def with_keyframe(submaps: Submaps, event: FrameObserved, config: SubmapConfig) 
     submaps = travelled(_with_open(submaps, blind=blind), pose, event.stamp_ns, config)
     if event.coarse is None:
         return submaps
-    return with_surface(submaps, surface_points(event.coarse, pose, config.surface_range_m), config)
+    return with_surface(submaps, surface_points(event.coarse, pose, _SURFACE_RANGE_M))
 
 
 def travelled(submaps: Submaps, pose: NDArray[np.float64], stamp_ns: int, config: SubmapConfig) -> Submaps:
@@ -224,7 +220,7 @@ def travelled(submaps: Submaps, pose: NDArray[np.float64], stamp_ns: int, config
         turn_rad = current.turn_rad + rotation_angle_rad(portable.matmul(last[:3, :3].T, pose[:3, :3]))
         current = replace(current, way_m=way_m, turn_rad=turn_rad)
         submaps = replace(submaps, states=(*submaps.states[:-1], current), last_pose=pose)
-        drift_m = config.drift_share * way_m + config.drift_per_rad_m * turn_rad
+        drift_m = _DRIFT_SHARE * way_m + _DRIFT_PER_RAD_M * turn_rad
         if way_m >= config.travel_m or drift_m >= config.drift_m:
             submaps = _opened(_closed(submaps))
     current = submaps.states[-1]
@@ -233,10 +229,10 @@ def travelled(submaps: Submaps, pose: NDArray[np.float64], stamp_ns: int, config
     return replace(submaps, states=(*submaps.states[:-1], current), last_pose=pose)
 
 
-def with_surface(submaps: Submaps, seen: SurfacePoints, config: SubmapConfig) -> Submaps:
+def with_surface(submaps: Submaps, seen: SurfacePoints) -> Submaps:
     """Return the submaps with a keyframe's surfaces, in the odometry's frame, on the open one's."""
     current = submaps.states[-1]
-    current = replace(current, surface=with_points(current.surface, seen, config.surface_m))
+    current = replace(current, surface=with_points(current.surface, seen, _SURFACE_M))
     return replace(submaps, states=(*submaps.states[:-1], current))
 
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
@@ -33,17 +32,8 @@ if TYPE_CHECKING:
 
 _BOX_POINTS = 10_000
 _NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TrackConfig(Ranged):
-    """When the preliminary superquadric (the sketch) of a track is fitted again.
-
-    Attributes:
-        sketch_growth: it is fitted again when the number of solid points has changed by this share.
-    """
-
-    sketch_growth: float = number(0.3, 0, 100, "ratio")
+# The sketch, a preliminary superquadric, is fitted again when the number of solid points changed by this share.
+_SKETCH_GROWTH = 0.3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -167,12 +157,12 @@ def with_cloud(track: Track, cloud: Cloud, sightings: int, voxel_m: float) -> Tr
     )
 
 
-def sketched(track: Track, config: TrackConfig) -> Track:
+def sketched(track: Track) -> Track:
     """Return the track with its sketch updated, if it is an object without a shape and its points have changed."""
     if not is_object(track) or track.shape is not None:
         return track
     count, before = len(track.solid), track.sketched_points
-    if abs(count - before) <= config.sketch_growth * before:
+    if abs(count - before) <= _SKETCH_GROWTH * before:
         return track
     return replace(track, sketch=sketch(track.solid.points, track.box), sketched_points=count)
 

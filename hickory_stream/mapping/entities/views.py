@@ -27,29 +27,26 @@ if TYPE_CHECKING:
 Strategy = Literal["s_score", "initial", "max_area", "max_box", "max_volume"]
 
 _SECTORS = 8
+# Factor on S for a view that touches the image border.
+CUT_FACTOR = 0.7
+# A kept view of a direction is replaced by one that is more useful by this factor.
+_BETTER_BY = 1.4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewConfig(Ranged):
-    """How views are chosen.
+    """How views are chosen."""
 
-    Attributes:
-        strategy: `s_score`, or one of the paper's four baselines: the initial view, the largest mask, the largest 2D
-            box, the largest 3D box.
-        alpha, beta: the exponents of S.
-        feature_norm2: n^2 of S. DINOv2 normalises its features to about unit variance in each of their 768 dimensions,
-            so that ln(1 + n^2 sigma^2) separates textured from textureless views, but saturates among textured ones.
-            With n^2 = 1 it is almost linear in sigma^2, and a small mask with a colourful edge would beat a whole one.
-        cut_worth: factor on S for a view that touches the image border.
-        better_by: a kept view of a direction is replaced by one that is more useful by this factor.
-    """
-
+    #: `s_score`, or a baseline of the paper: the initial view, the largest mask, 2D box or 3D box.
     strategy: Strategy = "s_score"
+    #: Exponent of the projected area in S.
     alpha: float = number(0.3, 0, 10, "exponent")
+    #: Exponent of the depth coverage in S.
     beta: float = number(0.5, 0, 10, "exponent")
+    #: n^2 of S: DINOv2 normalises its features to about unit variance in each of their 768 dimensions, so that
+    #: ln(1 + n^2 sigma^2) separates textured from textureless views. With n^2 = 1 it is almost linear in sigma^2, and a
+    #: small mask with a colourful edge would beat a whole one.
     feature_norm2: float = number(768.0, 0.001, 1e6, "ratio")
-    cut_worth: float = number(0.7, 0, 1, "share")
-    better_by: float = number(1.4, 1, 1000, "ratio")
 
 
 def s_score(variance: float, r_area: float, r_depth: float, config: ViewConfig) -> float:
@@ -67,7 +64,7 @@ def score(view: View, variance: float, config: ViewConfig) -> float:
     x0, y0, x1, y1 = view.box_px
     match config.strategy:
         case "s_score":
-            worth = config.cut_worth if view.is_cut else 1.0
+            worth = CUT_FACTOR if view.is_cut else 1.0
             return worth * s_score(variance, view.r_area, view.r_depth, config)
         case "initial":
             return -float(view.frame_index)
@@ -102,9 +99,9 @@ def usefulness(view: View) -> float:
     return math.sqrt(view.r_area) * view.r_depth * (0.35 if view.is_cut else 1.0)
 
 
-def covers_better(view: View, incumbent: View | None, config: ViewConfig) -> bool:
+def covers_better(view: View, incumbent: View | None) -> bool:
     """Return whether a view should take the place of the one kept for its sector."""
-    return incumbent is None or usefulness(view) > config.better_by * usefulness(incumbent)
+    return incumbent is None or usefulness(view) > _BETTER_BY * usefulness(incumbent)
 
 
 def view_of(

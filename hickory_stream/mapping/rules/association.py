@@ -52,35 +52,27 @@ def one_to_one(ranked: Iterable[tuple[A, B]], *, of_one_kind: bool) -> list[tupl
 _TIE = 1e-12
 # Tolerance for rounding: a product this close to a whole number counts as that number.
 _ROUNDING = 1e-9
+# A track is settled, so that observations can be oversized, from this many sightings on.
+_SETTLED_SIGHTINGS = 5
+# Minimum share of the track's box inside the box of an oversized observation.
+_OVERSIZE_COVER = 0.5
+# After this many oversized observations in a row, plus this share of its sightings, the track is larger after all.
+_OVERSIZE_PATIENCE = 3
+_OVERSIZE_PATIENCE_SHARE = 0.2
+# An observation can lie on a track only if at least this share of its box is inside the track's box.
+_MIN_LIES_IN = 0.2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AssociateConfig(Ranged):
-    """When an observation matches a track.
+    """When an observation matches a track."""
 
-    Attributes:
-        min_iou: minimum IoU of the oriented boxes.
-        min_lies_on: minimum share of a partial view's points that lie on the track.
-        settled_sightings, swollen: an observation is under-segmented if its box has more than `swollen` times the
-            volume of the box of a track with at least `settled_sightings` sightings; it is not fused into the track
-            unless this happens repeatedly.
-        swollen_over: minimum share of the track's box inside the box of such an observation.
-        most_doubted: maximum number of tracks, those with the best IoU, for which one observation counts as
-            under-segmented.
-        patience, patience_share: number of consecutive under-segmented observations, plus this share of the track's
-            sightings, after which the track is taken to be larger after all.
-        lies_in: an observation can lie on a track only if at least this share of its box is inside the track's box.
-    """
-
+    #: Minimum IoU of the oriented boxes.
     min_iou: float = number(0.2, 0, 1, "IoU")
+    #: Minimum share of a partial view's points that lie on the track.
     min_lies_on: float = number(0.55, 0, 1, "share")
-    settled_sightings: int = number(5, 0, 1_000_000, "sightings")
-    swollen: float = number(2.2, 1, 1000, "ratio")
-    swollen_over: float = number(0.5, 0, 1, "share")
-    most_doubted: int = number(4, 0, 10_000, "tracks")
-    patience: int = number(3, 0, 1_000_000, "observations")
-    patience_share: float = number(0.2, 0, 1000, "share")
-    lies_in: float = number(0.2, 0, 1, "share")
+    #: An observation whose box has more than this many times the volume of a settled track's box is under-segmented.
+    oversize_ratio: float = number(2.2, 1, 1000, "ratio")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -127,7 +119,7 @@ def associate(
     for observation in observations:
         near_ids = [i for i in sorted(ious[observation.index]) if i not in swollen[observation.index]]
         if observation.index not in by_observation and near_ids:
-            track_id, share = _lies_on_most(observation, [tracks[i] for i in near_ids], voxel_m, config)
+            track_id, share = _lies_on_most(observation, [tracks[i] for i in near_ids], voxel_m)
             lying[observation.index] = (track_id if share >= config.min_lies_on else None, share)
     num_points = {observation.index: len(observation.points_world) for observation in observations}
     parts: set[int] = set()
@@ -161,21 +153,19 @@ def is_swollen(observation: Observation, track: Track, config: AssociateConfig) 
     The size of a track with many sightings is well known. Each such observation counts as a doubt about that size.
     """
     return (
-        track.sightings >= config.settled_sightings
-        and track.doubts < config.patience + math.floor(config.patience_share * track.sightings + _ROUNDING)
-        and observation.box.volume_m3 > config.swollen * track.box.volume_m3
-        and intersection_volume_m3(observation.box, track.box) > config.swollen_over * track.box.volume_m3
+        track.sightings >= _SETTLED_SIGHTINGS
+        and track.doubts < _OVERSIZE_PATIENCE + math.floor(_OVERSIZE_PATIENCE_SHARE * track.sightings + _ROUNDING)
+        and observation.box.volume_m3 > config.oversize_ratio * track.box.volume_m3
+        and intersection_volume_m3(observation.box, track.box) > _OVERSIZE_COVER * track.box.volume_m3
     )
 
 
-def _lies_on_most(
-    observation: Observation, tracks: Sequence[Track], voxel_m: float, config: AssociateConfig
-) -> tuple[int | None, float]:
+def _lies_on_most(observation: Observation, tracks: Sequence[Track], voxel_m: float) -> tuple[int | None, float]:
     """Return the track on which most of an observation's points lie, and their share; ties go to the lower id."""
     keys = keys_of_points(observation.points_world, voxel_m)
     best_id, best_share = None, 0.0
     for track in tracks:
-        if intersection_volume_m3(observation.box, track.box) < config.lies_in * observation.box.volume_m3:
+        if intersection_volume_m3(observation.box, track.box) < _MIN_LIES_IN * observation.box.volume_m3:
             continue
         share = share_near(keys, track.cloud)
         if share > best_share + _TIE:

@@ -17,17 +17,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class KeyframeConfig(Ranged):
-    """When a frame is a keyframe.
+    """When a frame is a keyframe."""
 
-    Attributes:
-        min_interval_s: minimum time since the last keyframe.
-        min_distance_m, min_angle_deg: minimum translation or rotation since the last keyframe (one suffices) ...
-        max_interval_s: ... not required once this time has passed since the last keyframe.
-    """
-
+    #: Minimum time since the last keyframe.
     min_interval_s: float = number(0.25, 0, 3600, "s")
+    #: Minimum translation since the last keyframe; the minimum rotation suffices as well.
     min_distance_m: float = number(0.15, 0, 100, "m")
+    #: Minimum rotation since the last keyframe; the minimum translation suffices as well.
     min_angle_deg: float = number(5.0, 0, 180, "deg")
+    #: After this time a frame is a keyframe without any motion.
     max_interval_s: float = number(2.0, 0, 3600, "s")
 
 

@@ -27,50 +27,24 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LifecycleConfig(Ranged):
-    """The thresholds of the table and of its guards.
+    """The thresholds of the table and of its guards."""
 
-    Attributes:
-        confirm_sightings: evidence needed for confirmation, in units of `existence`: two good sightings from different
-            viewpoints, or this many from the same one.
-        tentative_s: how long an unconfirmed track is kept, so that a second visit can confirm it.
-        dormant_s, archive_s: a confirmed track that was not seen for this long becomes dormant, or archived.
-        phantom_frames: a track is dropped once this many keyframes have seen through its place since it was last seen.
-        structure_m, structure_m3: a track is structure if its two longest sides exceed the length, or its box exceeds
-            the volume.
-        structure_share: a track with more than this share of its points on tracks that are part of the room is itself
-            part of the room.
-        revise_evidence: evidence, in units of `existence` (so that viewpoints count, not keyframes), that a track must
-            gain after it was set aside as part of the room before it can become an object again.
-        wall_foot_m, wall_top_m, wall_height_m, wall_thickness_m: an upright slab is a piece of a wall if its lower end
-            is at most `wall_foot_m` and its upper end at least `wall_top_m` above the floor, and it is at least
-            `wall_height_m` tall and at most `wall_thickness_m` thick; so is any slab longer than `structure_m`.
-        lintel_foot_m, lintel_top_m: a slab whose lower and upper ends are at least this high above the floor is the
-            piece of wall above a door (lintel).
-        wall_share, wall_hits, wall_against: when a track becomes dormant with more than `wall_share` of its points in
-            voxels that at least `wall_hits` keyframes saw as structure, and `wall_against` times as many as saw the
-            point as the track's, these points are removed: a mask included a piece of the wall behind the object.
-        phantom_share: minimum share of a track's voxels that a keyframe observes free to count as seeing through it.
-    """
-
+    #: Evidence for confirmation: two good sightings from different viewpoints, or this many from the same one.
     confirm_sightings: int = number(4, 1, 1_000_000, "sightings")
+    #: How long an unconfirmed track is kept, so that a second visit can confirm it.
     tentative_s: float = number(60.0, 0, 1e9, "s")
+    #: A confirmed track that was not seen for this long becomes dormant.
     dormant_s: float = number(4.0, 0, 1e9, "s")
+    #: A confirmed track that was not seen for this long is archived.
     archive_s: float = number(60.0, 0, 1e9, "s")
+    #: A track is dropped once this many keyframes have seen through its place since it was last seen.
     phantom_frames: int = number(4, 1, 1_000_000, "keyframes")
-    phantom_share: float = number(0.7, 0, 1, "share")
+    #: A track whose two longest sides exceed this is structure.
     structure_m: float = number(2.6, 0, 1000, "m")
-    structure_m3: float = number(12.0, 0, 1e6, "m3")
-    wall_foot_m: float = number(0.7, 0, 100, "m")
-    wall_top_m: float = number(1.25, 0, 100, "m")
-    wall_height_m: float = number(0.75, 0, 100, "m")
-    wall_thickness_m: float = number(0.22, 0, 100, "m")
-    lintel_foot_m: float = number(1.4, 0, 100, "m")
-    lintel_top_m: float = number(2.1, 0, 100, "m")
-    structure_share: float = number(0.5, 0, 1, "share")
+    #: Evidence that a track must gain after it was set aside as part of the room before it can be an object again.
     revise_evidence: float = number(2.0, 0, 1000, "sightings")
-    wall_share: float = number(0.15, 0, 1, "share")
-    wall_hits: int = number(4, 0, 1_000_000, "keyframes")
-    wall_against: float = number(2.0, 0, 1000, "ratio")
+    #: Whether tracks are compared with the room; if not, only the segmentation rejects structure.
+    finds_structure: bool = True
 
 
 class LifeEvent(StrEnum):
@@ -89,7 +63,7 @@ class Guard(StrEnum):
     """A condition on a track."""
 
     IS_ROOM = "it is too large, a piece of a wall, or flat and flush with one"
-    IN_ROOM = "more than `structure_share` of it lies on tracks that are part of the room"
+    IN_ROOM = "more than half of it lies on tracks that are part of the room"
     REVISED = "seen again with evidence of `revise_evidence`, and by its shape no longer part of the room"
     SEEN_THROUGH = "not observed, and the keyframe observed free space at its position"
     PHANTOM = "`phantom_frames` keyframes observed free space at its position"

@@ -29,39 +29,30 @@ if TYPE_CHECKING:
 
     from hickory_stream.mapping.entities.cloud import Cloud
     from hickory_stream.mapping.entities.track_table import TrackTable
-    from hickory_stream.mapping.entities.views import ViewConfig
     from hickory_stream.mapping.rules.support_graph import SupportGraph
 
 
 _FOOT_GAP_M = 0.2
 # Boxes with a smaller gap count as touching: a segmenter can take their objects for one.
 _MEET_M = 0.15
+# Minimum share of the smaller cloud's voxels on the larger one for duplicates, and for tracks that were seen apart
+# more often than together.
+DUPLICATE_SHARE = 0.5
+SURE_SHARE = 0.7
+# An observation of one track that covers this share of another is a vote for a merge.
+_COVERS_SHARE = 0.3
+# This many votes, at this ratio to the keyframes in which the two were seen apart, suffice as well: close views
+# over-segment objects more often than distant ones under-segment them.
+_SURE_VOTES = 6
+_SURE_RATIO = 0.7
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MergeConfig(Ranged):
-    """When two tracks are merged.
+    """When two tracks are merged."""
 
-    Attributes:
-        duplicate_share: minimum share of the smaller cloud's voxels on the larger one for duplicates.
-        sure_share: the same for tracks that were seen apart more often than together.
-        covers_share: an observation of one track that covers this share of another is a vote for a merge.
-        min_votes: minimum number of votes; they must also outnumber the keyframes in which the two were seen apart.
-        sure_votes, sure_ratio: at least this many votes, and this ratio to the keyframes in which the two were seen
-            apart, suffice as well: close views over-segment objects more often than distant ones under-segment them.
-        neighbor_sightings: an observation's points are not fused where they lie on another track with at least this
-            many sightings.
-        foreign_share: if at least this share of an observation lies on other tracks, none of it is fused.
-    """
-
-    duplicate_share: float = number(0.5, 0, 1, "share")
-    sure_share: float = number(0.7, 0, 1, "share")
-    covers_share: float = number(0.3, 0, 1, "share")
+    #: Minimum number of keyframes that saw two tracks as one, and more than saw them apart.
     min_votes: int = number(3, 1, 1_000_000, "votes")
-    sure_votes: int = number(6, 1, 1_000_000, "votes")
-    sure_ratio: float = number(0.7, 0, 1000, "votes per keyframe")
-    neighbor_sightings: int = number(2, 1, 1_000_000, "sightings")
-    foreign_share: float = number(0.9, 0, 1, "share")
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,9 +170,7 @@ def pairs_that_meet(bounds: Sequence[NDArray[np.float32]], track_ids: Sequence[i
     return {pair_of(track_ids[i], track_ids[j]) for i, j in zip(*np.nonzero(np.triu(meet, 1)), strict=True)}
 
 
-def foreign_points(
-    cloud: Cloud, own: Track, others: Iterable[Track], config: MergeConfig
-) -> tuple[NDArray[np.bool_], list[int]]:
+def foreign_points(cloud: Cloud, own: Track, others: Iterable[Track]) -> tuple[NDArray[np.bool_], list[int]]:
     """Return which voxels (N,) of an observation are on other tracks but not its own, and the tracks that it covers."""
     foreign = np.zeros(len(cloud.keys), dtype=bool)
     covered: list[int] = []
@@ -193,7 +182,7 @@ def foreign_points(
         # Exactly the same voxel: if neighbours counted, a track would grow into another one, keyframe by keyframe.
         on_own = contains(own.cloud.keys, cloud.keys) if on_own is None else on_own
         foreign |= on_other & ~on_own
-        if on_other.sum() >= config.covers_share * min(len(other.solid.keys), len(cloud.keys)):
+        if on_other.sum() >= _COVERS_SHARE * min(len(other.solid.keys), len(cloud.keys)):
             covered.append(other.id)
     return foreign, covered
 
@@ -212,14 +201,14 @@ def find_pair(
     return None
 
 
-def merge(kept: Track, gone: Track, voxel_m: float, view_config: ViewConfig) -> Track:
+def merge(kept: Track, gone: Track, voxel_m: float) -> Track:
     """Return the merged track, with the id of `kept` and the histories of both."""
     cloud = fuse(kept.cloud, gone.cloud)
     sightings = max(kept.sightings, gone.sightings)
     coverage = dict(kept.coverage)
     for sector, view in gone.coverage:
         mine = replace(view, object_id=kept.id)
-        if covers_better(mine, coverage.get(sector), view_config):
+        if covers_better(mine, coverage.get(sector)):
             coverage[sector] = mine
     theirs = replace(gone.best_view, object_id=kept.id) if gone.best_view is not None else None
     return replace(
@@ -253,7 +242,7 @@ def why_one(
 ) -> str | None:
     """Return the reason to merge two tracks, None if there is none; `near` are the tracks around them."""
     if (a.phase is Phase.ROOM) is not (b.phase is Phase.ROOM):
-        return _why_no_room(*((a, b) if a.phase is Phase.ROOM else (b, a)), config)
+        return _why_no_room(*((a, b) if a.phase is Phase.ROOM else (b, a)))
     is_known = min(a.sightings, b.sightings) >= config.min_votes
     # The column between a seat and its foot may be too thin for the sensor: the two need not touch.
     if is_known and not (a.is_promoted or b.is_promoted) and (part := graph.foot_of(a, b)) is not None:
@@ -262,13 +251,13 @@ def why_one(
     if intersection_volume_m3(a.box, b.box, 0.03) <= 0.0:
         return None
     votes = book.of(a.id, b.id)
-    often = votes.together >= config.sure_votes and votes.together >= config.sure_ratio * votes.apart
+    often = votes.together >= _SURE_VOTES and votes.together >= _SURE_RATIO * votes.apart
     if often or (votes.together >= config.min_votes and votes.together > votes.apart):
         return f"seen as one in {votes.together} keyframes, apart in {votes.apart}"
     cloud_a, cloud_b = a.solid, b.solid
     small, large = (cloud_a, cloud_b) if len(cloud_a.keys) <= len(cloud_b.keys) else (cloud_b, cloud_a)
     share = share_near(small.keys, large)
-    limit = config.sure_share if votes.apart > votes.together else config.duplicate_share
+    limit = SURE_SHARE if votes.apart > votes.together else DUPLICATE_SHARE
     if share >= limit:
         return f"{share:.0%} of the smaller cloud lies on the larger one"
     less, more = (a, b) if a.box.volume_m3 <= b.box.volume_m3 else (b, a)
@@ -277,7 +266,7 @@ def why_one(
     return None
 
 
-def _why_no_room(room: Track, thing: Track, config: MergeConfig) -> str | None:
+def _why_no_room(room: Track, thing: Track) -> str | None:
     """Return why a track that was set aside as part of the room belongs to an object, None if it does not.
 
     It does if it turned out to be a side of a larger object, e.g. the front of a wardrobe. A picture does not own the
@@ -286,6 +275,6 @@ def _why_no_room(room: Track, thing: Track, config: MergeConfig) -> str | None:
     if len(room.solid.keys) > len(thing.solid.keys) or intersection_volume_m3(room.box, thing.box, 0.03) <= 0.0:
         return None
     share = share_near(room.solid.keys, thing.solid)
-    if share < config.sure_share:
+    if share < SURE_SHARE:
         return None
     return f"{share:.0%} of it, which was taken for a part of the room, lies on this larger thing"

@@ -24,41 +24,35 @@ if TYPE_CHECKING:
 
 # Later than any time of the core's clock: some hundred years.
 _NEVER_NS = 1 << 62
+# An open job is replaced, once, if S has grown by this share, and by more than the share of `latency_s` that has passed
+# since the request: a job that is nearly finished is worth keeping.
+_REPLACE_BY = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RequestConfig(Ranged):
-    """The budget of shape jobs.
+    """The budget of shape jobs."""
 
-    Attributes:
-        max_in_flight: maximum number of open jobs.
-        latency_s: a result is committed at the first keyframe this long after its request (playback).
-        first_sightings: an object's first shape is requested after this many sightings, or as soon as it is out of
-            view: while it is in view, better views are likely to follow.
-        min_gain: a shape is renewed when new views and new surface add up to this gain (`gain_of`).
-        final_gain: the same when the source has ended.
-        interval_s: minimum time between two requests for the same object.
-        max_failures: after this many failures no shape is requested for the object any more.
-        refuted_share: a generated shape of which a keyframe sees this share to be free is renewed, if views have come
-            since it was asked for.
-        job_s, view_s, kilopoint_s: predicted duration of a job of the chosen reconstructor: fixed, per view, and per
-            thousand points of layer 1; as measured with `fused` on the demo log. Only their ratios matter.
-        replace_by: an open job is replaced, once, if S has grown by this share, and by more than the share of
-            `latency_s` that has passed since the request: a job that is nearly finished is worth keeping.
-    """
-
+    #: Maximum number of open jobs.
     max_in_flight: int = number(4, 1, 10_000, "jobs")
+    #: A result is committed at the first keyframe this long after its request (playback).
     latency_s: float = number(4.0, 0, 3600, "s")
+    #: Sightings before an object's first shape is requested while it is in view: better views are likely to follow.
     first_sightings: int = number(32, 1, 1_000_000, "sightings")
+    #: A shape is renewed when new views and new surface add up to this gain (`gain_of`).
     min_gain: float = number(1.2, 0, 1e6, "ratio")
+    #: The same when the source has ended.
     final_gain: float = number(0.8, 0, 1e6, "ratio")
+    #: Minimum time between two requests for the same object.
     interval_s: float = number(8.0, 0, 1e9, "s")
+    #: After this many failures no shape is requested for the object any more; 0: no shapes at all.
     max_failures: int = number(2, 0, 1000, "failures")
-    refuted_share: float = number(0.1, 0, 1, "share")
+    #: Predicted duration of a job: fixed part. Measured with `fused` on the demo log; only the ratios matter.
     job_s: float = number(2.2, 0.001, 86400, "s")
+    #: Predicted duration of a job: for each view.
     view_s: float = number(0.18, 0, 86400, "s")
+    #: Predicted duration of a job: for each thousand points of layer 1.
     kilopoint_s: float = number(0.03, 0, 86400, "s")
-    replace_by: float = number(0.5, 0, 1e6, "ratio")
 
 
 Rank = tuple[bool, float, float, int]
@@ -175,4 +169,4 @@ def _is_outdated(track: Track, clock_ns: int, config: RequestConfig) -> bool:
     if state.open_ticket is None or state.is_replacement or state.asked_score <= 0:
         return False
     passed = (clock_ns - state.asked_clock_ns) / 1e9 / max(config.latency_s, 1e-9)
-    return increase_in_score(track) / state.asked_score >= max(config.replace_by, passed)
+    return increase_in_score(track) / state.asked_score >= max(_REPLACE_BY, passed)

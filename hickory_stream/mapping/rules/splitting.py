@@ -18,31 +18,24 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 
+# Minimum ratio of the keyframes that segment a part apart to those that segment it together with the host.
+_APART_RATIO = 2.0
+# Two observations belong to one candidate if this share of each cloud lies on the other.
+SAME_SHARE = 0.45
+# An observation of the host that covers this share of the candidate counts as together, unless this share of the
+# observation lies on the candidate.
+_COVERED_SHARE = 0.6
+_ALONE_SHARE = 0.8
+# Candidates with fewer voxels are noise.
+MIN_VOXELS = 40
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrackSplitConfig(Ranged):
-    """When a part is split off its host.
+    """When a part is split off its host."""
 
-    Attributes:
-        min_apart: minimum number of keyframes that segment the part apart ...
-        apart_ratio: ... and their minimum ratio to those that segment it together with the host.
-        same_share: two observations belong to one candidate if this share of each cloud lies on the other.
-        covered_share: an observation of the host that covers this share of the candidate counts as together ...
-        alone_share: ... unless this share of the observation lies on the candidate.
-        min_voxels: candidates with fewer voxels are noise.
-        min_size_m: a part that is thinner, or less than twice that wide, is a rim or a board of its host.
-        part_inside, part_volume: a part with at least this share of its box inside the host's box, and at most this
-            share of the host's volume, stays with the host if no support surface is below it: a panel, a drawer.
-    """
-
+    #: Minimum number of keyframes that segment the part apart.
     min_apart: int = number(4, 1, 1_000_000, "keyframes")
-    apart_ratio: float = number(2.0, 0, 1000, "ratio")
-    same_share: float = number(0.45, 0, 1, "share")
-    covered_share: float = number(0.6, 0, 1, "share")
-    alone_share: float = number(0.8, 0, 1, "share")
-    min_voxels: int = number(40, 1, 1_000_000, "voxels")
-    min_size_m: float = number(0.025, 0, 10, "m")
-    part_inside: float = number(0.55, 0, 1, "share")
-    part_volume: float = number(0.5, 0, 1000, "ratio")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -56,7 +49,7 @@ class SplitCandidate:
     def is_object(self, config: TrackSplitConfig) -> bool:
         """Return whether it was segmented apart often enough to be an object."""
         apart = len(self.frames)
-        return apart >= config.min_apart and apart >= config.apart_ratio * self.together
+        return apart >= config.min_apart and apart >= _APART_RATIO * self.together
 
 
 SplitCandidates = dict[int, tuple[SplitCandidate, ...]]
@@ -68,18 +61,15 @@ def with_keyframe(
     frame_index: int,
     apart: Sequence[tuple[int, Cloud]],
     whole: Sequence[tuple[int, Cloud]],
-    config: TrackSplitConfig,
 ) -> SplitCandidates:
     """Return the candidates after a keyframe; `apart`, `whole`: (host id, cloud) of observed parts and whole tracks."""
     updated = dict(candidates)
     for host_id, cloud in apart:
-        if len(cloud.keys) >= config.min_voxels:
-            updated[host_id] = _with_candidate(updated.get(host_id, ()), frame_index, cloud, config)
+        if len(cloud.keys) >= MIN_VOXELS:
+            updated[host_id] = _with_candidate(updated.get(host_id, ()), frame_index, cloud)
     for host_id, cloud in whole:
         if host_id in updated:
-            updated[host_id] = tuple(
-                _seen_with(candidate, frame_index, cloud, config) for candidate in updated[host_id]
-            )
+            updated[host_id] = tuple(_seen_with(candidate, frame_index, cloud) for candidate in updated[host_id])
     return updated
 
 
@@ -91,11 +81,9 @@ def reassigned(candidates: Mapping[int, tuple[SplitCandidate, ...]], kept: int, 
     return updated
 
 
-def _with_candidate(
-    own: tuple[SplitCandidate, ...], frame_index: int, cloud: Cloud, config: TrackSplitConfig
-) -> tuple[SplitCandidate, ...]:
+def _with_candidate(own: tuple[SplitCandidate, ...], frame_index: int, cloud: Cloud) -> tuple[SplitCandidate, ...]:
     for i, candidate in enumerate(own):
-        if _is_same(candidate.cloud, cloud, config):
+        if _is_same(candidate.cloud, cloud):
             if frame_index in candidate.frames:
                 return own
             seen = replace(candidate, cloud=fuse(candidate.cloud, cloud), frames=(*candidate.frames, frame_index))
@@ -103,14 +91,14 @@ def _with_candidate(
     return (*own, SplitCandidate(cloud=cloud, frames=(frame_index,)))
 
 
-def _seen_with(candidate: SplitCandidate, frame_index: int, whole: Cloud, config: TrackSplitConfig) -> SplitCandidate:
-    if frame_index in candidate.frames or share_near(candidate.cloud.keys, whole) < config.covered_share:
+def _seen_with(candidate: SplitCandidate, frame_index: int, whole: Cloud) -> SplitCandidate:
+    if frame_index in candidate.frames or share_near(candidate.cloud.keys, whole) < _COVERED_SHARE:
         return candidate
     # An observation of the part alone is no evidence: the rest may be occluded, or outside of the image.
-    if share_near(whole.keys, candidate.cloud) >= config.alone_share:
+    if share_near(whole.keys, candidate.cloud) >= _ALONE_SHARE:
         return candidate
     return replace(candidate, together=candidate.together + 1)
 
 
-def _is_same(a: Cloud, b: Cloud, config: TrackSplitConfig) -> bool:
-    return share_near(a.keys, b) >= config.same_share and share_near(b.keys, a) >= config.same_share
+def _is_same(a: Cloud, b: Cloud) -> bool:
+    return share_near(a.keys, b) >= SAME_SHARE and share_near(b.keys, a) >= SAME_SHARE

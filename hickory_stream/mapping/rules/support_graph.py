@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.mapping.entities.observed_space import sees_structure
 from hickory_stream.mapping.rules.support_relations import (
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.mapping.entities.observed_space import SpaceState
-    from hickory_stream.mapping.rules.support_relations import Body, SupportConfig
+    from hickory_stream.mapping.rules.support_relations import Body
 
 
 # The lowest points of a track: those up to this height above this percentile of z.
@@ -55,59 +54,49 @@ _LOWEST_PCT = 2
 _FOOT_M = 0.05
 # The depths below the lowest points at which free space is checked: beyond the noise of the foot, a few voxels deep.
 _BELOW_M = (0.08, 0.13, 0.18)
+# A body that begins this near to the floor rests on it.
+_ON_FLOOR_M = 0.35
+# Minimum height of an unsupported track's lowest points above the floor: lower tracks may have thin feet.
+_MIN_HEIGHT_M = 0.25
+# Minimum share of the space below its lowest points that was observed free.
+_FREE_SHARE = 0.9
+# It is supported if more than this share of its lowest points is within this distance of another track.
+_SUPPORT_M = 0.06
+_SUPPORT_SHARE = 0.1
+# It is supported if structure is within this distance.
+_NEAR_WALL_M = 0.1
+# Maximum distance to the track that it is attached to.
+ATTACH_M = 0.15
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class UnsupportedConfig(Ranged):
-    """When a track is unsupported, and to which track it is then attached.
-
-    Attributes:
-        min_height_m: minimum height of its lowest points above the floor; lower tracks may have thin feet.
-        free_share: minimum share of the space below its lowest points that was observed free.
-        support_m, support_share: it is supported if more than this share of its lowest points is within this distance
-            of another track.
-        wall_m: it is supported if structure is within this distance.
-        attach_m: maximum distance to the track that it is attached to.
-    """
-
-    min_height_m: float = number(0.25, 0, 100, "m")
-    free_share: float = number(0.9, 0, 1, "share")
-    support_m: float = number(0.06, 0, 10, "m")
-    support_share: float = number(0.1, 0, 1, "share")
-    wall_m: float = number(0.1, 0, 10, "m")
-    attach_m: float = number(0.15, 0, 10, "m")
-
-
-def attachment_of(body: Body, others: Iterable[Body], space: SpaceState, config: UnsupportedConfig) -> Body | None:
+def attachment_of(body: Body, others: Iterable[Body], space: SpaceState) -> Body | None:
     """Return the body to which an unsupported body is attached; None if it is supported, or no other body is near."""
     points = body.solid.points
     if space.floor_z_m is None or len(points) == 0:
         return None
     low = float(np.percentile(points[:, 2], _LOWEST_PCT))
-    if low < space.floor_z_m + config.min_height_m:
+    if low < space.floor_z_m + _MIN_HEIGHT_M:
         return None
     foot = points[points[:, 2] < low + _FOOT_M]
-    if not _is_free_below(foot, points, space, config) or sees_structure(space, body.box, points, config.wall_m):
+    if not _is_free_below(foot, points, space) or sees_structure(space, body.box, points, _NEAR_WALL_M):
         return None
-    near = [other for other in others if other.id != body.id and _meet(body, other, config.attach_m)]
+    near = [other for other in others if other.id != body.id and _meet(body, other, ATTACH_M)]
     clouds = [cKDTree(other.solid.points) for other in near]
     for cloud in clouds:
-        distances_m, _ = cloud.query(foot, distance_upper_bound=config.support_m)
-        if float(np.isfinite(distances_m).mean()) >= config.support_share:
+        distances_m, _ = cloud.query(foot, distance_upper_bound=_SUPPORT_M)
+        if float(np.isfinite(distances_m).mean()) >= _SUPPORT_SHARE:
             return None
-    gaps_m = [float(cloud.query(points, distance_upper_bound=config.attach_m)[0].min()) for cloud in clouds]
+    gaps_m = [float(cloud.query(points, distance_upper_bound=ATTACH_M)[0].min()) for cloud in clouds]
     closest = min(range(len(near)), key=lambda i: (gaps_m[i], near[i].id), default=None)
     return None if closest is None or not np.isfinite(gaps_m[closest]) else near[closest]
 
 
-def _is_free_below(
-    foot: NDArray[np.float32], points: NDArray[np.float32], space: SpaceState, config: UnsupportedConfig
-) -> bool:
+def _is_free_below(foot: NDArray[np.float32], points: NDArray[np.float32], space: SpaceState) -> bool:
     own = sorted_unique(keys_of_points(points, space.voxel_m))
     below = np.concatenate([foot - np.array([0.0, 0.0, depth_m], np.float32) for depth_m in _BELOW_M])
     keys = keys_of_points(below, space.voxel_m)
     keys = keys[~contains(own, keys)]
-    return len(keys) > 0 and float(contains(space.free, keys).mean()) >= config.free_share
+    return len(keys) > 0 and float(contains(space.free, keys).mean()) >= _FREE_SHARE
 
 
 def _meet(a: Body, b: Body, slack_m: float) -> bool:
@@ -149,25 +138,23 @@ class SupportGraph:
 
     bodies: Mapping[int, Body]
     space: SpaceState
-    config: SupportConfig
-    unsupported: UnsupportedConfig
 
     def rests_on(self, body: Body) -> Support | None:
         """Return the highest surface that a body rests on: another body's, or the floor; None if none is known."""
         found: Support | None = None
         for other in self.bodies.values():
-            if other.id == body.id or (height_m := height_under(body, other, self.config)) is None:
+            if other.id == body.id or (height_m := height_under(body, other)) is None:
                 continue
             if found is None or found.height_m is None or height_m > found.height_m:
                 found = Support(body=body.id, relation=Relation.RESTS_ON, by=other.id, height_m=height_m)
         floor_m = self.space.floor_z_m
-        if found is not None or floor_m is None or bottom_of_box_m(body) - floor_m >= self.config.floor_m:
+        if found is not None or floor_m is None or bottom_of_box_m(body) - floor_m >= _ON_FLOOR_M:
             return found
         return Support(body=body.id, relation=Relation.RESTS_ON, by=None, height_m=floor_m)
 
     def leans_on(self, body: Body) -> Support | None:
         """Return the edge to the room if structure is beside a body; None if no structure is near it."""
-        is_beside = sees_structure(self.space, body.box, body.solid.points, self.unsupported.wall_m)
+        is_beside = sees_structure(self.space, body.box, body.solid.points, _NEAR_WALL_M)
         return Support(body=body.id, relation=Relation.LEANS_ON, by=None) if is_beside else None
 
     def hangs_from(self, body: Body, others: Iterable[Body] | None = None) -> Support | None:
@@ -176,13 +163,13 @@ class SupportGraph:
         `others` are the bodies that it can hang from; None: all bodies.
         """
         candidates = self.bodies.values() if others is None else others
-        host = attachment_of(body, candidates, self.space, self.unsupported)
+        host = attachment_of(body, candidates, self.space)
         return None if host is None else Support(body=body.id, relation=Relation.HANGS_FROM, by=host.id)
 
     def foot_of(self, a: Body, b: Body) -> Support | None:
         """Return the edge that says that the lower of two bodies is the foot of the upper one, None if it is not."""
         upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
-        if not is_on_foot(upper, lower, self.config):
+        if not is_on_foot(upper, lower):
             return None
         return _part(lower, upper, "the lower is the foot of the upper")
 
@@ -191,12 +178,12 @@ class SupportGraph:
 
         `near` are the bodies around them, on which the smaller one may rest.
         """
-        if is_leg(small, large, self.config):
+        if is_leg(small, large):
             return _part(small, large, "the smaller stands under the larger like a leg")
-        if stands_in(large, small, self.config):
+        if stands_in(large, small):
             return _part(small, large, "the larger stands in the smaller")
         others = [body for body in near if body.id not in (small.id, large.id)]
-        if is_inner_part(small, large, others, self.config):
+        if is_inner_part(small, large, others):
             return _part(small, large, "the smaller is a part inside the larger")
         return None
 
@@ -207,12 +194,12 @@ class SupportGraph:
 
         `inside`: minimum share of its box in the larger one's; `max_volume`: maximum ratio of the two volumes.
         """
-        is_part = is_inner_part(small, large, near, self.config, inside=inside, max_volume=max_volume, was_one=True)
+        is_part = is_inner_part(small, large, near, inside=inside, max_volume=max_volume, was_one=True)
         return _part(small, large, "the smaller was a part inside the larger") if is_part else None
 
     def hidden_by(self, small: Body, large: Body) -> Support | None:
         """Return the edge that says that the larger body occludes the upper end of the smaller one, or None."""
-        if not is_hidden_by(small, large, self.config):
+        if not is_hidden_by(small, large):
             return None
         return Support(body=small.id, relation=Relation.HIDDEN_BY, by=large.id)
 

@@ -34,6 +34,7 @@ from hickory_stream.mapping.entities.track import is_object, sketched, with_clou
 from hickory_stream.mapping.entities.track_table import REACH_M
 from hickory_stream.mapping.rules.lifecycle import Guard, LifeEvent, TrackEffect, is_sure, transition
 from hickory_stream.mapping.rules.structure_checks import RESTING_S, is_seen_through, points_in_wall, why_structure
+from hickory_stream.mapping.rules.support_graph import ATTACH_M
 from hickory_stream.mapping.steps.endings import cancelled, drop, unite
 from hickory_stream.records import Phase
 
@@ -53,6 +54,10 @@ if TYPE_CHECKING:
 
 
 _ROUNDING_NS = 2
+# A track with more than this share of its points on tracks that are part of the room is itself part of the room.
+_STRUCTURE_SHARE = 0.5
+# A generated shape of which a keyframe sees this share to be free is renewed, if views have come since its request.
+_REFUTED_SHARE = 0.1
 
 
 class Concerned:
@@ -144,8 +149,8 @@ def with_claims_checked(state: MapState, track: Track, free_keys: NDArray[np.int
     places = _claimed(shape)
     if len(places) == 0:
         return track
-    free = float(contains(free_keys, keys_of_points(places, config.lattice.space_m)).mean())
-    if free < config.requests.refuted_share:
+    free = float(contains(free_keys, keys_of_points(places, config.voxels.space_m)).mean())
+    if free < _REFUTED_SHARE:
         return track
     state.decide("shape", track.id, f"{free:.2f} of its generated shape was seen to be free: to be asked for again")
     # As if nothing had been asked yet, but that there is a shape: all views and all surface count as new.
@@ -179,7 +184,7 @@ def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, 
         case = Case(state, track_id, config, free_keys=event.space.free_keys, merges=merges)
         effects += [*case.happens(LifeEvent.JUDGED), *case.happens(LifeEvent.AGED)]
         if track_id in state.tracks:
-            track = sketched(state.tracks[track_id], config.track)
+            track = sketched(state.tracks[track_id])
             state.tracks[track_id] = with_claims_checked(state, track, event.space.free_keys, config)
     keep_room(state)
     return effects
@@ -287,16 +292,16 @@ class Case:
         """The id of the track that this one hangs from; None if it is supported, or no track is near."""
         if not self._merges:
             return None
-        beside = self.state.tracks.touching(self.track.bounds, self.config.unsupported.attach_m)
+        beside = self.state.tracks.touching(self.track.bounds, ATTACH_M)
         others = (o for o in beside if is_object(o) and self.state.is_judged(o))
-        support = self.state.support_graph(self.config, self.space).hangs_from(self.track, others)
+        support = self.state.support_graph(self.space).hangs_from(self.track, others)
         return None if support is None else support.by
 
     def is_in_room(self) -> bool:
         """Return whether most of the track lies on tracks that are part of the room."""
         space = self.space
         share = share_in(space.room, self.track.solid.points, space.voxel_m)
-        return share > self.config.lifecycle.structure_share
+        return share > _STRUCTURE_SHARE
 
     def is_revised(self) -> bool:
         """Return whether the track, set aside, has gained enough evidence since and is not part of the room now."""
@@ -329,14 +334,16 @@ def _doubt(case: Case, _: Transition) -> list[Effect]:
 
 def _trim(case: Case, _: Transition) -> list[Effect]:
     """Remove the points in structure, if these are more than a narrow strip along a wall."""
+    if not case.config.lifecycle.finds_structure:
+        return []
     track = case.track
     # A few of its points may lie further away than it reaches without them.
     space = space_around(case.state.submaps, bounds_of(track.cloud.points), REACH_M)
-    in_wall = points_in_wall(track, space, case.config)
+    in_wall = points_in_wall(track, space)
     if in_wall is not None:
         case.state.decide("trim", track.id, f"{in_wall.mean():.0%} of its points are those of a wall")
         rest = without(track.cloud, in_wall)
-        case.change(with_cloud(track, rest, track.sightings, case.config.lattice.points_m))
+        case.change(with_cloud(track, rest, track.sightings, case.config.voxels.object_m))
     return []
 
 

@@ -40,7 +40,7 @@ def unite(state: MapState, kept_id: int, gone_id: int, reason: str, config: Mapp
     """Merge a track into another one of the same frame, which takes over points, views, votes and candidates."""
     tracks = state.tracks if kept_id in state.tracks else state.elsewhere
     kept, gone = tracks[kept_id], tracks.pop(gone_id)
-    tracks[kept_id] = merged = merge(kept, gone, config.lattice.points_m, config.views)
+    tracks[kept_id] = merged = merge(kept, gone, config.voxels.object_m)
     state.votes = state.votes.merged(kept_id, gone_id)
     state.split_candidates = reassigned(state.split_candidates, kept_id, gone_id)
     state.absorbed = after_merge(state.absorbed, kept_id, gone)

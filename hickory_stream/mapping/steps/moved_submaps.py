@@ -82,7 +82,7 @@ def sameness(a: Track, b: Track, a_from_b: NDArray[np.float64], config: MappingC
     least = min(a.box.volume_m3, b.box.volume_m3)
     if intersection_volume_m3(a.box, there) < associate_config.min_lies_on * least:
         return 0.0
-    own = moved_cloud(b.solid, a_from_b, config.lattice.points_m)
+    own = moved_cloud(b.solid, a_from_b, config.voxels.object_m)
     share = share_near(a.solid.keys, own) if a_is_small else share_near(own.keys, a.cloud)
     return share if share >= associate_config.min_lies_on else 0.0
 
@@ -202,7 +202,7 @@ def _without_far(other: Join, join: Join, rest_id: int, config: MappingConfig) -
 
 def _rest(host: Track, join: Join, rest_id: int, config: MappingConfig) -> Track | None:
     """Return a host without the far track of a join: as it was, with all that it has gained since; None: nothing."""
-    voxel_m, united = config.lattice.points_m, join.united
+    voxel_m, united = config.voxels.object_m, join.united
     gained = grown_since(host.cloud, united.cloud, voxel_m)
     rest = join.near
     if rest is None:
@@ -223,10 +223,10 @@ def _rest(host: Track, join: Join, rest_id: int, config: MappingConfig) -> Track
         seen_in=last.seen_in,
         existence=plus_since(rest.existence, host.existence, united.existence),
     )
-    rest = _with_views(rest, without_views(host, {view.name for view in join.far.views}), config)
+    rest = _with_views(rest, without_views(host, {view.name for view in join.far.views}))
     if is_seen and (host.phase is Phase.ROOM or is_sure(rest, config.lifecycle)):
         rest = replace(rest, phase=host.phase)
-    return sketched(rest, config.track)
+    return sketched(rest)
 
 
 def _of_nothing(host: Track, gained: Cloud, stamp_ns: int, voxel_m: float) -> Track:
@@ -244,13 +244,13 @@ def _of_nothing(host: Track, gained: Cloud, stamp_ns: int, voxel_m: float) -> Tr
     )
 
 
-def _with_views(track: Track, other: Track, config: MappingConfig) -> Track:
+def _with_views(track: Track, other: Track) -> Track:
     """Return a track with its views under its own id, and those of another one that are better."""
     coverage = {sector: replace(view, object_id=track.id) for sector, view in track.coverage}
     best = None if track.best_view is None else replace(track.best_view, object_id=track.id)
     for sector, view in other.coverage:
         own = replace(view, object_id=track.id)
-        if covers_better(own, coverage.get(sector), config.views):
+        if covers_better(own, coverage.get(sector)):
             coverage[sector] = own
     if other.best_view is not None:
         best = better(best, replace(other.best_view, object_id=track.id))
@@ -309,7 +309,7 @@ def recognise(state: MapState, event: FrameObserved, config: MappingConfig) -> l
         return []
     state.derived.warm.use(near, state.revision)
     known = TrackTable({track.id: track for one in bounds for track in state.tracks.touching(one)} | near)
-    matches = associate(event.observations, known, config.lattice.points_m, config.associate)
+    matches = associate(event.observations, known, config.voxels.object_m, config.associate)
     effects: list[Effect] = []
     for track_id in sorted(near.keys() & {match.track_id for match in matches}):
         far, past = state.elsewhere[track_id], past_of(state, track_id)
@@ -343,7 +343,7 @@ def _united(state: MapState, kept_id: int, gone_id: int, config: MappingConfig) 
         effects += _brought_back(state, there, f"it lies where #{near_id} is")
     elif far_id in state.elsewhere:
         near_from_far = state.submaps.between(near.submap_id, far.submap_id)
-        there = moved_track(far, near_from_far, config.lattice.points_m)
+        there = moved_track(far, near_from_far, config.voxels.object_m)
         state.elsewhere[far_id] = replace(there, submap_id=near.submap_id)
     effects += unite(state, kept_id, gone_id, "a correction of the poses brought them to one place", config)
     keep_join(state, kept_id, far, past, near)
@@ -396,7 +396,7 @@ def _near(state: MapState, bounds: list[NDArray[np.float32]], config: MappingCon
 
 def _in_open_frame(state: MapState, track: Track, config: MappingConfig) -> Track:
     """Return a track elsewhere as one of the open submap."""
-    moved_there = moved_track(track, state.submaps.open_from(track.submap_id), config.lattice.points_m)
+    moved_there = moved_track(track, state.submaps.open_from(track.submap_id), config.voxels.object_m)
     return replace(moved_there, submap_id=state.submaps.open_id, seen_in=state.submaps.open_id)
 
 

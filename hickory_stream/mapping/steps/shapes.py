@@ -53,7 +53,7 @@ def _requested(state: MapState, track_id: int, mapping: MappingConfig) -> list[E
     state.next_ticket += 1
     # A completed shape ends at the surface below. What lies below a track elsewhere is not known in its own frame.
     beside = {other.id: other for other in state.tracks.touching(track.bounds, REACH_M)}
-    graph = replace(state.support_graph(mapping), bodies=beside)
+    graph = replace(state.support_graph(), bodies=beside)
     support = graph.rests_on(track) if tracks is state.tracks else None
     due_ns = (state.stamp_ns or 0) + int(config.latency_s * 1e9)
     request = shape_request(

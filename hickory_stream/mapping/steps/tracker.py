@@ -28,7 +28,7 @@ from hickory_stream.mapping.rules.merging import (
     pairs_that_meet,
     why_one,
 )
-from hickory_stream.mapping.rules.splitting import with_keyframe
+from hickory_stream.mapping.rules.splitting import MIN_VOXELS, SAME_SHARE, with_keyframe
 from hickory_stream.mapping.steps.endings import unite
 
 if TYPE_CHECKING:
@@ -44,6 +44,20 @@ if TYPE_CHECKING:
 
     Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
     from hickory_stream.mapping.rules.splitting import SplitCandidate
+
+
+# Maximum number of tracks, those with the best IoU, for which one observation counts as oversized.
+_MAX_OVERSIZED = 4
+# An observation's points are not fused where they lie on another track with at least this many sightings.
+_NEIGHBOR_SIGHTINGS = 2
+# If at least this share of an observation lies on other tracks, none of it is fused.
+_FOREIGN_SHARE = 0.9
+# A part that is thinner, or less than twice that wide, is a rim or a board of its host.
+_MIN_SIZE_M = 0.025
+# A part with this share of its box inside the host's box, and at most this share of the host's volume, stays with the
+# host if no support surface is below it: a panel, a drawer.
+_PART_INSIDE = 0.55
+_PART_VOLUME = 0.5
 
 
 class Tracker:
@@ -77,7 +91,7 @@ class Tracker:
         if self.is_told:
             return []
         effects: list[Effect] = []
-        graph = state.support_graph(self._config)
+        graph = state.support_graph()
         while (pair := find_pair(state.tracks, changed, state.votes, graph, self._config.merge)) is not None:
             kept_id, gone_id, reason = pair
             effects += unite(state, kept_id, gone_id, reason, self._config)
@@ -87,7 +101,7 @@ class Tracker:
     def _matches(self, state: MapState, event: FrameObserved) -> list[Match]:
         if self._associator is not None:
             return self._associator(event, state.tracks)
-        return associate(event.observations, state.tracks, self._config.lattice.points_m, self._config.associate)
+        return associate(event.observations, state.tracks, self._config.voxels.object_m, self._config.associate)
 
     def _doubt(self, state: MapState, event: FrameObserved, matches: list[Match]) -> None:
         """Count the under-segmented observations of each established track; a regular match resets its count."""
@@ -95,7 +109,7 @@ class Tracker:
         seen = {match.track_id for match in matches}
         for match in matches:
             observation = event.observations[match.observation_index]
-            for track_id, _ in match.candidates[: config.most_doubted]:
+            for track_id, _ in match.candidates[:_MAX_OVERSIZED]:
                 track = state.tracks[track_id]
                 if track_id not in seen and is_swollen(observation, track, config):
                     state.tracks[track_id] = replace(track, doubts=track.doubts + 1)
@@ -105,7 +119,7 @@ class Tracker:
     def _place(self, state: MapState, event: FrameObserved, match: Match) -> Sighting:
         """Fuse an observation into its track, or make a new one."""
         observation = event.observations[match.observation_index]
-        cloud = cloud_of(observation.points_world, observation.colors, self._config.lattice.points_m)
+        cloud = cloud_of(observation.points_world, observation.colors, self._config.voxels.object_m)
         if match.track_id is None:
             track_id = self._born(state, event, match, cloud)
             covered: tuple[int, ...] = ()
@@ -133,7 +147,7 @@ class Tracker:
             sightings=1,
             submap_id=state.submaps.open_id,
             existence=self._sighted(no_evidence(), event, observation),
-            voxel_m=self._config.lattice.points_m,
+            voxel_m=self._config.voxels.object_m,
         )
         state.next_id += 1
         text = f"mask {observation.box_px}: new; candidates by IoU: {_candidates(match)}"
@@ -146,7 +160,7 @@ class Tracker:
         observation, track = event.observations[match.observation_index], state.tracks[match.track_id]
         how = f"IoU {match.iou:.2f}" if match.lies_on == 0 else f"IoU {match.iou:.2f}, {match.lies_on:.0%} lies on it"
         part = " as a part" if match.is_part else ""
-        foreign, covered = foreign_points(cloud, track, self._neighbors(state, track, observation), self._config.merge)
+        foreign, covered = foreign_points(cloud, track, self._neighbors(state, track, observation))
         left = f"; {foreign.mean():.0%} of it lies on others and is left out" if foreign.any() else ""
         if _is_cut(event, observation):
             left += "; this frame alone has it as one with another mask, the map does not"
@@ -159,9 +173,9 @@ class Tracker:
             seen_through=0,
             seen_in=state.submaps.open_id,
         )
-        if foreign.mean() < self._config.merge.foreign_share:
+        if foreign.mean() < _FOREIGN_SHARE:
             own, sightings = without(cloud, foreign), track.sightings + (not match.is_part)
-            track = grown(track, own, sightings, self._config.lattice.points_m)
+            track = grown(track, own, sightings, self._config.voxels.object_m)
             if not match.is_part:
                 track = replace(track, existence=self._sighted(track.existence, event, observation))
         state.tracks[track.id] = track
@@ -175,7 +189,7 @@ class Tracker:
         if self.is_told:
             return []
         near = state.tracks.touching(bounds_of(observation.points_world))
-        least = self._config.merge.neighbor_sightings
+        least = _NEIGHBOR_SIGHTINGS
         return [other for other in near if other.id != track.id and other.sightings >= least]
 
     def _vote(self, state: MapState, sightings: list[Sighting]) -> None:
@@ -205,9 +219,7 @@ class Tracker:
         for sighting in sightings:
             is_part = sighting.is_part or (sighting.lies_on > 0 and sighting.track_id in taken)
             (apart if is_part else whole).append((sighting.track_id, sighting.cloud))
-        state.split_candidates = with_keyframe(
-            state.split_candidates, event.frame_index, apart, whole, self._config.split
-        )
+        state.split_candidates = with_keyframe(state.split_candidates, event.frame_index, apart, whole)
 
 
 def _candidates(match: Match) -> str:
@@ -233,15 +245,13 @@ def split_tracks(state: MapState, event: FrameObserved, hosts: set[int], config:
     return promoted
 
 
-def moved_out(
-    state: MapState, sightings: list[Sighting], promoted: Mapping[int, int], config: MappingConfig
-) -> list[Sighting]:
+def moved_out(state: MapState, sightings: list[Sighting], promoted: Mapping[int, int]) -> list[Sighting]:
     """Return the sightings after splits: masks that showed a split-off part are reassigned to its new track."""
     moved = list(sightings)
     for new_id, host_id in promoted.items():
         for i, sighting in enumerate(sightings):
             lies_on = share_near(sighting.cloud.keys, state.tracks[new_id].cloud) if sighting.is_part else 0.0
-            if sighting.track_id == host_id and lies_on >= config.split.same_share:
+            if sighting.track_id == host_id and lies_on >= SAME_SHARE:
                 moved[i] = replace(sighting, is_part=False, track_id=new_id)
                 text = f"its mask shows what was a part of #{host_id}"
                 state.decide("associate", new_id, text, observation_index=sighting.observation.index)
@@ -255,10 +265,10 @@ def _split_off(
 
     None if the candidate is too small, or if its support relation to the host says that it is a part of it.
     """
-    split, voxel_m = config.split, config.lattice.points_m
+    voxel_m = config.voxels.object_m
     host = state.tracks[host_id]
     rest = without(host.cloud, is_near(host.cloud.keys, candidate.cloud))
-    if len(rest.keys) < split.min_voxels:
+    if len(rest.keys) < MIN_VOXELS:
         return None
     num_apart = len(candidate.frames)
     cloud = solid_part(candidate.cloud, num_apart)
@@ -275,15 +285,15 @@ def _split_off(
         voxel_m=voxel_m,
     )
     size = np.sort(2 * new.box.half_extents_m)
-    if size[0] < split.min_size_m or size[1] < 2 * split.min_size_m:
+    if size[0] < _MIN_SIZE_M or size[1] < 2 * _MIN_SIZE_M:
         return None
     left = with_cloud(host, rest, host.sightings, voxel_m)
     pair = pair_of(host_id, new.id)
     votes = state.votes.plus([pair], apart=num_apart).plus([pair], together=candidate.together)
     small, large = (new, left) if new.box.volume_m3 <= left.box.volume_m3 else (left, new)
     near = [track for track in state.tracks.touching(new.bounds) if track.id != host_id]
-    graph = state.support_graph(config)
-    is_part = graph.still_part_of(small, large, near, inside=split.part_inside, max_volume=split.part_volume)
+    graph = state.support_graph()
+    is_part = graph.still_part_of(small, large, near, inside=_PART_INSIDE, max_volume=_PART_VOLUME)
     if is_part is not None or why_one(left, new, near, votes, graph, config.merge) is not None:
         return None
     state.next_id += 1
@@ -291,8 +301,8 @@ def _split_off(
     # Its points came from the host: they are in the host's submap.
     new = replace(new, is_promoted=True, submap_id=host.submap_id)
     text = f"seen apart from #{host_id} in {num_apart} keyframes, as one in {candidate.together}"
-    before = recalled(state.absorbed, host_id, cloud, split.same_share)
-    if before is None and (before := recalled(state.absorbed, host_id, left.solid, split.same_share)) is not None:
+    before = recalled(state.absorbed, host_id, cloud, SAME_SHARE)
+    if before is None and (before := recalled(state.absorbed, host_id, left.solid, SAME_SHARE)) is not None:
         # The candidate is the original host, and the remaining points are the track that was merged into the host.
         rest_of_host = left.cloud
         # The host keeps its id and sightings, with the candidate's cloud.

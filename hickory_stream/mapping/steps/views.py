@@ -45,7 +45,7 @@ def propose_views(
             state.decide("view", track_id, f"frame {event.frame_index}: bound {bound:.3f} <= best {best.score:.3f}")
         sector = sector_of(view, track.box.center)
         coverage = dict(track.coverage)
-        if covers_better(view, coverage.get(sector), config):
+        if covers_better(view, coverage.get(sector)):
             coverage[sector] = view
             state.tracks[track_id] = replace(track, coverage=tuple(sorted(coverage.items(), key=lambda kv: kv[0])))
             state.keep_view(view.name)

@@ -24,20 +24,17 @@ if TYPE_CHECKING:
     from hickory_stream.perception.affinity.pixel_network import PixelOdds
 
 _PER_DISTANCE = len(OFFSETS) // len(DISTANCES_PX)
+# Minimum size of a piece in pixels of the network's output: smaller pieces go to the neighbour of the greatest summed
+# odds, and smaller fragments are not split.
+_MIN_PIXELS = 6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SplitConfig(Ranged):
-    """When the network divides a fragment.
+    """When the network divides a fragment."""
 
-    Attributes:
-        odds_shift: added to the log-odds of being one object: higher values split less, 8 never.
-        min_pixels: minimum size of a piece in pixels of the network's output; smaller pieces are merged with the
-            neighbour of the greatest summed odds, and smaller fragments are not split.
-    """
-
+    #: Added to the log-odds of being one object: higher values split less, 8 never.
     odds_shift: float = number(8.0, -8, 8, "log-odds")
-    min_pixels: int = number(6, 1, 1_000_000, "px")
 
 
 def divided_by_odds(labels: NDArray[np.int32], odds: PixelOdds, config: SplitConfig) -> NDArray[np.int32]:
@@ -47,7 +44,7 @@ def divided_by_odds(labels: NDArray[np.int32], odds: PixelOdds, config: SplitCon
         return labels  # no byte is below zero: there is no repulsion
     few = np.ascontiguousarray(labels[::2, ::2])
     pieces = _mutex_watershed(few, odds.odds, np.array(OFFSETS), _PER_DISTANCE, zero)
-    pieces = _without_specks(few, pieces, odds.odds, np.array(OFFSETS[:_PER_DISTANCE]), config.min_pixels)
+    pieces = _without_specks(few, pieces, odds.odds, np.array(OFFSETS[:_PER_DISTANCE]), _MIN_PIXELS)
     return np.asarray(_renamed(labels, few, pieces, int(labels.max(initial=0))))
 
 

@@ -7,92 +7,82 @@ This over-segments on purpose: `join` decides, with all other cues, whether the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ColorSplitConfig(Ranged):
-    """When a fragment has two colours.
-
-    Attributes:
-        window_px: side of the averaging windows.
-        lightness: weight of lightness relative to chroma; below 1, for shadows change lightness.
-        min_step: minimum CIE Lab distance between the two mean colours.
-        min_separation: minimum between-class share of the variance along the principal colour axis (Otsu's criterion).
-        min_pixels: minimum area of a piece.
-        depth: maximum depth of recursive splits.
-    """
-
-    window_px: int = number(9, 1, 1001, "px")
-    lightness: float = number(0.5, 0, 10, "ratio")
-    min_step: float = number(12.0, 0, 1000, "CIE Lab")
-    min_separation: float = number(0.7, 0, 1, "share")
-    min_pixels: int = number(30, 1, 1_000_000, "px")
-    depth: int = number(2, 0, 16, "divisions")
+# Side of the averaging windows.
+_WINDOW_PX = 9
+# Weight of lightness relative to chroma; below 1, since shadows change lightness.
+_LIGHTNESS = 0.5
+# Minimum CIE Lab distance between the two mean colours.
+_MIN_STEP = 12.0
+# Minimum between-class share of the variance along the principal colour axis (Otsu's criterion).
+_MIN_SEPARATION = 0.7
+# Minimum area of a piece.
+_MIN_PIXELS = 30
+# Maximum depth of recursive splits.
+_MAX_DEPTH = 2
 
 
 def split_by_color(
-    labels: NDArray[np.int32], boxes: NDArray[np.int64], lab: NDArray[np.float32], config: ColorSplitConfig
+    labels: NDArray[np.int32], boxes: NDArray[np.int64], lab: NDArray[np.float32], depth: int = _MAX_DEPTH
 ) -> NDArray[np.int32]:
-    """Return (h, w) labels in which some of 1..n are split; `boxes` (n + 1, 4): x0, y0, x1, y1 of each label."""
+    """Return (h, w) labels in which some of 1..n are split, up to `depth` times.
+
+    `boxes` (n + 1, 4): x0, y0, x1, y1 of each label.
+    """
     out = labels.copy()
     count = len(boxes)
     pixels = np.bincount(labels.ravel(), minlength=count)
-    weighted = lab * np.array([config.lightness, 1, 1], dtype=np.float32)
+    weighted = lab * np.array([_LIGHTNESS, 1, 1], dtype=np.float32)
     for i in range(1, len(boxes)):
-        if pixels[i] < 2 * config.min_pixels:
+        if pixels[i] < 2 * _MIN_PIXELS:
             continue
         x0, y0, x1, y1 = boxes[i]
         mask = labels[y0:y1, x0:x1] == i
-        for piece in _pieces(mask, weighted[y0:y1, x0:x1], config, config.depth)[1:]:
+        for piece in _pieces(mask, weighted[y0:y1, x0:x1], depth)[1:]:
             out[y0:y1, x0:x1][piece] = count
             count += 1
     return out
 
 
-def _pieces(
-    mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ColorSplitConfig, depth: int
-) -> list[NDArray[np.bool_]]:
+def _pieces(mask: NDArray[np.bool_], lab: NDArray[np.float32], depth: int) -> list[NDArray[np.bool_]]:
     """Return the masks into which a mask is split; itself if it has one colour."""
-    if depth == 0 or int(mask.sum()) < 2 * config.min_pixels:
+    if depth == 0 or int(mask.sum()) < 2 * _MIN_PIXELS:
         return [mask]
-    bright = _two_colors(mask, lab, config)
+    bright = _two_colors(mask, lab)
     if bright is None:
         return [mask]
-    pieces = _regions(mask & bright, mask & ~bright, config.min_pixels)
+    pieces = _regions(mask & bright, mask & ~bright, _MIN_PIXELS)
     if len(pieces) < 2:
         return [mask]
-    return [part for piece in pieces for part in _pieces(piece, lab, config, depth - 1)]
+    return [part for piece in pieces for part in _pieces(piece, lab, depth - 1)]
 
 
-def _two_colors(
-    mask: NDArray[np.bool_], lab: NDArray[np.float32], config: ColorSplitConfig
-) -> NDArray[np.bool_] | None:
+def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     """Return which pixels of a mask have the first of its two colours; None if the mask has only one colour."""
-    side = (config.window_px, config.window_px)
+    side = (_WINDOW_PX, _WINDOW_PX)
     share = cv2.blur(mask.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
     total = cv2.blur(_within(lab, mask), side, borderType=cv2.BORDER_CONSTANT)
     colors, centered, spread = _window_colors(total, share, mask)
     variances, axes = portable.eigh(spread)
     # Two means at the minimum distance cause at least this variance: with less, the split can be skipped early.
-    if variances[2] < 0.02 * config.min_step * config.min_step:
+    if variances[2] < 0.02 * _MIN_STEP * _MIN_STEP:
         return None
     along = portable.matmul(centered, axes[:, 2])
     threshold, separation = _otsu(along)
     high = along > threshold
     step = portable.norm(colors[high].mean(axis=0) - colors[~high].mean(axis=0))
-    if separation < config.min_separation or step < config.min_step:
+    if separation < _MIN_SEPARATION or step < _MIN_STEP:
         return None
     out = np.zeros(mask.shape, dtype=bool)
     out[mask] = high

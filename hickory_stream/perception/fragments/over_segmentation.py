@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.portable_kernels import cos
 from hickory_stream.perception.fragments.union_find import find_root
 
@@ -25,23 +24,15 @@ if TYPE_CHECKING:
     from hickory_stream.perception.surface import Surface
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class FragmentConfig(Ranged):
-    """What separates fragments.
-
-    Attributes:
-        step_m: minimum depth edge: distance of a pixel from its neighbour's tangent plane, plus 3 sigma.
-        gap_share: neighbours whose depths differ by more than this share are separate whatever their planes.
-        crease_rad: minimum angle of a concave crease.
-        crease_reach_px: normals are compared across twice this many pixels.
-        min_pixels: smaller fragments are merged with a neighbour or dropped.
-    """
-
-    step_m: float = number(0.008, 0, 10, "m")
-    gap_share: float = number(0.025, 0, 1, "share")
-    crease_rad: float = number(0.45, 0, 3.15, "rad")
-    crease_reach_px: int = number(2, 1, 100, "px")
-    min_pixels: int = number(12, 1, 1_000_000, "px")
+# Minimum depth edge: distance of a pixel from its neighbour's tangent plane, plus 3 sigma.
+_STEP_M = 0.008
+# Neighbours whose depths differ by more than this share are separate whatever their planes.
+_GAP_SHARE = 0.025
+# Minimum angle of a concave crease; normals are compared across twice this many pixels.
+_CREASE_RAD = 0.45
+_CREASE_REACH_PX = 2
+# Smaller fragments are merged with a neighbour or dropped.
+_MIN_PIXELS = 12
 
 
 def support_labels(
@@ -87,16 +78,16 @@ def _label_level(points, normals, slack, z_m, min_pixels, label, labels):
                     labels[y, x] = label
 
 
-def concave_creases(surface: Surface, structure: NDArray[np.bool_], config: FragmentConfig) -> NDArray[np.bool_]:
+def concave_creases(surface: Surface, structure: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return (h, w) the pixels on a concave crease, outside of structure."""
     return _creases(
         surface.points_world,
         surface.normals_world,
         surface.sigma_m,
         structure,
-        config.crease_reach_px,
-        np.float32(cos(config.crease_rad)),
-        np.float32(config.step_m),
+        _CREASE_REACH_PX,
+        np.float32(cos(_CREASE_RAD)),
+        np.float32(_STEP_M),
     )
 
 
@@ -105,7 +96,6 @@ def fragments_of(
     structure: NDArray[np.bool_],
     supports: NDArray[np.int32],
     creases: NDArray[np.bool_],
-    config: FragmentConfig,
 ) -> NDArray[np.int32]:
     """Return (h, w) fragment labels 1..n in scan order; 0 on structure and where there is no depth."""
     labels = _join(
@@ -116,11 +106,11 @@ def fragments_of(
         structure,
         supports,
         creases,
-        np.float32(config.step_m),
-        np.float32(config.gap_share),
+        np.float32(_STEP_M),
+        np.float32(_GAP_SHARE),
     )
     usable = ~structure & np.isfinite(surface.depth_m)
-    return _grow_into(labels, usable, surface.depth_m, supports, config.min_pixels)
+    return _grow_into(labels, usable, surface.depth_m, supports, _MIN_PIXELS)
 
 
 @kernel

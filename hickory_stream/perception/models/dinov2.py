@@ -27,16 +27,13 @@ _MOST_EXTRA_TOKENS = 16
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DinoConfig(Ranged):
-    """How features are computed.
+    """How features are computed."""
 
-    Attributes:
-        model: the network's name in the folder of models.
-        patch_px: side of a patch of the network.
-        reduce: integer factor by which frames are reduced first; a patch covers this many times more frame pixels.
-    """
-
+    #: Name of the network in the folder of models.
     model: str = "dinov2-small"
+    #: Side of a patch of the network.
     patch_px: int = number(14, 1, 1024, "px")
+    #: Integer factor by which frames are reduced first; a patch covers this many times more frame pixels.
     reduce: int = number(1, 1, 64, "ratio")
 
 

@@ -36,22 +36,19 @@ _SUPPORT_AREA_M2 = 0.03
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FastSamConfig(Ranged):
-    """How masks are decoded from the network's output.
+    """How masks are decoded from the network's output."""
 
-    Attributes:
-        model: the network's name in the folder of models.
-        confidence: minimum score of a detection.
-        nms_iou: IoU of boxes above which non-maximum suppression removes the one with the lower score.
-        max_masks: maximum number of masks, the best ones.
-        input_px: side of the network's input image if the graph does not fix it.
-        mask_px: longer side of the image at which masks are decoded; 0: that of the frame.
-    """
-
+    #: Name of the network in the folder of models.
     model: str = "fastsam-s"
+    #: Minimum score of a detection.
     confidence: float = number(0.4, 0, 1, "probability")
+    #: IoU of boxes above which non-maximum suppression removes the one with the lower score.
     nms_iou: float = number(0.9, 0, 1, "IoU")
+    #: Maximum number of masks, the best ones.
     max_masks: int = number(300, 1, 100_000, "masks")
+    #: Side of the network's input image if the graph does not fix it.
     input_px: int = number(640, 32, 8192, "px")
+    #: Longer side of the image at which masks are decoded; 0: the frame's.
     mask_px: int = number(0, 0, 8192, "px")
 
 

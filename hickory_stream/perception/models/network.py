@@ -33,18 +33,15 @@ _CHAINS = {"auto": ("cuda", "cpu"), "tensorrt": ("tensorrt", "cuda", "cpu"), "cu
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NetworkConfig(Ranged):
-    """How networks are run.
+    """How networks are run."""
 
-    Attributes:
-        provider: `cuda`, `tensorrt` or `cpu`; `auto` takes CUDA where there is one.
-        threads: CPU threads of one network, 0 = one per core.
-        device: index of the accelerator.
-        warm_up: whether a network runs once on an empty image when it is opened, so that the first frame is not slower.
-    """
-
+    #: `cuda`, `tensorrt` or `cpu`; `auto` takes CUDA where there is one.
     provider: Provider = "auto"
+    #: CPU threads of one network, 0: one per core.
     threads: int = number(0, 0, 1024, "threads")
+    #: Index of the accelerator.
     device: int = number(0, 0, 255, "index")
+    #: Whether a network runs once on an empty image when it is opened, so that the first frame is not slower.
     warm_up: bool = True
 
 

@@ -27,22 +27,20 @@ if TYPE_CHECKING:
     from hickory_stream.perception.models.network import Network
 
 
+# Minimum probability of a pixel in a query's mask.
+MASK_THRESHOLD = 0.5
+# A query is rejected if other queries leave it less than this share of its mask.
+MIN_OVERLAP = 0.3
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PanopticConfig(Ranged):
-    """How queries become classes.
+    """How queries become classes."""
 
-    Attributes:
-        output: `panoptic` gives a pixel to the query with the highest score there, `semantic` to the class with the
-            most votes.
-        threshold: minimum class probability of a query.
-        mask_threshold: minimum probability of a pixel in a query's mask.
-        overlap: a query is rejected if other queries leave it less than this share of its mask.
-    """
-
+    #: `panoptic`: a pixel goes to the query with the highest score there; `semantic`: to the class with the most votes.
     output: Literal["panoptic", "semantic"] = "panoptic"
+    #: Minimum class probability of a query.
     threshold: float = number(0.5, 0, 1, "probability")
-    mask_threshold: float = number(0.5, 0, 1, "probability")
-    overlap: float = number(0.3, 0, 1, "share")
 
 
 def panoptic_classes(
@@ -64,12 +62,12 @@ def panoptic_classes(
     areas = np.zeros(len(chosen), dtype=np.int64)
     for i, query in enumerate(chosen):
         claim = cv2.resize(_sigmoid(mask_logits[query]), size, interpolation=cv2.INTER_LINEAR) * scores[query]
-        areas[i] = np.count_nonzero(claim >= config.mask_threshold)
+        areas[i] = np.count_nonzero(claim >= MASK_THRESHOLD)
         wins = claim > best
         owner[wins], best[wins] = i, claim[wins]
     left = np.bincount(owner[np.isfinite(best)], minlength=len(chosen))
     for i, query in enumerate(chosen):
-        if left[i] > 0 and areas[i] > 0 and left[i] / areas[i] > config.overlap:
+        if left[i] > 0 and areas[i] > 0 and left[i] / areas[i] > MIN_OVERLAP:
             classes[(owner == i) & np.isfinite(best)] = labels[query]
     return classes
 
@@ -97,14 +95,11 @@ _MULTIPLE = 32
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SemanticConfig(Ranged):
-    """Which semantic model is used, and at which size.
+    """Which semantic model is used, and at which size."""
 
-    Attributes:
-        model: the network's name in the folder of models.
-        short_px: shorter side of the network's input image if the graph does not fix it.
-    """
-
+    #: Name of the network in the folder of models.
     model: str = "oneformer-ade20k-swin-tiny"
+    #: Shorter side of the network's input image if the graph does not fix it.
     short_px: int = number(512, 32, 8192, "px")
     panoptic: PanopticConfig = field(default_factory=PanopticConfig)
     exclude: FilterConfig = field(default_factory=FilterConfig)

@@ -16,7 +16,7 @@ from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.perception.regions.features import joined
 from hickory_stream.perception.regions.map_prior import MapPriorConfig
-from hickory_stream.perception.regions.occlusion_bridging import BridgingConfig, is_bridged
+from hickory_stream.perception.regions.occlusion_bridging import is_bridged
 from hickory_stream.perception.regions.odds_features import odds_features
 from hickory_stream.perception.regions.pair_features import pair_features
 from hickory_stream.perception.regions.region_graph import build_region_graph
@@ -34,28 +34,23 @@ if TYPE_CHECKING:
     from hickory_stream.perception.regions.trees import Trees
 
 
+# Maximum number of rounds.
+_MAX_ROUNDS = 12
+# Pixels are neighbours across fewer than this many unlabelled pixels; the trees were grown with it.
+_REACH_PX = 3
+# Maximum distance of fragments that are rated without touching in the image; the trees were grown with it.
+_GAP_M = 0.2
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JoinConfig(Ranged):
-    """How fragments are merged; the trees were grown with the defaults of `reach_px`, `gap_m` and `bridging`.
+    """How fragments are merged."""
 
-    Attributes:
-        forest: the trees that rate pairs; `mixed`, from a `probability` of 0.5, makes fewer false objects in unfamiliar
-            rooms and finds fewer objects.
-        probability: minimum probability for a merge; above 0.5, since the map repairs over-segmentation more easily
-            than under-segmentation.
-        rounds: maximum number of rounds.
-        reach_px: pixels are neighbours across fewer than this many unlabelled pixels.
-        gap_m: maximum distance of fragments that are rated without touching in the image.
-        bridging: when a plane continues behind an occluder.
-        map_prior: how the objects of the map lower the probability of a merge.
-    """
-
+    #: The trees that rate pairs; `mixed`, from a `probability` of 0.5, finds fewer objects and fewer false ones.
     forest: Forest = "sizes"
+    #: Minimum probability for a merge; above 0.5, since the map repairs over-segmentation more easily.
     probability: float = number(0.65, 0, 1, "probability")
-    rounds: int = number(12, 0, 1000, "rounds")
-    reach_px: int = number(3, 1, 100, "px")
-    gap_m: float = number(0.2, 0, 10, "m")
-    bridging: BridgingConfig = field(default_factory=BridgingConfig)
+    #: How the objects of the map lower the probability of a merge.
     map_prior: MapPriorConfig = field(default_factory=MapPriorConfig)
 
 
@@ -115,7 +110,7 @@ def join_fragments(
 
     `owners`: the map objects on which the fragments lie, if any; `odds`: the log-odds of a network, if any.
     """
-    labels, graph = fragments.labels, region_graph_of(fragments, config)
+    labels, graph = fragments.labels, region_graph_of(fragments)
     if graph is None:
         return Joined(labels=labels)
     last = _last(rounds(graph, trees.probabilities, config, odds, owners))
@@ -133,11 +128,11 @@ def _last(steps: Iterator[Round]) -> Round:
     return last
 
 
-def region_graph_of(fragments: Fragments, config: JoinConfig) -> RegionGraph | None:
+def region_graph_of(fragments: Fragments) -> RegionGraph | None:
     """Return the region graph of fragments before any are merged; None if there are none."""
     if not fragments.labels.any():
         return None
-    return build_region_graph(fragments, reach_px=config.reach_px, gap_m=config.gap_m, bridging=config.bridging)
+    return build_region_graph(fragments, reach_px=_REACH_PX, gap_m=_GAP_M)
 
 
 def rounds(
@@ -147,33 +142,30 @@ def rounds(
     odds: FragmentOdds | None = None,
     owners: FragmentOwners | None = None,
     start: Round | None = None,
+    most: int = _MAX_ROUNDS,
 ) -> Iterator[Round]:
     """Yield the rounds of merging, from single fragments to the final regions; `probabilities` rates features of pairs.
 
     `odds`: the log-odds of a network, added to the features (`odds_features`), if any; `owners`: the map prior, if any;
-    `start`: the first round, None: that of single fragments.
+    `start`: the first round, None: that of single fragments; `most`: the maximum number of rounds.
     """
     groups = Groups(len(graph.regions.pixels))
     if start is not None:
         _, first = np.unique(start.numbers, return_index=True)
         groups.unite((int(first[region]), i) for i, region in enumerate(start.numbers))
-    for i in range(config.rounds + 1):
+    for i in range(most + 1):
         numbers, names = groups.numbers()
         now = start if i == 0 and start is not None else _round(graph, numbers, len(names), odds)
         yield now
         pairs, features = now.pairs, now.features
         # Bridged regions are surely one object, but too rare in the training data for the trees to learn it.
-        proven = is_bridged(
-            features["bridged_level"],
-            features["bridged_upright"],
-            portable.exp(features["small_pixels"]),
-            config.bridging,
-        )
+        pixels = portable.exp(features["small_pixels"])
+        proven = is_bridged(features["bridged_level"], features["bridged_upright"], pixels)
         likely = np.where(proven, 1.0, probabilities(features))
         if owners is not None:
             likely = owners.against(likely, pairs, numbers, len(names))
         chosen = _closest(pairs, likely, len(names), config.probability)
-        if len(chosen) == 0 or i == config.rounds:
+        if len(chosen) == 0 or i == most:
             return
         groups.unite((int(names[a]), int(names[b])) for a, b in chosen)
 

@@ -29,21 +29,18 @@ if TYPE_CHECKING:
 
 _STRIDE_PX = 2
 _SURE = 1e-6
+# Objects with fewer sightings are ignored.
+_MIN_SIGHTINGS = 4
+# A region lies on an object if at least this share of its pixels does.
+_MIN_SHARE = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapPriorConfig(Ranged):
-    """How map objects lower the probability that two regions are one object.
+    """How map objects lower the probability that two regions are one object."""
 
-    Attributes:
-        apart_odds: log-odds against a merge for regions on two different objects; 0: no prior.
-        min_sightings: objects with fewer sightings are ignored.
-        min_share: a region lies on an object if at least this share of its pixels does.
-    """
-
+    #: Log-odds against a merge for regions on two different objects; 0: no prior.
     apart_odds: float = number(3.0, 0, 8, "log-odds")
-    min_sightings: int = number(4, 1, 1_000_000, "sightings")
-    min_share: float = number(0.5, 0, 1, "share")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -72,7 +69,7 @@ class FragmentOwners:
         np.add.at(pixels, numbers, self.pixels)
         np.add.at(on_object, numbers, self.on_object)
         most = on_object.max(axis=1, initial=0)
-        lies = (most > 0) & (most >= self.config.min_share * pixels)
+        lies = (most > 0) & (most >= _MIN_SHARE * pixels)
         return np.where(lies, on_object.argmax(axis=1), -1)
 
 
@@ -87,7 +84,7 @@ def fragment_owners(
     sampled = sampled[sampled > 0]
     is_known = np.isfinite(points[:, 2])
     points, sampled = points[is_known], sampled[is_known]
-    near = _objects_near(points, prior, config)
+    near = _objects_near(points, prior)
     if len(near) < 2:
         return None
     owners = _owners_of_points(points, near, prior.points_m)
@@ -98,14 +95,14 @@ def fragment_owners(
     return FragmentOwners(pixels=np.bincount(sampled, minlength=count), on_object=on_object, config=config)
 
 
-def _objects_near(points: NDArray[np.float32], prior: MapPrior, config: MapPriorConfig) -> list[TrackedObject]:
+def _objects_near(points: NDArray[np.float32], prior: MapPrior) -> list[TrackedObject]:
     """Return the objects with enough sightings whose bounds overlap those of the points, the smallest first."""
     if len(points) == 0:
         return []
     low, high = points.min(axis=0) - prior.points_m, points.max(axis=0) + prior.points_m
     near = []
     for item in prior.objects:
-        if item.phase is Phase.TENTATIVE or item.sightings < config.min_sightings:
+        if item.phase is Phase.TENTATIVE or item.sightings < _MIN_SIGHTINGS:
             continue
         corners = item.box.corners_world()
         if (corners.min(axis=0) <= high).all() and (corners.max(axis=0) >= low).all():

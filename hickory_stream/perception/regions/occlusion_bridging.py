@@ -8,13 +8,11 @@ height can stand side by side. A horizontal and a vertical plane that both conti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.base.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,26 +20,19 @@ if TYPE_CHECKING:
     from hickory_stream.perception.surface import Surface
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BridgingConfig(Ranged):
-    """When a plane continues behind an occluder, and when this makes two regions one object.
-
-    Attributes:
-        gap_m: maximum length of the extrapolation.
-        tolerance_m: maximum distance of a point from the plane, plus 3 sigma of depth.
-        min_lines: minimum number of rows and columns (every other one is scanned) that bridge two regions ...
-        min_share: ... and the same as a share of the square root of the smaller region's pixels.
-        other_lines: minimum number of lines for each of the two kinds of plane, horizontal and vertical.
-    """
-
-    gap_m: float = number(0.5, 0, 100, "m")
-    tolerance_m: float = number(0.006, 0, 10, "m")
-    min_lines: int = number(4, 0, 10_000, "lines")
-    min_share: float = number(0.12, 0, 1, "share")
-    other_lines: int = number(2, 0, 10_000, "lines")
+# Maximum length of the extrapolation; the trees were grown with it.
+BRIDGED_M = 0.5
+# Maximum distance of a point from the plane, plus 3 sigma of depth.
+_TOLERANCE_M = 0.006
+# Minimum number of rows and columns (every other one is scanned) that bridge two regions, also as a share of the
+# square root of the smaller region's pixels.
+_MIN_LINES = 4
+_MIN_SHARE = 0.12
+# Minimum number of lines for each of the two kinds of plane, horizontal and vertical.
+_OTHER_LINES = 2
 
 
-def bridges(surface: Surface, labels: NDArray[np.int32], config: BridgingConfig) -> NDArray[np.int64]:
+def bridges(surface: Surface, labels: NDArray[np.int32]) -> NDArray[np.int64]:
     """Return (M, 3): two labels and whether the plane is horizontal, for every scanned line that bridges the two."""
     camera = surface.camera
     found: NDArray[np.int64] = _bridges(
@@ -53,14 +44,14 @@ def bridges(surface: Surface, labels: NDArray[np.int32], config: BridgingConfig)
         surface.world_from_camera[:3, 3].astype(np.float32),
         surface.world_from_camera[:3, :3].astype(np.float32),
         (np.float32(camera.fx), np.float32(camera.fy), np.float32(camera.cx), np.float32(camera.cy)),
-        np.float32(config.gap_m),
-        np.float32(config.tolerance_m),
+        np.float32(BRIDGED_M),
+        np.float32(_TOLERANCE_M),
     )
     return found
 
 
 def is_bridged(
-    level: NDArray[np.float64], upright: NDArray[np.float64], pixels: NDArray[np.float64], config: BridgingConfig
+    level: NDArray[np.float64], upright: NDArray[np.float64], pixels: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Return (K,) which pairs of regions are one object behind an occluder.
 
@@ -68,8 +59,8 @@ def is_bridged(
     of the smaller region.
     """
     most, other = np.maximum(level, upright), np.minimum(level, upright)
-    enough = np.maximum(config.min_lines, config.min_share * np.sqrt(pixels))
-    return np.asarray((most >= enough) & (other >= config.other_lines))
+    enough = np.maximum(_MIN_LINES, _MIN_SHARE * np.sqrt(pixels))
+    return np.asarray((most >= enough) & (other >= _OTHER_LINES))
 
 
 @kernel

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.perception.fragments.over_segmentation import Fragments
     from hickory_stream.perception.regions.contacts import Contacts
-    from hickory_stream.perception.regions.occlusion_bridging import BridgingConfig
     from hickory_stream.perception.surface import Surface
 
 HEIGHT_BIN_M = 0.01
@@ -93,7 +92,7 @@ class RegionGraph:
     heights_m: NDArray[np.float32]
 
 
-def build_region_graph(fragments: Fragments, *, reach_px: int, gap_m: float, bridging: BridgingConfig) -> RegionGraph:
+def build_region_graph(fragments: Fragments, *, reach_px: int, gap_m: float) -> RegionGraph:
     """Return the graph of fragments, of which there is at least one.
 
     Pixels are neighbours across fewer than `reach_px` unlabelled pixels; fragments are close up to `gap_m`.
@@ -114,7 +113,7 @@ def build_region_graph(fragments: Fragments, *, reach_px: int, gap_m: float, bri
     return RegionGraph(
         labels=labels,
         regions=regions,
-        pairs=_pairs(surface, contacts, count, middle, gaps, bridges(surface, labels, bridging)),
+        pairs=_pairs(surface, contacts, count, middle, gaps, bridges(surface, labels)),
         contacts=contacts,
         middle=middle,
         bottom_m=bottom_m,

@@ -31,7 +31,7 @@ from hickory_stream.perception.structure.detection_kernels import (
     weighted_sum,
 )
 from hickory_stream.perception.structure.ground import Ground, GroundConfig
-from hickory_stream.perception.structure.raised_patches import NearPlane, RaisedPatchConfig
+from hickory_stream.perception.structure.raised_patches import NearPlane
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,40 +39,35 @@ if TYPE_CHECKING:
     from hickory_stream.perception.surface import Surface
 
 
+# Minimum height of a storey: a camera higher than this above the map's floor is on another storey, and a floor this
+# much lower than the map's floor is the floor of the storey below.
+_STOREY_M = 2.4
+# Minimum visible area of a floor.
+FLOOR_AREA_M2 = 0.25
+# Minimum visible area of a wall or ceiling.
+_WALL_AREA_M2 = 0.45
+# Maximum share of the frame's surface behind a wall.
+_BEHIND_SHARE = 0.02
+# Maximum distance from a plane, plus 3 sigma of depth, of pixels that belong to it.
+_TOLERANCE_M = 0.025
+# A vertical plane this wide is a wall, even with surface behind it, if it is visible below the foot height above the
+# floor and reaches up to the wall height, or to the cut height and the upper image border.
+_WALL_WIDTH_M = 0.9
+_WALL_FOOT_M = 1.2
+_WALL_HEIGHT_M = 2.1
+_WALL_CUT_M = 1.5
+# It is the front of a cupboard instead if a parallel surface of this area is at most this far behind it.
+_FURNITURE_DEPTH_M = 0.75
+_BACKING_M2 = 0.15
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StructureConfig(Ranged):
-    """What counts as structure.
+    """What counts as structure."""
 
-    Attributes:
-        floor_area_m2: minimum visible area of a floor.
-        wall_area_m2: minimum visible area of a wall or ceiling.
-        behind_share: maximum share of the frame's surface behind a wall.
-        tolerance_m: maximum distance from a plane, plus 3 sigma of depth, of pixels that belong to it.
-        floor_below_camera_m: minimum distance of a floor below the camera.
-        storey_m: minimum height of a storey: a camera higher than this above the map's floor is on another storey, and
-            a floor this much lower than the map's floor is that of the storey below.
-        wall_height_m, wall_foot_m, wall_cut_m, wall_width_m: a vertical plane is a wall, even with surface behind it,
-            if it is at least `wall_width_m` wide, is visible below `wall_foot_m` above the floor, and reaches up to
-            `wall_height_m`, or to `wall_cut_m` and the upper image border ...
-        furniture_depth_m, backing_m2: ... unless there is a parallel surface of this area at most this far behind it:
-            then it is the front of a cupboard, and the surface behind it is the wall.
-        ground: which surfaces are ground where the ground is not one level plane.
-        raised_patches: which pixels within the tolerance of a plane belong to objects.
-    """
-
-    floor_area_m2: float = number(0.25, 0, 1000, "m2")
-    wall_area_m2: float = number(0.45, 0, 1000, "m2")
-    behind_share: float = number(0.02, 0, 1, "share")
-    tolerance_m: float = number(0.025, 0, 10, "m")
+    #: Minimum distance of a floor below the camera.
     floor_below_camera_m: float = number(0.25, 0, 100, "m")
-    storey_m: float = number(2.4, 0, 100, "m")
-    wall_height_m: float = number(2.1, 0, 100, "m")
-    wall_foot_m: float = number(1.2, 0, 100, "m")
-    wall_cut_m: float = number(1.5, 0, 100, "m")
-    wall_width_m: float = number(0.9, 0, 100, "m")
-    furniture_depth_m: float = number(0.75, 0, 100, "m")
-    backing_m2: float = number(0.15, 0, 1000, "m2")
-    raised_patches: RaisedPatchConfig = field(default_factory=RaisedPatchConfig)
+    #: Which surfaces are ground where the ground is not one level plane.
     ground: GroundConfig = field(default_factory=GroundConfig)
 
 
@@ -174,14 +169,14 @@ def floor_height_m(
     below = [
         plane
         for plane in planes
-        if plane.area_m2 >= config.floor_area_m2 and plane.z_m <= camera_z - config.floor_below_camera_m
+        if plane.area_m2 >= FLOOR_AREA_M2 and plane.z_m <= camera_z - config.floor_below_camera_m
     ]
     if known_m is None:
         return below[0].z_m if below else None
-    if camera_z - known_m > config.storey_m:
+    if camera_z - known_m > _STOREY_M:
         return max(below, key=lambda plane: (plane.area_m2, -plane.z_m)).z_m if below else known_m
     # A floor as much as a storey lower is that of the storey below, seen over a railing.
-    lower = [plane.z_m for plane in below if known_m - config.storey_m < plane.z_m <= known_m + _AT_FLOOR_M]
+    lower = [plane.z_m for plane in below if known_m - _STOREY_M < plane.z_m <= known_m + _AT_FLOOR_M]
     return lower[0] if lower else known_m
 
 
@@ -190,21 +185,20 @@ def structure_mask(
     areas_m2: NDArray[np.float32],
     floor_z_m: float | None,
     ground: Ground | None,
-    config: StructureConfig,
 ) -> tuple[NDArray[np.bool_], list[NearPlane]]:
     """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one; and the pixels near floor and walls.
 
     The floor is the level plane at `floor_z_m`, or the `ground` where that is uneven.
     """
-    tolerance = config.tolerance_m + 2.0 * surface.sigma_m
-    mask = _ceiling(surface, areas_m2, tolerance, config)
+    tolerance = _TOLERANCE_M + 2.0 * surface.sigma_m
+    mask = _ceiling(surface, areas_m2, tolerance)
     planes: list[NearPlane] = []
     if floor_z_m is not None:
         height = surface.points_world[..., 2] - np.float32(floor_z_m) if ground is None else ground.height_m
         level = surface.normals_world[..., 2] > 0.8
         near = (height < tolerance) & (level | (height < 0.6 * tolerance))
         planes.append(NearPlane(distance_m=height, near=near, is_floor=True))
-    for wall in _walls(surface, areas_m2, floor_z_m, config):
+    for wall in _walls(surface, areas_m2, floor_z_m):
         distance = wall.distance_m(surface)
         near = wall.mask(surface, distance, tolerance)
         planes.append(NearPlane(distance_m=distance, near=near, is_floor=False))
@@ -213,21 +207,17 @@ def structure_mask(
     return mask, planes
 
 
-def _ceiling(
-    surface: Surface, areas_m2: NDArray[np.float32], tolerance: NDArray[np.float32], config: StructureConfig
-) -> NDArray[np.bool_]:
+def _ceiling(surface: Surface, areas_m2: NDArray[np.float32], tolerance: NDArray[np.float32]) -> NDArray[np.bool_]:
     downward = surface.normals_world[..., 2] < -0.9
     z = surface.points_world[..., 2]
     above = z > surface.world_from_camera[2, 3] + 0.4
-    if float(areas_m2[downward & above].sum()) < config.wall_area_m2:
+    if float(areas_m2[downward & above].sum()) < _WALL_AREA_M2:
         return np.zeros(z.shape, dtype=bool)
     top = float(np.nanmax(z[downward & above]))
     return np.asarray((z > top - 2 * tolerance - 0.05) & above)
 
 
-def _walls(
-    surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | None, config: StructureConfig
-) -> list[Wall]:
+def _walls(surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | None) -> list[Wall]:
     """Return the walls of a frame, by direction, the rearmost first."""
     points, normals = surface.points_world.reshape(-1, 3), surface.normals_world.reshape(-1, 3)
     weights = areas_m2.reshape(-1)
@@ -244,24 +234,24 @@ def _walls(
         normal = _dominant_direction(left)
         agreement = along(left.direction, normal)
         facing, left = left.among(agreement > 0.97), left.among(~(agreement > 0.94))
-        for peak in _peaks(along(facing.at, normal), facing.weight, config.wall_area_m2):
+        for peak in _peaks(along(facing.at, normal), facing.weight, _WALL_AREA_M2):
             inward, offset = _refined(facing, normal, peak)
             offsets = along(facing.at, inward)
             on_it = facing.among(near_offset(offsets, np.float32(offset), 0.04 + facing.sigma))
             if len(on_it.pixels) == 0:
                 continue
             behind = _behind(all_at, all_weight, all_sigma, inward, offset)
-            if behind < config.behind_share * total:
+            if behind < _BEHIND_SHARE * total:
                 if _is_tall(on_it.heights, floor_z_m):
                     walls.append(Wall(normal=inward, offset=offset, cells=None))
-            elif _is_high(on_it.heights, on_it.pixels, width, floor_z_m, config):
+            elif _is_high(on_it.heights, on_it.pixels, width, floor_z_m):
                 cells = _seen_cells(on_it.at, on_it.weight, inward)
                 depth = offset - offsets
-                is_backing = (depth > 0.12 + facing.sigma) & (depth < config.furniture_depth_m)
+                is_backing = (depth > 0.12 + facing.sigma) & (depth < _FURNITURE_DEPTH_M)
                 backing = float(taken(facing.weight, is_backing).sum())
-                if len(cells) * _STRETCH_M > config.wall_width_m and backing < config.backing_m2:
+                if len(cells) * _STRETCH_M > _WALL_WIDTH_M and backing < _BACKING_M2:
                     walls.append(Wall(normal=inward, offset=offset, cells=cells))
-        if float(left.weight.sum()) < config.wall_area_m2:
+        if float(left.weight.sum()) < _WALL_AREA_M2:
             break
     return walls
 
@@ -313,17 +303,16 @@ def _is_high(
     pixels: NDArray[np.int64],
     width: int,
     floor_z_m: float | None,
-    config: StructureConfig,
 ) -> bool:
     """Return whether a vertical plane is higher than furniture, or cut by the upper image border, and reaches down."""
     if floor_z_m is None:
         return False
     low, high = np.percentile(heights, [2, 98])
-    if low - floor_z_m > config.wall_foot_m or high - floor_z_m < config.wall_cut_m:
+    if low - floor_z_m > _WALL_FOOT_M or high - floor_z_m < _WALL_CUT_M:
         return False
     columns = np.unique(pixels % width)
     goes_on = len(np.unique(pixels[pixels < 3 * width] % width)) > 0.3 * len(columns)
-    return bool(goes_on or high - floor_z_m > config.wall_height_m)
+    return bool(goes_on or high - floor_z_m > _WALL_HEIGHT_M)
 
 
 def _is_tall(heights: NDArray[np.float32], floor_z_m: float | None) -> bool:

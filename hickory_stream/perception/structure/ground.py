@@ -27,26 +27,25 @@ if TYPE_CHECKING:
     from hickory_stream.perception.surface import Surface
 
 
+# Side of a cell of the height grid.
+_CELL_M = 0.2
+# Minimum area of a level that is a step higher than the ground beside it.
+_LEVEL_M2 = 1.5
+# Maximum horizontal distance between such a level and that ground: an object may occlude the edge.
+_GAP_M = 1.0
+# The ground is uneven if at least this area is this far from one plane.
+_OFF_PLANE_M = 0.05
+_OFF_PLANE_M2 = 1.0
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroundConfig(Ranged):
-    """Which surfaces are ground (traversable on foot).
+    """Which surfaces are ground (traversable on foot)."""
 
-    Attributes:
-        cell_m: side of a cell of the height grid.
-        slope: maximum slope between neighbouring cells, as a ratio: a ramp of 20 degrees.
-        step_m: maximum height of a step or a kerb.
-        level_m2: minimum area of a level that is a step higher than the ground beside it.
-        gap_m: maximum horizontal distance between such a level and that ground: an object may occlude the edge.
-        off_plane_m, off_plane_m2: the ground is uneven if at least this area is this far from one plane.
-    """
-
-    cell_m: float = number(0.2, 0.02, 10, "m")
+    #: Maximum slope between neighbouring cells, as a ratio: a ramp of 20 degrees.
     slope: float = number(0.36, 0, 10, "ratio")
+    #: Maximum height of a step or a kerb.
     step_m: float = number(0.2, 0, 10, "m")
-    level_m2: float = number(1.5, 0, 1000, "m2")
-    gap_m: float = number(1.0, 0, 100, "m")
-    off_plane_m: float = number(0.05, 0, 10, "m")
-    off_plane_m2: float = number(1.0, 0, 1000, "m2")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -84,23 +83,23 @@ def uneven_ground(
         floor_z_m: height of the floor as one plane, None if it is unknown.
         config: which surfaces are ground.
         below_camera_m: minimum distance of the ground below the camera.
-        least_m2: minimum area of a region of ground (levels a step higher have `level_m2`).
+        least_m2: minimum area of a region of ground (levels a step higher have a minimum of their own).
     """
     camera_z = float(surface.world_from_camera[2, 3])
-    grid = _heights_of(surface, known, camera_z - below_camera_m, config)
+    grid = _heights_of(surface, known, camera_z - below_camera_m)
     if grid is None:
         return None
-    regions = _regions(grid.z_m, grid.slack_m, np.float32(config.cell_m * config.slope))
+    regions = _regions(grid.z_m, grid.slack_m, np.float32(_CELL_M * config.slope))
     is_ground = _is_ground(regions, grid, floor_z_m, config, least_m2)
     if not is_ground.any():
         return None
     heights = grid.z_m[is_ground]
     off_m = np.abs(heights - np.float32(np.median(heights) if floor_z_m is None else floor_z_m))
-    off = int((off_m > config.off_plane_m + grid.slack_m[is_ground]).sum())
-    if off * config.cell_m * config.cell_m < config.off_plane_m2:
+    off = int((off_m > _OFF_PLANE_M + grid.slack_m[is_ground]).sum())
+    if off * _CELL_M * _CELL_M < _OFF_PLANE_M2:
         return None
     filled = _filled(np.where(is_ground, grid.z_m, np.float32(np.nan)), _FILLED_CELLS)
-    height = _above(surface.points_world, filled, grid.low_m, np.float32(config.cell_m), np.float32(config.off_plane_m))
+    height = _above(surface.points_world, filled, grid.low_m, np.float32(_CELL_M), np.float32(_OFF_PLANE_M))
     return Ground(height_m=height, middle_z_m=float(np.median(heights)))
 
 
@@ -117,13 +116,13 @@ class _Grid:
     low_m: NDArray[np.float32]
 
 
-def _heights_of(surface: Surface, known: NDArray[np.bool_], highest_m: float, config: GroundConfig) -> _Grid | None:
+def _heights_of(surface: Surface, known: NDArray[np.bool_], highest_m: float) -> _Grid | None:
     at, sigma_m, is_known = _upward(
         surface.points_world, surface.normals_world, surface.sigma_m, known, np.float32(_UPWARD), np.float32(highest_m)
     )
     if not len(at):
         return None
-    cell = np.float32(config.cell_m)
+    cell = np.float32(_CELL_M)
     low = np.floor(at[:, :2].min(axis=0) / cell) * cell
     size = tuple(int(n) for n in np.floor((at[:, :2].max(axis=0) - low) / cell) + 1)
     # Depth noise is along the ray: its vertical part is in proportion to the vertical component of the ray.
@@ -217,7 +216,7 @@ def _is_ground(
     """Return (nx, ny) which cells are ground: regions of the floor, and regions one step away from ground."""
     cells = np.bincount(regions.ravel())
     cells[0] = 0
-    large = np.flatnonzero(cells * config.cell_m * config.cell_m >= least_m2)
+    large = np.flatnonzero(cells * _CELL_M * _CELL_M >= least_m2)
     ground = _first_regions(regions, grid, floor_z_m, large)
     # A region on known structure one step away was ground in earlier keyframes: it needs no minimum area in this one.
     before = _known_regions(regions, grid, cells)
@@ -272,12 +271,12 @@ def _is_a_step_away(
     A higher level must have the minimum area, unless it was known as ground before.
     """
     at, there = np.argwhere(region), np.argwhere(ground)
-    rise_m, gap_m = _nearest_step(at, there, grid.z_m, np.float32(config.cell_m))
-    if not gap_m <= config.gap_m:
+    rise_m, gap_m = _nearest_step(at, there, grid.z_m, np.float32(_CELL_M))
+    if not gap_m <= _GAP_M:
         return False
     most_m = config.step_m + 0.1 * gap_m
     # A lower region is ground whatever its area, if it is at most two steps below.
-    has_room = len(at) * config.cell_m * config.cell_m >= config.level_m2
+    has_room = len(at) * _CELL_M * _CELL_M >= _LEVEL_M2
     return bool(-2 * most_m <= rise_m <= most_m and (rise_m < 0 or was_ground or has_room))
 
 

@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 
 if TYPE_CHECKING:
@@ -25,29 +24,21 @@ if TYPE_CHECKING:
     from hickory_stream.perception.surface import Surface
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class RaisedPatchConfig(Ranged):
-    """When pixels near a plane belong to an object instead.
-
-    Attributes:
-        window_px: side of the averaging window.
-        least_m, sigmas: minimum offset of the window's mean from the plane, in m and in its standard deviations.
-        min_area_px: minimum area of a raised patch.
-        color_step: minimum CIE Lab distance between the patch and the plane around it.
-        reach_px: width of the ring around a patch in which the plane's colour is sampled.
-        min_border_share: on a wall, the minimum share of the patch's outline that borders objects: a picture or a door
-            frame borders none.
-        min_border_px: on the floor, the minimum number of outline pixels that border objects: legs are thin.
-    """
-
-    window_px: int = number(5, 1, 1001, "px")
-    least_m: float = number(0.009, 0, 10, "m")
-    sigmas: float = number(3.0, 0, 100, "standard deviations")
-    min_area_px: int = number(24, 1, 1_000_000, "px")
-    color_step: float = number(12.0, 0, 1000, "CIE Lab")
-    reach_px: int = number(12, 1, 1000, "px")
-    min_border_share: float = number(0.3, 0, 1, "share")
-    min_border_px: int = number(2, 0, 1_000_000, "px")
+# Side of the averaging window.
+_WINDOW_PX = 5
+# Minimum offset of the window's mean from the plane, in m and in its standard deviations.
+_MIN_OFFSET_M = 0.009
+_MIN_OFFSET_SIGMAS = 3.0
+# Minimum area of a raised patch.
+_MIN_AREA_PX = 24
+# Minimum CIE Lab distance between the patch and the plane around it.
+_COLOR_STEP = 12.0
+# Width of the ring around a patch in which the plane's colour is sampled.
+_RING_PX = 12
+# On a wall, the minimum share of the patch's outline that borders objects: a picture or a door frame borders none.
+_MIN_BORDER_SHARE = 0.3
+# On the floor, the minimum number of outline pixels that border objects: legs are thin.
+_MIN_BORDER_PX = 2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -63,13 +54,12 @@ def raised_patches(
     planes: Sequence[NearPlane],
     structure: NDArray[np.bool_],
     surface: Surface,
-    config: RaisedPatchConfig,
 ) -> NDArray[np.bool_]:
     """Return (h, w) which pixels of `structure` belong to objects: those raised off every plane near them."""
     things = (~structure & np.isfinite(surface.depth_m)).astype(np.uint8)
     off, on = np.zeros(structure.shape, dtype=bool), np.zeros(structure.shape, dtype=bool)
     for plane in planes:
-        patches = _raised(plane, things, surface.sigma_m, surface.lab, config)
+        patches = _raised(plane, things, surface.sigma_m, surface.lab)
         off |= patches
         on |= plane.near & ~patches
     return off & ~on
@@ -80,46 +70,41 @@ def _raised(
     things: NDArray[np.uint8],
     sigma_m: NDArray[np.float32],
     lab: NDArray[np.float32],
-    config: RaisedPatchConfig,
 ) -> NDArray[np.bool_]:
     mask = np.zeros(plane.near.shape, dtype=bool)
-    side = (config.window_px, config.window_px)
+    side = (_WINDOW_PX, _WINDOW_PX)
     values, marks = _marked(plane.distance_m, plane.near)
     total = cv2.blur(values, side, borderType=cv2.BORDER_CONSTANT)
     share = cv2.blur(marks, side, borderType=cv2.BORDER_CONSTANT)
-    area, least_m, sigmas = (
-        np.float32(x) for x in (config.window_px * config.window_px, config.least_m, config.sigmas)
-    )
+    area, least_m, sigmas = (np.float32(x) for x in (_WINDOW_PX * _WINDOW_PX, _MIN_OFFSET_M, _MIN_OFFSET_SIGMAS))
     high = _is_high(plane.near, total, share, sigma_m, area, least_m, sigmas)
-    if np.count_nonzero(high) < config.min_area_px:
+    if np.count_nonzero(high) < _MIN_AREA_PX:
         return mask
     # Opening removes rims of a few pixels along the foot of an object.
     wide = cv2.morphologyEx(high.astype(np.uint8), cv2.MORPH_OPEN, _WIDE)
-    if int(wide.sum()) < config.min_area_px:
+    if int(wide.sum()) < _MIN_AREA_PX:
         return mask
     _, labels, stats, _ = cv2.connectedComponentsWithStats(wide, connectivity=4)
     ground = plane.near & ~high
-    for i in np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= config.min_area_px).tolist():
+    for i in np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= _MIN_AREA_PX).tolist():
         u, v, width, height = (int(x) for x in stats[i, :4])
-        y, x = max(0, v - config.reach_px), max(0, u - config.reach_px)
-        window = np.s_[y : v + height + config.reach_px, x : u + width + config.reach_px]
+        y, x = max(0, v - _RING_PX), max(0, u - _RING_PX)
+        window = np.s_[y : v + height + _RING_PX, x : u + width + _RING_PX]
         patch = labels[window] == i
-        if i == 0 or not _borders_objects(patch, things[window], is_floor=plane.is_floor, config=config):
+        if i == 0 or not _borders_objects(patch, things[window], is_floor=plane.is_floor):
             continue
         around = ground[window]
-        color = lab[window][around] if int(around.sum()) >= config.min_area_px else lab[ground]
-        if len(color) and _color_step(lab[window][patch], color) > config.color_step:
+        color = lab[window][around] if int(around.sum()) >= _MIN_AREA_PX else lab[ground]
+        if len(color) and _color_step(lab[window][patch], color) > _COLOR_STEP:
             mask[window] |= patch
     return mask
 
 
-def _borders_objects(
-    patch: NDArray[np.bool_], things: NDArray[np.uint8], *, is_floor: bool, config: RaisedPatchConfig
-) -> bool:
+def _borders_objects(patch: NDArray[np.bool_], things: NDArray[np.uint8], *, is_floor: bool) -> bool:
     """Return whether enough of a patch's outline borders on objects."""
     outline = (cv2.dilate(patch.astype(np.uint8), _NEXT) > 0) & ~patch
     touch = int(things[outline].sum())
-    return touch >= config.min_border_px if is_floor else touch > config.min_border_share * int(outline.sum())
+    return touch >= _MIN_BORDER_PX if is_floor else touch > _MIN_BORDER_SHARE * int(outline.sum())
 
 
 @kernel

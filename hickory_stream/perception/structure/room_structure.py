@@ -10,6 +10,7 @@ import numpy as np
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.voxels import first_not_below, key_of_point
 from hickory_stream.perception.structure.detection import (
+    FLOOR_AREA_M2,
     HorizontalPlane,
     StructureConfig,
     floor_height_m,
@@ -58,14 +59,14 @@ def room_structure_of(
         floor_z_m,
         config.ground,
         below_camera_m=config.floor_below_camera_m,
-        least_m2=config.floor_area_m2,
+        least_m2=FLOOR_AREA_M2,
     )
     if ground is not None:
         floor_z_m = ground.middle_z_m
-    shown, planes_near = structure_mask(surface, areas_m2, floor_z_m, ground, config)
+    shown, planes_near = structure_mask(surface, areas_m2, floor_z_m, ground)
     # Raised patches are removed from the map's structure, too: its voxels are coarser than such a patch.
     structure = shown | known
-    off = raised_patches(planes_near, structure, surface, config.raised_patches)
+    off = raised_patches(planes_near, structure, surface)
     return RoomStructure(
         areas_m2=areas_m2, planes=planes, floor_z_m=floor_z_m, structure=structure & ~off, shown=shown & ~off
     )

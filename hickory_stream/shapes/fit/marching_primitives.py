@@ -49,54 +49,58 @@ SEEDS_PER_COMPONENT = 2
 _THINNEST = 1e-3
 # Panels are preferred to a body around all of it that takes more than twice their volume.
 _MUCH_LESS = 0.5
+# Distances are truncated at this many cells.
+_BAND_CELLS = 3.0
+# The grid is refined if the thinnest part is below this.
+_MIN_THICKNESS_CELLS = 3.5
+# A primitive is kept if it adds at least this share of the object's volume; volume outside the object is penalised.
+_MIN_GAIN = 0.015
+_WASTE_WEIGHT = 1.5
+# Pairs are merged if that loses at most this share of the volume.
+_MERGE_LOSS = 0.02
+# Rounds of refinement, and sweeps of the joint refinement in each.
+_NUM_ROUNDS = 1
+_JOINT_SWEEPS = 15
+# Exponents are rounded to simple shapes if the misfit rises by no more than this many cells.
+_SIMPLE_TOLERANCE = 0.03
+# Numbers of cells, in total and for each primitive, and sweeps of that refinement.
+_SIMPLE_SAMPLES = 40_000
+_SIMPLE_SAMPLES_EACH = 600
+_SIMPLE_SWEEPS = 5
+# A fit that explains less than this share of the volume is rejected; one with a smaller intersection over union is
+# kept only if the object is neither thin nor hollow.
+_MIN_EXPLAINED = 0.5
+_MIN_OVERLAP = 0.7
+# Parts that reach more than this many cells (at `cells` along the longest side) beyond all primitives get up to this
+# many primitives of their own.
+_PROTRUDING_CELLS = 3.0
+_MAX_PROTRUDING = 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FitConfig(Ranged):
-    """The parameters of the fit of superquadrics to a mesh, in the order of its steps.
+    """The parameters of the fit of superquadrics to a mesh."""
 
-    Grid: `cells` along the longest side, up to twice as many if the thinnest part is below `min_thickness_cells`;
-    distances are truncated at `band_cells`.
-
-    Candidates: boxes are grown in the `num_seeds` largest components, and the `num_candidates` most promising starts
-    are fitted, with `coarse_samples` cells and `coarse_iterations` each, the best two with `fine_...`. Gains are
-    measured on up to `gain_samples` cells; `waste_weight` is the penalty on volume outside the object.
-
-    Stopping: a primitive is kept if it adds at least `min_gain` of the object's volume, up to `max_primitives`. If all
-    of them explain less than `min_explained` of the volume, the fit is rejected; if their intersection over union with
-    the object is below `min_overlap`, it is kept only if the object is neither thin nor hollow.
-
-    Refinement: in `num_rounds` rounds, all primitives are refined jointly (`joint_...`), their exponents are rounded to
-    simple shapes if the misfit rises by no more than `simple_tolerance` cells (`simple_...`), and pairs are merged if
-    that loses at most `merge_loss` of the volume. Parts that reach more than `protruding_cells` (at `cells` along the
-    longest side) beyond all primitives get up to `max_protruding` primitives of their own.
-    """
-
+    #: Cells along the longest side, up to twice as many for thin parts.
     cells: int = number(64, 8, 512, "cells")
-    band_cells: float = number(3.0, 0.5, 100, "cells")
-    min_thickness_cells: float = number(3.5, 0, 100, "cells")
+    #: Boxes are grown in this many of the largest components.
     num_seeds: int = number(3, 1, 100, "components")
+    #: Number of the most promising starts that are fitted.
     num_candidates: int = number(4, 1, 100, "candidates")
-    min_gain: float = number(0.015, 0, 1, "share")
+    #: Maximum number of primitives.
     max_primitives: int = number(12, 1, 1000, "primitives")
-    waste_weight: float = number(1.5, 0, 100, "ratio")
+    #: Number of cells with which each start is fitted.
     coarse_samples: int = number(200, 1, 1_000_000, "cells")
+    #: Iterations of the fit of each start.
     coarse_iterations: int = number(5, 0, 1000, "iterations")
+    #: Number of cells with which the best two starts are fitted.
     fine_samples: int = number(800, 1, 1_000_000, "cells")
+    #: Iterations of the fit of the best two starts.
     fine_iterations: int = number(8, 0, 1000, "iterations")
+    #: Number of cells on which gains are measured.
     gain_samples: int = number(6000, 1, 10_000_000, "cells")
-    merge_loss: float = number(0.02, 0, 1, "share")
-    num_rounds: int = number(1, 0, 100, "rounds")
+    #: Number of cells with which all primitives are refined jointly.
     joint_samples: int = number(4500, 1, 10_000_000, "cells")
-    joint_sweeps: int = number(15, 0, 1000, "sweeps")
-    simple_samples: int = number(40_000, 1, 10_000_000, "cells")
-    simple_samples_each: int = number(600, 1, 1_000_000, "cells")
-    simple_sweeps: int = number(5, 0, 1000, "sweeps")
-    simple_tolerance: float = number(0.03, 0, 100, "cells")
-    min_explained: float = number(0.5, 0, 1, "share")
-    min_overlap: float = number(0.7, 0, 1, "share")
-    max_protruding: int = number(4, 0, 100, "primitives")
-    protruding_cells: float = number(3.0, 0, 1000, "cells")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -147,31 +151,31 @@ def _fitted(vertices: NDArray[np.float64], faces: NDArray[np.int32], config: Fit
             vertices,
             faces,
             cells=config.cells,
-            min_thickness_cells=config.min_thickness_cells,
+            min_thickness_cells=_MIN_THICKNESS_CELLS,
             max_cells=2 * config.cells,
         )
-        solid, overlap = marched(distance_grid(vertices, faces, cells=cells, band_cells=config.band_cells), config)
+        solid, overlap = marched(distance_grid(vertices, faces, cells=cells, band_cells=_BAND_CELLS), config)
         if solid is not None:
             solid = with_thin_parts(
                 solid,
                 vertices,
                 faces,
                 step_m=longest / cells,
-                most=config.max_primitives + config.max_protruding,
-                least_area=config.min_gain,
+                most=config.max_primitives + _MAX_PROTRUDING,
+                least_area=_MIN_GAIN,
             )
         # What is thinner than a cell may agree with the grid and yet not with the mesh.
-        if solid is not None and overlap >= config.min_overlap and sheet_thickness(vertices, faces) > longest / cells:
+        if solid is not None and overlap >= _MIN_OVERLAP and sheet_thickness(vertices, faces) > longest / cells:
             return Fitted(primitives=solid, kind="solid")
     thin = panels(vertices, faces, most=config.max_primitives, min_size_m=_THINNEST * longest)
-    if thin.share >= max(config.min_overlap, overlap):
+    if thin.share >= max(_MIN_OVERLAP, overlap):
         return Fitted(primitives=thin.primitives, kind="panels")
-    if solid is not None and overlap >= config.min_overlap:
+    if solid is not None and overlap >= _MIN_OVERLAP:
         return Fitted(primitives=solid, kind="solid")
-    whole = filled(distance_grid(vertices, faces, cells=config.cells, band_cells=config.band_cells))
+    whole = filled(distance_grid(vertices, faces, cells=config.cells, band_cells=_BAND_CELLS))
     if whole is not None:
         envelope, overlap = marched(whole, config)
-        if envelope is not None and overlap >= config.min_overlap:
+        if envelope is not None and overlap >= _MIN_OVERLAP:
             return Fitted(primitives=envelope, kind="envelope")
     if solid is not None:
         return Fitted(primitives=solid, kind="solid")
@@ -184,14 +188,14 @@ def _fitted(vertices: NDArray[np.float64], faces: NDArray[np.int32], config: Fit
 def marched(grid: DistanceGrid, config: FitConfig) -> tuple[Superquadrics | None, float]:
     """Return the primitives of Marching-Primitives and their intersection over union with the solid on the grid.
 
-    None if they explain less than `min_explained` of its volume.
+    None if they explain less than half of its volume.
     """
-    field = FitField(grid, config.waste_weight)
+    field = FitField(grid, _WASTE_WEIGHT)
     rows = marching(field, config)
     if not rows:
         return None, 0.0
     field.cover_with(rows)
-    if field.unexplained() > (1 - config.min_explained) * field.volume:
+    if field.unexplained() > (1 - _MIN_EXPLAINED) * field.volume:
         return None, 0.0
     return _superquadrics(rows, grid), field.overlap()
 
@@ -199,7 +203,7 @@ def marched(grid: DistanceGrid, config: FitConfig) -> tuple[Superquadrics | None
 def marching(field: FitField, config: FitConfig) -> list[NDArray[np.float64]]:
     """Return the rows (`quadric_lm`) of the primitives, in units of cells."""
     rows: list[NDArray[np.float64]] = []
-    least = config.min_gain * field.volume
+    least = _MIN_GAIN * field.volume
     # The gain of a primitive is at most the unexplained volume.
     while len(rows) < config.max_primitives and field.unexplained() >= least:
         best = best_candidate(field, config)
@@ -208,7 +212,7 @@ def marching(field: FitField, config: FitConfig) -> list[NDArray[np.float64]]:
         rows.append(best)
         field.consume(best)
     before = rows
-    for _ in range(config.num_rounds):
+    for _ in range(_NUM_ROUNDS):
         before = rows = polished(field, rows, config)
         rows = pruned(field, merged(field, rows, config), config)
     rows = with_protruding(field, rows, config)
@@ -227,15 +231,13 @@ def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig
         return rows
     points, distances = field.samples(config.joint_samples)
     band, longest = field.band, field.max_log_axis
-    stacked = jointly_refined(
-        np.stack(rows), points, distances, band=band, sweeps=config.joint_sweeps, max_log_axis=longest
-    )
+    stacked = jointly_refined(np.stack(rows), points, distances, band=band, sweeps=_JOINT_SWEEPS, max_log_axis=longest)
     stacked = simplified(
         stacked,
-        *field.samples(config.simple_samples),
-        per_primitive=config.simple_samples_each,
-        sweeps=config.simple_sweeps,
-        tolerance=config.simple_tolerance,
+        *field.samples(_SIMPLE_SAMPLES),
+        per_primitive=_SIMPLE_SAMPLES_EACH,
+        sweeps=_SIMPLE_SWEEPS,
+        tolerance=_SIMPLE_TOLERANCE,
         band=band,
         max_log_axis=longest,
     )
@@ -290,14 +292,14 @@ def _merged_pair(
     fits = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in starts]
     one = _best_by_gain(field, fits, 1, config.gain_samples)[0]
     others = np.array([row for n, row in enumerate(rows) if n not in pair]).reshape(-1, ROW)
-    points, distances = field.samples(config.simple_samples)
+    points, distances = field.samples(_SIMPLE_SAMPLES)
     one = refined_beside(
         one,
         others,
         points,
         distances,
         band=field.band,
-        steps=config.joint_sweeps,
+        steps=_JOINT_SWEEPS,
         max_log_axis=field.max_log_axis,
         max_samples=config.joint_samples // 4,
     )
@@ -305,7 +307,7 @@ def _merged_pair(
     gain_of_two = field.gain(rows[i], config.gain_samples)
     field.consume(rows[i])
     gain_of_two += field.gain(rows[j], config.gain_samples)
-    return one if gain_of_one >= gain_of_two - config.merge_loss * field.volume else None
+    return one if gain_of_one >= gain_of_two - _MERGE_LOSS * field.volume else None
 
 
 def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
@@ -315,8 +317,8 @@ def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: Fi
     """
     rows = list(rows)
     field.cover_with(rows)
-    for _ in range(config.max_protruding):
-        cells = field.protruding_part(config.protruding_cells * field.longest_side / config.cells)
+    for _ in range(_MAX_PROTRUDING):
+        cells = field.protruding_part(_PROTRUDING_CELLS * field.longest_side / config.cells)
         if cells is None:
             break
         best = _refined_best(field, _component_starts(cells), config)
@@ -336,7 +338,7 @@ def pruned(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) 
             field.cover_with(rows[:i] + rows[i + 1 :])
             gains.append(field.gain(rows[i], config.gain_samples))
         least = int(np.argmin(gains))
-        if gains[least] >= config.min_gain * field.volume:
+        if gains[least] >= _MIN_GAIN * field.volume:
             break
         del rows[least]
     return rows

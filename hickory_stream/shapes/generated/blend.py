@@ -7,18 +7,17 @@ closed, of one grid, and every vertex says whether it was seen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import ndimage
 
-from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import NoShape, Reconstruction
-from hickory_stream.shapes.reconstruct.fused import VolumeConfig, view_of
+from hickory_stream.shapes.reconstruct.fused import MAX_FACES, SEEN_VOXELS, SMOOTHING, VolumeConfig, view_of
 from hickory_stream.shapes.reconstruct.meshing import extract, in_object_frame, painted, taubin_smoothed
 from hickory_stream.shapes.reconstruct.tsdf import VoxelGrid, gaussian_blurred, integrate
 from hickory_stream.shapes.sdf import distance_grid
@@ -33,43 +32,33 @@ _BAND_VOXELS = 8.0
 _MIN_HALF_EXTENT_M = 0.01
 _EDGE_PX = 2
 _FAR_M = 100.0
+# The correction by the distance to the measured surface fades over this many voxels, and is smoothed over these.
+_REACH_VOXELS = 10.0
+_SEAM_VOXELS = 1.0
+# Parts smaller than this share of the largest are left out.
+_MIN_PART = 0.02
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BlendConfig(Ranged):
-    """How a generated shape is joined with the measured surface.
-
-    It is corrected by its distance to the measured surface, which fades over `reach_voxels`; the correction is smoothed
-    over `seam_voxels`. Parts smaller than `min_part` of the largest are left out.
-    """
-
-    reach_voxels: float = number(10.0, 0.1, 100, "voxels")
-    seam_voxels: float = number(1.0, 0.1, 10, "voxels")
-    min_part: float = number(0.02, 0, 1, "share")
-
-
-def blended(
-    placed: Reconstruction, inputs: ShapeInputs, volume: VolumeConfig, config: BlendConfig
-) -> Reconstruction | NoShape:
+def blended(placed: Reconstruction, inputs: ShapeInputs, volume: VolumeConfig) -> Reconstruction | NoShape:
     """Return a placed shape that passes through what was measured and keeps out of what was seen to be free."""
     vertices_world = apply(placed.world_from_object, placed.mesh.vertices.astype(np.float64))
     try:
         grid, generated = _generated_field(vertices_world, placed.mesh.faces, inputs, volume)
     except ValueError as error:
         return NoShape(reason=str(error))
-    evidence = integrate(grid, [_with_silhouette(view_of(crop, volume)) for crop in inputs.crops])
-    field = _joined(generated, evidence, config)
+    evidence = integrate(grid, [_with_silhouette(view_of(crop)) for crop in inputs.crops])
+    field = _joined(generated, evidence)
     if inputs.support_z_m is not None:
         # Nothing of an object is below what it stands on.
         heights = grid.world_from_grid[2, 3] + grid.voxel_m * np.arange(grid.shape[2])
         field = np.maximum(field, ((inputs.support_z_m - heights) / grid.voxel_m).astype(np.float32))
-    solid = _main_parts(field < 0, config.min_part)
+    solid = _main_parts(field < 0, _MIN_PART)
     if not solid.any():
         return NoShape(reason="nothing of the generated shape is outside of free space")
     field = np.where(solid, field, np.maximum(field, np.float32(1e-3)))
     vertices, faces = extract(field, grid)
-    vertices = taubin_smoothed(vertices, faces, volume.smoothing)
-    reach = volume.seen_voxels * grid.voxel_m
+    vertices = taubin_smoothed(vertices, faces, SMOOTHING)
+    reach = SEEN_VOXELS * grid.voxel_m
     colors, is_seen = painted(vertices, inputs.crops, inputs.points_world, inputs.colors, reach)
     return in_object_frame(vertices, faces, colors, is_seen)
 
@@ -92,7 +81,7 @@ def _generated_field(
     half = box.half_extents_m
     area = 8 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])
     # As for the fused shape: marching cubes yields about two faces per voxel face.
-    voxel = max(2 * float(half.max()) / volume.cells, float(np.sqrt(2 * area / volume.max_faces)))
+    voxel = max(2 * float(half.max()) / volume.cells, float(np.sqrt(2 * area / MAX_FACES)))
     voxel = float(np.clip(voxel, volume.min_voxel_m, volume.max_voxel_m))
     # Points of layer 1 are vertices that no face uses: the grid reaches over them.
     own = apply(invert(box.world_from_box), around)
@@ -105,7 +94,7 @@ def _generated_field(
     return grid, found.values / np.float32(found.step_m)
 
 
-def _joined(generated: NDArray[np.float32], evidence: Evidence, config: BlendConfig) -> NDArray[np.float32]:
+def _joined(generated: NDArray[np.float32], evidence: Evidence) -> NDArray[np.float32]:
     """Return the field, in voxels, whose zero is the blended surface."""
     measured = (evidence.near > evidence.free) & (evidence.near > 0) & (np.abs(evidence.distance) < 1.5)
     free = (evidence.free > evidence.near) & (evidence.free > 0)
@@ -113,9 +102,9 @@ def _joined(generated: NDArray[np.float32], evidence: Evidence, config: BlendCon
     if measured.any():
         miss = np.where(measured, generated - evidence.distance, np.float32(0))
         away, nearest = ndimage.distance_transform_edt(~measured, return_indices=True)
-        fade = np.maximum(1.0 - away / config.reach_voxels, 0.0)
+        fade = np.maximum(1.0 - away / _REACH_VOXELS, 0.0)
         carried = (miss[tuple(nearest)] * fade).astype(np.float32)
-        smooth = gaussian_blurred(carried, config.seam_voxels, mode="nearest")
+        smooth = gaussian_blurred(carried, _SEAM_VOXELS, mode="nearest")
         field = generated - np.where(measured, carried, smooth)
     # Never exactly zero on a voxel: its level set is then a closed manifold.
     field = np.where(free, np.maximum(field, np.float32(0.5)), field)

@@ -43,29 +43,27 @@ if TYPE_CHECKING:
 _SAMPLES = 30_000
 _AGREES, _MISSING, _BEHIND, _BEFORE, _BESIDE, _OVERLAP = range(6)
 _NUM_FATES = 6
+# A depth agrees within this share of the object's size.
+_TOLERANCE_SHARE = 0.03
+# Minimum share of the seen surface that a generated shape explains, and maximum share of what the views would see of
+# it in free space.
+_MIN_EXPLAINED = 0.67
+_MAX_VIOLATED = 0.3
+# Minimum overlap of the silhouettes over all views, and in each view that the shape was not made from.
+_MIN_SILHOUETTE = 0.6
+_MIN_OTHER_SILHOUETTE = 0.5
+# The shape ends within this share of its size over or under what it stands on.
+_MAX_SUPPORT_GAP = 0.1
+# The embedded shape may foretell more of the surface that other views saw by at most this.
+_MAX_LESS_FORETOLD = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JudgementConfig(Ranged):
-    """What a generated shape must fulfil to take the place of the embedded one.
+    """When a generated shape takes the place of the embedded one."""
 
-    A depth agrees within `tolerance_share` of the object's size. At least `min_explained` of the seen surface is
-    explained, at most `max_violated` of what the views would see of the shape lies in free space, the silhouettes
-    overlap by `min_silhouette` over all views, by `min_other_silhouette` in each view that it was not made from, and
-    it ends within `max_support_gap` of its size over or under what it stands on. These say whether it is the right
-    thing at all: a good shape whose proportions are wrong by a fifth passes. What is then made of it must be worth what
-    the embedded one is, less at most `most_less`: that one knows nothing of what no view has seen. Of the surface that
-    other views than its own saw, it must have foretold what the embedded one would have, less `most_less_foretold`.
-    """
-
-    tolerance_share: float = number(0.03, 0.001, 1, "share")
-    min_explained: float = number(0.67, 0, 1, "share")
-    max_violated: float = number(0.3, 0, 1, "share")
-    min_silhouette: float = number(0.6, 0, 1, "share")
-    min_other_silhouette: float = number(0.5, 0, 1, "share")
-    max_support_gap: float = number(0.1, 0, 10, "share")
-    most_less: float = number(0.1, 0, 2, "share")
-    most_less_foretold: float = number(0.1, 0, 1, "share")
+    #: The embedded shape may be worth more by at most this: it does not contain what no view has seen.
+    max_less: float = number(0.1, 0, 2, "share")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -98,19 +96,19 @@ class Verdict:
     reason: str
 
 
-def judged(shape: ShapeEvidence, config: JudgementConfig) -> Verdict:
+def judged(shape: ShapeEvidence) -> Verdict:
     """Return whether a placed shape can be the object that was seen."""
     faults = []
-    if shape.explained < config.min_explained:
-        faults.append(f"explains {shape.explained:.2f} of the seen surface (at least {config.min_explained:g})")
-    if shape.violated > config.max_violated:
-        faults.append(f"{shape.violated:.2f} of it in free space (at most {config.max_violated:g})")
-    if shape.silhouette < config.min_silhouette:
-        faults.append(f"silhouettes overlap by {shape.silhouette:.2f} (at least {config.min_silhouette:g})")
-    if shape.other_silhouette is not None and shape.other_silhouette < config.min_other_silhouette:
-        faults.append(f"by {shape.other_silhouette:.2f} in another view (at least {config.min_other_silhouette:g})")
-    if shape.support_gap is not None and shape.support_gap > config.max_support_gap:
-        faults.append(f"{shape.support_gap:.2f} of its size off its support (at most {config.max_support_gap:g})")
+    if shape.explained < _MIN_EXPLAINED:
+        faults.append(f"explains {shape.explained:.2f} of the seen surface (at least {_MIN_EXPLAINED:g})")
+    if shape.violated > _MAX_VIOLATED:
+        faults.append(f"{shape.violated:.2f} of it in free space (at most {_MAX_VIOLATED:g})")
+    if shape.silhouette < _MIN_SILHOUETTE:
+        faults.append(f"silhouettes overlap by {shape.silhouette:.2f} (at least {_MIN_SILHOUETTE:g})")
+    if shape.other_silhouette is not None and shape.other_silhouette < _MIN_OTHER_SILHOUETTE:
+        faults.append(f"by {shape.other_silhouette:.2f} in another view (at least {_MIN_OTHER_SILHOUETTE:g})")
+    if shape.support_gap is not None and shape.support_gap > _MAX_SUPPORT_GAP:
+        faults.append(f"{shape.support_gap:.2f} of its size off its support (at most {_MAX_SUPPORT_GAP:g})")
     if faults:
         return Verdict(is_accepted=False, reason="refused: " + ", ".join(faults))
     return Verdict(is_accepted=True, reason="accepted: " + told(shape))
@@ -119,7 +117,7 @@ def judged(shape: ShapeEvidence, config: JudgementConfig) -> Verdict:
 def replaces(shape: ShapeEvidence, embedded: ShapeEvidence, config: JudgementConfig) -> Verdict:
     """Return whether what was made of an accepted shape takes the place of the embedded one."""
     numbers = f"worth {shape.worth:.2f}, the embedded one {embedded.worth:.2f}"
-    if shape.worth < embedded.worth - config.most_less:
+    if shape.worth < embedded.worth - config.max_less:
         return Verdict(is_accepted=False, reason=f"refused: {numbers}")
     return Verdict(is_accepted=True, reason=f"{told(shape)}; {numbers}")
 
@@ -132,9 +130,7 @@ def told(shape: ShapeEvidence) -> str:
     return shares + other + gap
 
 
-def shape_evidence(
-    shape: Reconstruction, inputs: ShapeInputs, num_made_from: int, config: JudgementConfig
-) -> ShapeEvidence | None:
+def shape_evidence(shape: Reconstruction, inputs: ShapeInputs, num_made_from: int) -> ShapeEvidence | None:
     """Return what the views say of a shape, of which the first `num_made_from` views are those it was made from.
 
     None where no surface was measured.
@@ -145,7 +141,7 @@ def shape_evidence(
     samples, _ = even_samples(shape.mesh.vertices, shape.mesh.faces, _SAMPLES)
     world = apply(shape.world_from_object, samples)
     size = float(np.sqrt(np.square(np.ptp(world, axis=0)).sum()))
-    tolerance = config.tolerance_share * max(size, evidence.size_m) + 2 * evidence.noise_m
+    tolerance = _TOLERANCE_SHARE * max(size, evidence.size_m) + 2 * evidence.noise_m
     counts = np.array([_view_counts(world, evidence, k, tolerance) for k in range(len(evidence.depth))])
     total = counts.sum(axis=0)
     others = [_silhouette(one) for one in counts[num_made_from:]]
@@ -236,7 +232,7 @@ _MIN_HALF_EXTENT_M = 0.01
 
 
 def by_other_views(
-    placed: Reconstruction, inputs: ShapeInputs, num_made_from: int, embedded: Reconstructor, config: JudgementConfig
+    placed: Reconstruction, inputs: ShapeInputs, num_made_from: int, embedded: Reconstructor
 ) -> Verdict | None:
     """Return whether a placed shape foretold the surface that other views saw as well as the embedded one would have.
 
@@ -246,7 +242,7 @@ def by_other_views(
     if found is None:
         return None
     first, new, size_m = found
-    reach_m = config.tolerance_share * size_m + 2 * max(noise_of(crop) for crop in inputs.crops)
+    reach_m = _TOLERANCE_SHARE * size_m + 2 * max(noise_of(crop) for crop in inputs.crops)
     ours = _share_at(placed, new, reach_m)
     shown = replace(
         inputs,
@@ -258,7 +254,7 @@ def by_other_views(
     other = embedded.reconstruct(shown)
     theirs = _share_at(other, new, reach_m) if isinstance(other, Reconstruction) else 0.0
     told = f"foretold {ours:.2f} of what other views saw first, the embedded one {theirs:.2f}"
-    is_trusted = ours >= theirs - config.most_less_foretold
+    is_trusted = ours >= theirs - _MAX_LESS_FORETOLD
     return Verdict(is_accepted=is_trusted, reason=told if is_trusted else f"refused: {told}")
 
 

@@ -33,32 +33,32 @@ _MIN_SURFACE = 12
 # Poses whose meshes are nearer to one another than this share of the object's size are the same surface.
 _SAME_SURFACE = 0.03
 _OTHER_TURN_COSINE = 0.94
+# Deviations of this share of the object's size count half: with the coarse evidence, and with all of it.
+_COARSE_SHARE = 0.06
+_FINE_SHARE = 0.02
+# Weights of free space and of the support against the measured surface.
+_FREE_WEIGHT = 1.0
+_SUPPORT_WEIGHT = 0.1
+# The mesh is stretched if the cost falls by this share.
+_STRETCH_GAIN = 0.1
+# The resolution of distances, and the numbers of points that are compared.
+_DISTANCE_CELLS = 40
+_SURFACE_POINTS = 400
+_MESH_POINTS = 400
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlacementConfig(Ranged):
-    """How a generated mesh is placed.
+    """How a generated mesh is placed."""
 
-    Tried are `rotations` over SO(3); from the best `descents` of them it is descended with the coarse evidence, from
-    the best `finalists` of those with all of it. What deviates by `coarse_share`, then by `fine_share` of the object's
-    size counts half. `free_weight` and `support_weight`: free space and the support against the measured surface. The
-    mesh is stretched by at most `most_stretch` (the largest factor over the smallest) if the cost falls by
-    `stretch_gain`, a share. `cells`, `surface_points`, `mesh_points`: the resolution of distances, and how many points
-    are compared.
-    """
-
+    #: Number of rotations over SO(3) that are tried.
     rotations: int = number(500, 1, 100_000, "rotations")
+    #: Number of the best of them that are refined with the coarse evidence.
     descents: int = number(40, 1, 10_000, "poses")
+    #: Number of the best of those that are refined with all of it.
     finalists: int = number(6, 1, 1000, "poses")
-    coarse_share: float = number(0.06, 0.001, 1, "share")
-    fine_share: float = number(0.02, 0.001, 1, "share")
-    free_weight: float = number(1.0, 0, 100, "ratio")
-    support_weight: float = number(0.1, 0, 100, "ratio")
+    #: Maximum stretch of the mesh: the largest factor over the smallest; 1: none.
     most_stretch: float = number(1.6, 1, 10, "ratio")
-    stretch_gain: float = number(0.1, 0, 1, "share")
-    cells: int = number(40, 8, 200, "cells")
-    surface_points: int = number(400, 10, 100_000, "points")
-    mesh_points: int = number(400, 10, 100_000, "points")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -101,7 +101,7 @@ class EmbeddedPlacement:
         if evidence is None or len(evidence.surface) < _MIN_SURFACE:
             return NotPlaced(reason="too little of the object's surface was measured to place a mesh on it")
         try:
-            model = _model_of(mesh, self._config)
+            model = _model_of(mesh)
         except ValueError as error:
             return NotPlaced(reason=str(error))
         return _placed(model, evidence, guess, self._config)
@@ -110,8 +110,8 @@ class EmbeddedPlacement:
 def _placed(
     model: _Model, evidence: Evidence, guess: NDArray[np.float64] | None, config: PlacementConfig
 ) -> MeshPlacement | NotPlaced:
-    coarse = _Stage(model, evidence, config, share=config.coarse_share, thinning=4)
-    fine = _Stage(model, evidence, config, share=config.fine_share, thinning=1)
+    coarse = _Stage(model, evidence, config, share=_COARSE_SHARE, thinning=4)
+    fine = _Stage(model, evidence, config, share=_FINE_SHARE, thinning=1)
     starts = _starts(model, evidence, _rotations(config.rotations))
     if guess is not None:
         starts = [_pose_of_guess(model, guess), *starts]
@@ -122,7 +122,7 @@ def _placed(
     stretched = [fine.descended(pose, rounds=20, is_stretched=True) for pose in finalists[:3]]
     stretched.sort(key=lambda pose: pose.cost)
     best = finalists[0]
-    if stretched[0].cost < (1 - config.stretch_gain) * best.cost:
+    if stretched[0].cost < (1 - _STRETCH_GAIN) * best.cost:
         best = stretched[0]
     if not np.isfinite(best.cost):
         return NotPlaced(reason="no pose of the mesh has a finite cost")
@@ -132,9 +132,9 @@ def _placed(
 # ---- the model ------------------------------------------------------------------------------------------------------
 
 
-def _model_of(mesh: Mesh, config: PlacementConfig) -> _Model:
+def _model_of(mesh: Mesh) -> _Model:
     """Return the mesh along its principal axes; raises ValueError where it has no area."""
-    samples, _ = even_samples(mesh.vertices, mesh.faces, 20 * config.mesh_points)
+    samples, _ = even_samples(mesh.vertices, mesh.faces, 20 * _MESH_POINTS)
     centered = samples - samples.mean(axis=0)
     _, axes = portable.eigh(portable.matmul(centered.T, centered) / len(centered))
     if portable.det3(axes) < 0:
@@ -143,8 +143,8 @@ def _model_of(mesh: Mesh, config: PlacementConfig) -> _Model:
     low, high = along.min(axis=0), along.max(axis=0)
     size = float(np.sqrt(np.square(high - low).sum()))
     own = (along - (low + high) / 2) / size
-    field = distance_field(own, mesh.faces, config.cells)
-    picked, _ = even_samples(own, mesh.faces, config.mesh_points)
+    field = distance_field(own, mesh.faces, _DISTANCE_CELLS)
+    picked, _ = even_samples(own, mesh.faces, _MESH_POINTS)
     return _Model(
         center=portable.matmul(axes, (low + high) / 2),
         size=size,
@@ -209,15 +209,15 @@ class _Stage:
     def __init__(
         self, model: _Model, evidence: Evidence, config: PlacementConfig, *, share: float, thinning: int
     ) -> None:
-        surface = _thinned(evidence.surface, config.surface_points // thinning)
-        samples = _thinned(model.samples, config.mesh_points // thinning)
+        surface = _thinned(evidence.surface, _SURFACE_POINTS // thinning)
+        samples = _thinned(model.samples, _MESH_POINTS // thinning)
         views = slice(None, None, max(1, len(evidence.depth) // 4)) if thinning > 1 else slice(None)
         self._model = (surface, samples, model.field, model.origin, model.cell)
         self._views = (
             evidence.depth[views], evidence.beside[views], evidence.sizes[views], evidence.intrinsics[views],
             evidence.camera_from_world[views], evidence.is_cut[views], evidence.noise_m, evidence.support_z_m,
         )  # fmt: skip
-        self._weights = np.array([1.0, config.free_weight, config.support_weight])
+        self._weights = np.array([1.0, _FREE_WEIGHT, _SUPPORT_WEIGHT])
         self._tolerance = max(share * evidence.size_m, evidence.noise_m)
         self._size = evidence.size_m
         self._most = config.most_stretch

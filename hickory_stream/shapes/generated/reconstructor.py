@@ -22,7 +22,6 @@ from hickory_stream.shapes.mesh_validation import usable
 
 if TYPE_CHECKING:
     from hickory_stream.ports import MeshGenerator, MeshPlacement, PoseRefiner, Reconstructor, ShapeInputs
-    from hickory_stream.shapes.generated.blend import BlendConfig
     from hickory_stream.shapes.generated.judgement import JudgementConfig
     from hickory_stream.shapes.reconstruct.fused import VolumeConfig
 
@@ -41,14 +40,12 @@ class GeneratedReconstructor:
         embedded: Reconstructor,
         refiner: PoseRefiner,
         volume: VolumeConfig,
-        blend: BlendConfig,
         judgement: JudgementConfig,
     ) -> None:
         self._generator = generator
         self._embedded = embedded
         self._refiner = refiner
         self._volume = volume
-        self._blend = blend
         self._judgement = judgement
 
     def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
@@ -62,26 +59,26 @@ class GeneratedReconstructor:
         placed = self._placed(made, inputs)
         if isinstance(placed, NoShape):
             return self._kept(embedded, f"{self._generator.name}: {placed.reason}")
-        evidence = shape_evidence(placed, inputs, made.num_views, self._judgement)
+        evidence = shape_evidence(placed, inputs, made.num_views)
         if evidence is None:
             return self._kept(embedded, f"{self._generator.name}: no view measured the object")
-        verdict = judged(evidence, self._judgement)
+        verdict = judged(evidence)
         if not verdict.is_accepted:
             return self._kept(embedded, f"{self._generator.name}: {verdict.reason}")
-        joined = blended(placed, inputs, self._volume, self._blend)
+        joined = blended(placed, inputs, self._volume)
         if isinstance(joined, NoShape):
             return self._kept(embedded, f"{self._generator.name}: {joined.reason}")
-        final = shape_evidence(joined, inputs, made.num_views, self._judgement)
+        final = shape_evidence(joined, inputs, made.num_views)
         own = None
         if isinstance(embedded, Reconstruction):
-            own = shape_evidence(embedded, inputs, len(inputs.crops), self._judgement)
+            own = shape_evidence(embedded, inputs, len(inputs.crops))
         told = f"{self._generator.name}: {verdict.reason}, {placed.verdict}"
         if final is not None and own is not None:
             better = replaces(final, own, self._judgement)
             if not better.is_accepted:
                 return self._kept(embedded, f"{self._generator.name}: {better.reason}")
             told += f"; blended {better.reason}"
-        foretold = by_other_views(placed, inputs, made.num_views, self._embedded, self._judgement)
+        foretold = by_other_views(placed, inputs, made.num_views, self._embedded)
         if foretold is not None:
             if not foretold.is_accepted and isinstance(embedded, Reconstruction):
                 return self._kept(embedded, f"{self._generator.name}: {foretold.reason}")

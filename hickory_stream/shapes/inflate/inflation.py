@@ -60,21 +60,21 @@ _OVERGROWN = 1.1
 _LEAST_GAIN = 0.05
 # Half the thickness of a box around residuals in one plane.
 _THINNEST = 0.01
+# A triangle that protrudes from all primitives by more than this share of the object's diagonal is bisected.
+_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class InflateConfig(Ranged):
-    """How layer 4 is made.
+    """How layer 4 is made."""
 
-    `rule` is "per_axis" or the paper's "single_factor". `r_safe_m` is the margin; `g` in 0..1 is the maximum value of G
-    over the contained set. A triangle that protrudes from all primitives by more than `tolerance` of the object's
-    diagonal is bisected. `most_added` is the maximum number of boxes for residuals; "single_factor" adds none.
-    """
-
+    #: "per_axis", or the paper's "single_factor".
     rule: Literal["per_axis", "single_factor"] = "per_axis"
+    #: The safety margin.
     r_safe_m: float = number(0.02, 0, 2, "m")
+    #: Maximum value of G over the contained set.
     g: float = number(1.0, 0.01, 1, "value of G")
-    tolerance: float = number(0.01, 0.0001, 1, "share")
+    #: Maximum number of boxes for residuals; "single_factor" adds none.
     most_added: int = number(8, 0, 100, "boxes")
 
 
@@ -220,7 +220,7 @@ class _Share:
                 for i in range(len(fitted))
             ]
         )
-        tolerance = config.tolerance * _UNIT_CELLS
+        tolerance = _TOLERANCE * _UNIT_CELLS
         vertices, pieces, owners, distances = owned_pieces(
             (vertices_world - offset) / unit, faces.astype(np.int64), rows, tolerance, 2 * tolerance
         )
@@ -258,7 +258,7 @@ class _Share:
 
         Residuals lie clearly outside of all primitives; `grown` are the primitives grown over this share.
         """
-        is_residual = self.distances > self.config.tolerance * _UNIT_CELLS
+        is_residual = self.distances > _TOLERANCE * _UNIT_CELLS
         have_residuals = np.unique(self.owners[is_residual])
         # Their extreme points are enough to tell how large they would be: this is not a result.
         without = self._of_items(~is_residual).grown(have_residuals, by_extremes=True)

@@ -7,14 +7,12 @@ was seen in the air (a table), nothing is filled: it stands on its visible feet.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.base.ranges import Ranged, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,30 +22,17 @@ if TYPE_CHECKING:
 UNKNOWN, FREE, SOLID = 0, 1, 2
 # The lowest voxels of an object may be merged with its support surface by blur.
 _DOWN = 2
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class CompletionConfig(Ranged):
-    """How unobserved space is completed.
-
-    Of the 26 directions around an unknown voxel at least `min_hit_share` must hit the object, and the number that reach
-    free space may be at most `max_free_ratio` times the hits, times the share of the object's box not observed free.
-    Columns that end within `max_support_gap_m` above the support surface are continued down to it through unknown
-    voxels. An object with a horizontal area of at least `min_feet_area_m2` stands on feet if its surface ends in the
-    air along `min_edge` of its outline, at most at `max_clear` of its height, and in `edge_ratio` times as many places
-    as reach the support: nothing is then filled below the median height of that edge. Smaller objects are excluded,
-    since a side that flares out looks the same. `min_piece_share`: separate pieces smaller than this share of the
-    largest are dropped.
-    """
-
-    min_hit_share: float = number(0.08, 0, 1, "share")
-    max_free_ratio: float = number(0.9, 0, 100, "ratio")
-    max_support_gap_m: float = number(0.08, 0, 10, "m")
-    min_feet_area_m2: float = number(0.25, 0, 1000, "m2")
-    min_edge: float = number(0.33, 0, 1, "share")
-    max_clear: float = number(0.35, 0, 1, "share")
-    edge_ratio: float = number(1.5, 0, 1000, "ratio")
-    min_piece_share: float = number(0.02, 0, 1, "share")
+# Of the 26 directions around an unknown voxel at least this share must hit the object, and the number that reach free
+# space may be at most this ratio of the hits, times the share of the object's box not observed free.
+_MIN_HIT_SHARE = 0.08
+_MAX_FREE_RATIO = 0.9
+# It stands on feet if its surface ends in the air along this share of its outline, at most at this share of its height,
+# and in this ratio of places to those that reach the support.
+_MIN_EDGE = 0.33
+_MAX_CLEAR = 0.35
+_EDGE_RATIO = 1.5
+# Separate pieces smaller than this share of the largest are dropped.
+_MIN_PIECE_SHARE = 0.02
 
 
 def classify(evidence: Evidence, surface_cells: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -71,7 +56,6 @@ def solid_of(
     fillable: tuple[slice, slice, slice],
     support_index: int | None,
     max_gap: int,
-    config: CompletionConfig,
     *,
     is_wide: bool = False,
 ) -> NDArray[np.bool_]:
@@ -86,10 +70,10 @@ def solid_of(
     # The more of the box was observed free, the less likely are unknown voxels to be solid.
     share = float((states[fillable] != FREE).mean())
     hits, frees = look_around(states)
-    max_free_ratio = config.max_free_ratio * share
-    enclosed[fillable] = ((hits >= config.min_hit_share) & (frees <= max_free_ratio * hits))[fillable]
+    max_free_ratio = _MAX_FREE_RATIO * share
+    enclosed[fillable] = ((hits >= _MIN_HIT_SHARE) & (frees <= max_free_ratio * hits))[fillable]
     enclosed[:, :, : support_index or 0] = False
-    clear = _under_edge(states, fillable, support_index, config) if is_wide and support_index is not None else None
+    clear = _under_edge(states, fillable, support_index) if is_wide and support_index is not None else None
     if clear is not None:
         enclosed &= ~clear
     solid = (states == SOLID) | ((states == UNKNOWN) & enclosed)
@@ -97,14 +81,13 @@ def solid_of(
     if support_index is not None and clear is None:
         # A column under an outlier voxel must not become a spike on the floor.
         solid = _without_hair(_down_to_support(solid, states, support_index, max_gap), states)
-    return _large_pieces(np.asarray(ndimage.binary_fill_holes(solid)), config.min_piece_share)
+    return _large_pieces(np.asarray(ndimage.binary_fill_holes(solid)), _MIN_PIECE_SHARE)
 
 
 def _under_edge(
     states: NDArray[np.uint8],
     fillable: tuple[slice, slice, slice],
     support_index: int,
-    config: CompletionConfig,
 ) -> NDArray[np.bool_] | None:
     """Return the space under an object that stands on feet, without its visible feet; None if it has no feet."""
     observed = states == SOLID
@@ -113,10 +96,10 @@ def _under_edge(
     above = lowest - support_index
     ends_in_air = states[i, j, np.maximum(lowest - 1, 0)] == FREE
     nx, ny, nz = states.shape
-    is_edge = ends_in_air & (above > _DOWN) & (above <= config.max_clear * (nz - support_index))
+    is_edge = ends_in_air & (above > _DOWN) & (above <= _MAX_CLEAR * (nz - support_index))
     is_down = above <= _DOWN
     outline = 2 * sum(extent.stop - extent.start for extent in fillable[:2])
-    if is_edge.sum() < max(config.min_edge * outline, config.edge_ratio * is_down.sum()):
+    if is_edge.sum() < max(_MIN_EDGE * outline, _EDGE_RATIO * is_down.sum()):
         return None
     feet = np.zeros((nx, ny), dtype=bool)
     feet[i[is_down], j[is_down]] = True

@@ -18,7 +18,7 @@ from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
-from hickory_stream.shapes.reconstruct.completion import CompletionConfig, classify, solid_of
+from hickory_stream.shapes.reconstruct.completion import classify, solid_of
 from hickory_stream.shapes.reconstruct.meshing import (
     extract,
     in_object_frame,
@@ -26,7 +26,7 @@ from hickory_stream.shapes.reconstruct.meshing import (
     surface_field,
     taubin_smoothed,
 )
-from hickory_stream.shapes.reconstruct.symmetry import RevolutionConfig, half_turn_of
+from hickory_stream.shapes.reconstruct.symmetry import half_turn_of
 from hickory_stream.shapes.reconstruct.tsdf import DepthView, Evidence, VoxelGrid, integrate, smoothed_depth
 
 if TYPE_CHECKING:
@@ -39,42 +39,47 @@ if TYPE_CHECKING:
 _MARGIN_VOXELS = 3
 _MIN_POINTS = 20
 _MIN_HALF_EXTENT_M = 0.01
+# Columns that end at most this far above the support surface are continued down to it through unknown voxels.
+_MAX_SUPPORT_GAP_M = 0.08
+# An object with at least this horizontal area can stand on feet; a smaller one with a side that flares out looks alike.
+_MIN_FEET_AREA_M2 = 0.25
+# A voxel is larger if the mesh would otherwise exceed about this many faces.
+MAX_FACES = 20_000
+# Ratio of the disagreement between views to the sensor's sigma: errors of neighbouring pixels are correlated, and
+# poses have errors, too.
+_SPREAD = 1.6
+# Number of Taubin iterations.
+SMOOTHING = 15
+# Maximum distance from a measurement, in voxels, at which a vertex counts as seen.
+SEEN_VOXELS = 1.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VolumeConfig(Ranged):
-    """The grid and the surface taken from it.
+    """The grid and the surface taken from it."""
 
-    The voxel is the longest side of the box over `cells`, within `min_voxel_m` .. `max_voxel_m`, and larger if the mesh
-    would otherwise exceed about `max_faces`. `spread`: ratio of the disagreement between views to the sensor's sigma,
-    above 1 because errors of neighbouring pixels are correlated and poses have errors, too. `smoothing` is the number
-    of Taubin iterations. `seen_voxels`: maximum distance from a measurement at which a vertex counts as seen.
-    """
-
+    #: The voxel is the longest side of the box over this, within `min_voxel_m` .. `max_voxel_m`.
     cells: int = number(56, 4, 512, "cells")
+    #: Smallest voxel.
     min_voxel_m: float = number(0.004, 0.0005, 1, "m")
+    #: Largest voxel.
     max_voxel_m: float = number(0.03, 0.0005, 1, "m")
-    max_faces: int = number(20_000, 100, 10_000_000, "faces")
-    spread: float = number(1.6, 0, 100, "sigmas")
-    smoothing: int = number(15, 0, 1000, "iterations")
-    seen_voxels: float = number(1.5, 0, 100, "voxels")
 
     def __post_init__(self) -> None:
         check_ranges(self)
         check_order(self, "min_voxel_m", "max_voxel_m")
 
 
+# Weight of a view rotated to the far side of a surface of revolution, relative to a real view.
+_TURNED_TRUST = 0.2
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FusedConfig(Ranged):
-    """`volume`: the grid; `completion`: the filling of unobserved space; `revolution`: detection of round objects.
+    """How views are fused."""
 
-    `turned_trust` is the weight of a view rotated to the far side of a surface of revolution, relative to a real view.
-    """
-
+    #: The grid.
     volume: VolumeConfig = field(default_factory=VolumeConfig)
-    completion: CompletionConfig = field(default_factory=CompletionConfig)
-    revolution: RevolutionConfig = field(default_factory=RevolutionConfig)
-    turned_trust: float = number(0.2, 0, 1, "ratio")
 
 
 class FusedReconstructor:
@@ -89,9 +94,9 @@ class FusedReconstructor:
         """Return the closed mesh over the object's box, or why there is none."""
         if len(inputs.points_world) < _MIN_POINTS:
             return NoShape(reason=f"{len(inputs.points_world)} points; a surface needs at least {_MIN_POINTS}")
-        views = [view_of(crop, self._config.volume) for crop in inputs.crops]
+        views = [view_of(crop) for crop in inputs.crops]
         inputs, views = completed_round(with_faced_box(inputs), views, self._config)
-        return reconstruct_views(inputs, views, self._config.volume, self._config.completion)
+        return reconstruct_views(inputs, views, self._config.volume)
 
 
 def with_faced_box(inputs: ShapeInputs) -> ShapeInputs:
@@ -116,15 +121,15 @@ def completed_round(
     if len(points) < _MIN_POINTS:
         return inputs, views
     tolerance = noise_m(points, views[0], config.volume)
-    world_from_turned = half_turn_of(points, best.world_from_camera[:3, 3], views, tolerance, config.revolution)
+    world_from_turned = half_turn_of(points, best.world_from_camera[:3, 3], views, tolerance)
     if world_from_turned is None:
         return inputs, views
     around = np.concatenate([inputs.points_world.astype(np.float64), apply(world_from_turned, points)])
     box = gravity_aligned_box(around, 2 * config.volume.min_voxel_m)
-    return replace(inputs, box=box), views + moved_views(views, world_from_turned, config.turned_trust)
+    return replace(inputs, box=box), views + moved_views(views, world_from_turned, _TURNED_TRUST)
 
 
-def view_of(crop: Crop, volume: VolumeConfig) -> DepthView:
+def view_of(crop: Crop) -> DepthView:
     """Return a kept crop as the integration uses it."""
     floor, constant, quadratic = crop.sensor.law
     return DepthView(
@@ -132,7 +137,7 @@ def view_of(crop: Crop, volume: VolumeConfig) -> DepthView:
         mask=crop.mask,
         camera=crop.camera,
         camera_from_world=invert(crop.world_from_camera),
-        law=(volume.spread * floor, volume.spread * constant, volume.spread * quadratic),
+        law=(_SPREAD * floor, _SPREAD * constant, _SPREAD * quadratic),
     )
 
 
@@ -163,19 +168,17 @@ def noise_m(points_world: NDArray[np.float64], view: DepthView, volume: VolumeCo
     return max(3 * sigma_at(median_z, view.law), 2 * volume.min_voxel_m)
 
 
-def reconstruct_views(
-    inputs: ShapeInputs, views: list[DepthView], volume: VolumeConfig, completion: CompletionConfig
-) -> Reconstruction | NoShape:
+def reconstruct_views(inputs: ShapeInputs, views: list[DepthView], volume: VolumeConfig) -> Reconstruction | NoShape:
     """Return the mesh of the surface in `views` and the points of `inputs`, within the box of `inputs`."""
-    block = block_over(inputs.box, inputs.support_z_m, volume, completion)
+    block = block_over(inputs.box, inputs.support_z_m, volume)
     grid = block.grid
     evidence = integrate(grid, views)
     cells = grid.cells(inputs.points_world)
     states = classify(evidence, cells[grid.contains(cells)])
-    solid = solid_of(states, block.fillable, block.support_index, block.max_gap, completion, is_wide=block.is_wide)
+    solid = solid_of(states, block.fillable, block.support_index, block.max_gap, is_wide=block.is_wide)
     if not solid.any():
         return NoShape(reason="no voxel of the object's box is solid: its views contradict one another")
-    return _mesh_of(solid, evidence, grid, inputs, volume)
+    return _mesh_of(solid, evidence, grid, inputs)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -193,19 +196,17 @@ class Block:
     is_wide: bool
 
 
-def block_over(
-    box: OrientedBox, support_z_m: float | None, volume: VolumeConfig, completion: CompletionConfig
-) -> Block:
+def block_over(box: OrientedBox, support_z_m: float | None, volume: VolumeConfig) -> Block:
     """Return the grid over the box and a margin, extended down to the support surface if that is close."""
     half = box.half_extents_m
     low_z = float(-half[2])
     float_m = 0.0 if support_z_m is None else max(low_z + float(box.center[2]) - support_z_m, 0.0)
-    rests = support_z_m is not None and float_m <= completion.max_support_gap_m
+    rests = support_z_m is not None and float_m <= _MAX_SUPPORT_GAP_M
     if rests and support_z_m is not None:
         low_z = min(low_z, support_z_m - float(box.center[2]))
     area = 8 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])
     # Marching cubes yields about two faces per voxel face.
-    voxel = max(2 * half.max() / volume.cells, float(np.sqrt(2 * area / volume.max_faces)))
+    voxel = max(2 * half.max() / volume.cells, float(np.sqrt(2 * area / MAX_FACES)))
     voxel = float(np.clip(voxel, volume.min_voxel_m, volume.max_voxel_m))
     low = np.array([-half[0], -half[1], low_z]) - _MARGIN_VOXELS * voxel
     counts = [int(n) for n in np.ceil((half - low) / voxel) + _MARGIN_VOXELS + 1]
@@ -219,16 +220,14 @@ def block_over(
         grid=VoxelGrid(world_from_grid=world_from_grid, voxel_m=voxel, shape=(counts[0], counts[1], counts[2])),
         fillable=(inner[0], inner[1], inner[2]),
         support_index=support_index,
-        max_gap=int(np.ceil((float_m + completion.max_support_gap_m) / voxel)) + 1 if rests else 0,
-        is_wide=float(4 * half[0] * half[1]) >= completion.min_feet_area_m2,
+        max_gap=int(np.ceil((float_m + _MAX_SUPPORT_GAP_M) / voxel)) + 1 if rests else 0,
+        is_wide=float(4 * half[0] * half[1]) >= _MIN_FEET_AREA_M2,
     )
 
 
-def _mesh_of(
-    solid: NDArray[np.bool_], evidence: Evidence, grid: VoxelGrid, inputs: ShapeInputs, volume: VolumeConfig
-) -> Reconstruction:
+def _mesh_of(solid: NDArray[np.bool_], evidence: Evidence, grid: VoxelGrid, inputs: ShapeInputs) -> Reconstruction:
     vertices, faces = extract(surface_field(solid, evidence), grid)
-    vertices = taubin_smoothed(vertices, faces, volume.smoothing)
-    reach = volume.seen_voxels * grid.voxel_m
+    vertices = taubin_smoothed(vertices, faces, SMOOTHING)
+    reach = SEEN_VOXELS * grid.voxel_m
     colors, is_seen = painted(vertices, inputs.crops, inputs.points_world, inputs.colors, reach)
     return in_object_frame(vertices, faces, colors, is_seen)

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.base.ranges import Ranged
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
-from hickory_stream.shapes.reconstruct.completion import CompletionConfig
 from hickory_stream.shapes.reconstruct.fused import (
     VolumeConfig,
     moved_views,
@@ -24,7 +23,7 @@ from hickory_stream.shapes.reconstruct.fused import (
     seen_points,
     view_of,
 )
-from hickory_stream.shapes.reconstruct.symmetry import SymmetryConfig, mirror_plane
+from hickory_stream.shapes.reconstruct.symmetry import GROWTH_PENALTY, SymmetryConfig, mirror_plane
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,19 +32,20 @@ if TYPE_CHECKING:
     from hickory_stream.shapes.reconstruct.tsdf import DepthView
 
 _MIN_POINTS = 20
+# Weight of a mirrored view relative to the view itself.
+_MIRROR_TRUST = 0.2
+# Minimum score of a second plane.
+_MIN_SECOND_SCORE = 0.25
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SingleViewConfig(Ranged):
-    """`volume` and `completion` as for `fused`; `symmetry` says how planes are searched.
+    """How one view is completed."""
 
-    `mirror_trust` is the weight of a mirrored view relative to the view itself.
-    """
-
+    #: The grid.
     volume: VolumeConfig = field(default_factory=VolumeConfig)
-    completion: CompletionConfig = field(default_factory=CompletionConfig)
+    #: How mirror planes are searched.
     symmetry: SymmetryConfig = field(default_factory=SymmetryConfig)
-    mirror_trust: float = number(0.2, 0, 1, "ratio")
 
 
 class SingleViewReconstructor:
@@ -61,7 +61,7 @@ class SingleViewReconstructor:
         if not inputs.crops:
             return NoShape(reason="no view is kept")
         crop, config = inputs.crops[0], self._config
-        points, colors = seen_points(crop, view_of(crop, config.volume).law)
+        points, colors = seen_points(crop, view_of(crop).law)
         if len(points) < _MIN_POINTS:
             return NoShape(reason=f"{len(points)} pixels with depth; a surface needs at least {_MIN_POINTS}")
         views = with_mirrored(crop, points, config)
@@ -75,20 +75,20 @@ class SingleViewReconstructor:
             box=gravity_aligned_box(around, 2 * config.volume.min_voxel_m),
             support_z_m=inputs.support_z_m,
         )
-        return reconstruct_views(alone, views, config.volume, config.completion)
+        return reconstruct_views(alone, views, config.volume)
 
 
 def with_mirrored(crop: Crop, points: NDArray[np.float64], config: SingleViewConfig) -> list[DepthView]:
     """Return the view of a crop and its mirror images: about the best plane, then about the best one for both."""
-    view = view_of(crop, config.volume)
+    view = view_of(crop)
     views = [view]
     seen = points
     tolerance = noise_m(points, view, config.volume)
     # Any first plane is better than an open back; a second plane must have enough evidence.
-    for min_score in (-config.symmetry.growth_penalty - 0.2, config.symmetry.min_second_score):
+    for min_score in (-GROWTH_PENALTY - 0.2, _MIN_SECOND_SCORE):
         reflection = mirror_plane(seen, [view], tolerance, min_score, config.symmetry)
         if reflection is None:
             break
-        views += moved_views(views, reflection, config.mirror_trust)
+        views += moved_views(views, reflection, _MIRROR_TRUST)
         seen = np.concatenate([seen, apply(reflection, seen)])
     return views

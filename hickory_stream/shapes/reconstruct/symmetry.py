@@ -29,24 +29,24 @@ if TYPE_CHECKING:
     from hickory_stream.shapes.reconstruct.tsdf import DepthView
 
 
+# A plane is rejected with more than this share of the mirrored points in observed free space.
+_MAX_MIRRORED_CONTRADICTION = 0.1
+# Penalties of the score, which is the share of mirrored points on measured surface: for each doubling of the extent,
+# and for the share in free space.
+GROWTH_PENALTY = 0.6
+_CONTRADICTION_PENALTY = 4.0
+# Maximum number of points that are mirrored.
+_MAX_POINTS = 800
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SymmetryConfig(Ranged):
-    """How mirror planes are searched.
+    """How mirror planes are searched."""
 
-    Tried are `num_yaws` directions over 180 degrees and `num_offsets` positions along each, from the middle of the
-    visible extent to its ends. A plane is rejected if more than `max_contradiction` of the mirrored points lie in
-    observed free space. The score is the share of mirrored points on measured surface, minus `growth_penalty` for each
-    doubling of the extent, minus `contradiction_penalty` times the share in free space; a second plane must reach
-    `min_second_score`. At most `max_points` points are mirrored.
-    """
-
+    #: Number of directions that are tried over 180 degrees.
     num_yaws: int = number(36, 1, 720, "directions")
+    #: Number of positions that are tried along each direction, from the middle of the visible extent to its ends.
     num_offsets: int = number(9, 1, 1000, "places")
-    max_contradiction: float = number(0.1, 0, 1, "share")
-    growth_penalty: float = number(0.6, 0, 100, "score")
-    min_second_score: float = number(0.25, 0, 1, "score")
-    contradiction_penalty: float = number(4.0, 0, 1000, "score")
-    max_points: int = number(800, 1, 1_000_000, "points")
 
 
 def mirror_plane(
@@ -57,7 +57,7 @@ def mirror_plane(
     config: SymmetryConfig,
 ) -> NDArray[np.float64] | None:
     """Return world_from_mirrored (4, 4), the reflection about the best vertical plane; None if none is plausible."""
-    points = points_world[:: max(len(points_world) // config.max_points, 1)]
+    points = points_world[:: max(len(points_world) // _MAX_POINTS, 1)]
     best, best_score = None, min_score
     for yaw in np.pi * np.arange(config.num_yaws) / config.num_yaws:
         normal = np.array([cos(float(yaw)), sin(float(yaw)), 0.0])
@@ -67,10 +67,10 @@ def mirror_plane(
             reflection = reflection_about(normal, offset)
             mirrored = apply(reflection, points)
             overlap, contradiction = shares_against(mirrored, views, tolerance_m)
-            if contradiction > config.max_contradiction:
+            if contradiction > _MAX_MIRRORED_CONTRADICTION:
                 continue
             grown = (max(high, 2 * offset - low) - min(low, 2 * offset - high)) / max(high - low, tolerance_m) - 1
-            score = overlap - config.growth_penalty * grown - config.contradiction_penalty * contradiction
+            score = overlap - GROWTH_PENALTY * grown - _CONTRADICTION_PENALTY * contradiction
             if score > best_score:
                 best, best_score = reflection, score
     return best
@@ -124,19 +124,13 @@ def _against(points, depth, mask, intrinsics, tolerance):
     return out
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class RevolutionConfig(Ranged):
-    """The criteria for round fronts.
-
-    The front is measured in `num_bins` across the width. The RMS misfit of the arc may be at most `max_misfit` of the
-    radius and `max_ratio` of the misfit of a line. At most `max_contradiction` of the rotated points may lie in
-    observed free space; for open objects, such as a bin seen from above, some do.
-    """
-
-    num_bins: int = number(13, 3, 1000, "bins")
-    max_misfit: float = number(0.11, 0, 10, "ratio")
-    max_ratio: float = number(0.7, 0, 10, "ratio")
-    max_contradiction: float = number(0.3, 0, 1, "share")
+# A front is measured in this many bins across its width.
+_FRONT_BINS = 13
+# Maximum RMS misfit of the arc, as a share of the radius, and as a ratio to the misfit of a line.
+_MAX_ARC_MISFIT = 0.11
+_MAX_ARC_RATIO = 0.7
+# Maximum share of the rotated points in observed free space; of open objects, such as a bin from above, some are.
+_MAX_TURNED_CONTRADICTION = 0.3
 
 
 def half_turn_of(
@@ -144,7 +138,6 @@ def half_turn_of(
     camera_world: NDArray[np.float64],
     views: list[DepthView],
     tolerance_m: float,
-    config: RevolutionConfig,
 ) -> NDArray[np.float64] | None:
     """Return world_from_turned (4, 4), the rotation by 180 degrees about an object's axis; None if it is not round.
 
@@ -157,7 +150,7 @@ def half_turn_of(
     forward /= distance
     sideways = np.array([-forward[1], forward[0]])
     seen = points_world[:, :2] - camera_world[:2]
-    axis = _axis(portable.matmul(seen, sideways), portable.matmul(seen, forward), config)
+    axis = _axis(portable.matmul(seen, sideways), portable.matmul(seen, forward))
     if axis is None:
         return None
     middle, depth = axis
@@ -165,32 +158,30 @@ def half_turn_of(
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     turn[:2, 3] = 2 * center
     _, in_free = shares_against(apply(turn, points_world[:: max(len(points_world) // 800, 1)]), views, tolerance_m)
-    return turn if in_free <= config.max_contradiction else None
+    return turn if in_free <= _MAX_TURNED_CONTRADICTION else None
 
 
-def _axis(
-    across: NDArray[np.float64], ahead: NDArray[np.float64], config: RevolutionConfig
-) -> tuple[float, float] | None:
+def _axis(across: NDArray[np.float64], ahead: NDArray[np.float64]) -> tuple[float, float] | None:
     """Return the position of the axis in the view from above, across and ahead; None if the front is not round."""
     low, high = np.quantile(across, [0.01, 0.99])
     radius, middle = (high - low) / 2, (high + low) / 2
     if not radius > 0:
         return None
-    place = (across - low) / (2 * radius) * config.num_bins
+    place = (across - low) / (2 * radius) * _FRONT_BINS
     fronts, places = [], []
-    for n in range(config.num_bins):
+    for n in range(_FRONT_BINS):
         mine = ahead[(place >= n) & (place < n + 1)]
         if len(mine) >= 3:
             fronts.append(float(np.quantile(mine, 0.1)))
-            places.append(low + (n + 0.5) / config.num_bins * 2 * radius - middle)
-    if len(fronts) < 0.8 * config.num_bins:
+            places.append(low + (n + 0.5) / _FRONT_BINS * 2 * radius - middle)
+    if len(fronts) < 0.8 * _FRONT_BINS:
         return None
     front, offset = np.array(fronts), np.array(places)
     arc = np.sqrt(np.maximum(np.square(1.02 * radius) - np.square(offset), 0.0))
     depth = float(np.median(front + arc))
     misfit = float(np.sqrt(np.mean(np.square(front + arc - depth))))
     flat_misfit = float(np.sqrt(np.mean(np.square(_off_the_line(offset, front)))))
-    if misfit > config.max_misfit * radius or misfit > config.max_ratio * flat_misfit:
+    if misfit > _MAX_ARC_MISFIT * radius or misfit > _MAX_ARC_RATIO * flat_misfit:
         return None
     return float(middle), depth
 

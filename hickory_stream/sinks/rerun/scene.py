@@ -33,12 +33,18 @@ if TYPE_CHECKING:
     from hickory_stream.sinks.rerun.config import RerunConfig
 
 
+# A growing cloud is logged at most this often.
+_CLOUD_PERIOD_S = 1.0
+# Floor and walls are logged every n-th keyframe.
+_STRUCTURE_EVERY = 20
+
+
 class RerunScene:
     """Remembers what was logged, so that only changes are."""
 
     def __init__(self, config: RerunConfig, folder: Path) -> None:
         self._config = config
-        period_ns = round(config.cloud_period_s * 1e9)
+        period_ns = round(_CLOUD_PERIOD_S * 1e9)
         self._layers = ObjectLayers(
             folder=folder,
             max_points=config.max_points_per_object,
@@ -96,7 +102,7 @@ class RerunScene:
             items += self._layers.update(report.snapshot.objects, report.stamp_ns)
             items += self._labels.update(report.snapshot.objects, report.stamp_ns)
             assert report.keyframe_index is not None
-            if report.keyframe_index % self._config.structure_every == 0:
+            if report.keyframe_index % _STRUCTURE_EVERY == 0:
                 items += self._structure.items(report.snapshot)
         return items
 

@@ -124,7 +124,7 @@ def check_generator(path: Path, config: MapperConfig) -> None:
     spec = read_spec(path)
     refiner = refiner_of(spec)
     for program in [spec] if refiner is None else [spec, refiner]:
-        check_licence(program, config.run.i_accept)
+        check_licence(program, config.run.accept_licence)
         if config.run.cluster:
             continue  # what it needs is on the machines of the cluster
         if missing := missing_of(program):

@@ -30,7 +30,7 @@ class GeneratorSpec(Ranged):
         command: program and arguments; it is started in the folder of the TOML, and paths are relative to that.
         environment, resources: names and values, e.g. CUDA_VISIBLE_DEVICES, and GPU = 1, which a job then asks of a
             worker of a cluster.
-        licence: of code and weights. Where `acceptance` is not "", `run.i_accept` must say exactly that.
+        licence: of code and weights. Where `acceptance` is not "", `run.accept_licence` must say exactly that.
         refiner: the TOML, beside this one, of a program that refines the poses of its meshes; "" for none.
         weights: files whose content is a part of what makes a shape.
         views: how many views it uses, the best first.
@@ -138,7 +138,7 @@ def check_licence(spec: GeneratorSpec, accepted: str) -> None:
     if spec.acceptance and spec.acceptance not in (part.strip() for part in accepted.split(";")):
         raise ConfigError(
             f"the generator {spec.name} is under {spec.licence}; if you accept that, "
-            f'say run.i_accept = "{spec.acceptance}" (found {accepted!r})'
+            f'say run.accept_licence = "{spec.acceptance}" (found {accepted!r})'
         )
 
 
