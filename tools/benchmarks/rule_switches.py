@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hickory_stream.mapping.rules.merging import Votes, foreign_points
+from hickory_stream.mapping.rules.merging import Votes, points_on_others
 from hickory_stream.mapping.rules.support_relations import is_inner_part
 from tools.benchmarks.rule_constants import patched, with_number
 
@@ -83,7 +83,7 @@ def _inner_part_where_split(*given: Any, was_one: bool = False, **told: Any) -> 
 
 
 def _whole(*given: Any) -> Any:
-    foreign, covered = foreign_points(*given)
+    foreign, covered = points_on_others(*given)
     return np.zeros_like(foreign), covered
 
 
@@ -108,8 +108,8 @@ def _of_perception(name: str, module: str, function: str, value: object) -> Rule
 RULES = (
     # Which observation is which track.
     _number("a partial view belongs to the track it lies on", ("mapping.associate.min_lies_on", 1.0)),
-    _of_mapping("a swollen observation is not the track", "associate", "is_swollen", _always(False)),
-    _of_mapping("points on another track are left out", "track_merging", "foreign_points", _whole),
+    _of_mapping("a swollen observation is not the track", "associate", "is_oversized", _always(False)),
+    _of_mapping("points on another track are left out", "track_merging", "points_on_others", _whole),
     # Two tracks that are one thing.
     _of_mapping("tracks that lie on one another are one", "track_merging", "share_near", _always(0.0)),
     _number("less so, if seen apart more often", ("mapping.merge.sure_share", 0.5)),
