@@ -132,7 +132,7 @@ def registered_covariance(covariance: NDArray[np.float64], after: NDArray[np.flo
 
 
 def along_axes_of(node: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a matrix (6, 6) of turns and shifts along the map's axes along those of a node with a pose (4, 4)."""
+    """Return a matrix (6, 6) of turns and shifts, given in the map's axes, in the axes of a node's pose (4, 4)."""
     carry = np.zeros((6, 6))
     carry[:3, :3] = carry[3:, 3:] = node[:3, :3].T
     return symmetric(portable.matmul(portable.matmul(carry, matrix), carry.T))
@@ -178,7 +178,7 @@ def _freeze_edge(edge: OdometryEdge | LoopEdge, transform: str) -> None:
     if not is_rigid(getattr(edge, transform)):
         raise ValueError(f"{transform} is not rigid")
     covariance = edge.covariance
-    # A variance of 1e12 is that of a thousand kilometres; products of greater ones overflow.
+    # A variance of 1e12 m2 is a thousand kilometres; products of greater ones overflow.
     is_plain = np.isfinite(covariance).all() and np.abs(covariance).max() <= 1e12
     if not is_plain or float(portable.eigh(symmetric(covariance))[0][0]) <= 0:
         raise ValueError("the covariance of an edge must be finite, at most 1e12, and positive definite")

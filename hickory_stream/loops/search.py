@@ -155,7 +155,7 @@ def _loop(earlier_id: int, later_id: int, fit: SurfaceFit, method: str, reason: 
 
 
 def _by_objects(query: LoopQuery, config: LoopConfig) -> Loop | None:
-    # Align the objects of a submap with those of the earlier ones; None where there is nothing to refine it by.
+    # None: too few objects, no alignment, or no surface to refine it.
     if query.snapshot is None:
         return None
     later_map = _objects_of(query.snapshot, {query.later_id}, query.extractor)

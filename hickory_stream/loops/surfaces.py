@@ -224,7 +224,7 @@ def _step(paired: _Paired) -> NDArray[np.float64] | None:
     if len(paired.points) < _LEAST_STRONG:
         return None
     hessian, right = _normal_equations(paired)
-    # What no pair speaks for stays as it is.
+    # Directions without evidence stay.
     hessian = np.ascontiguousarray(hessian + 1e-3 * np.eye(6))
     solve_in_place(hessian, right)
     return right

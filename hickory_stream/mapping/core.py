@@ -228,7 +228,7 @@ class MapperCore:
             state.decide("loop", None, text)
 
     def snapshot(self) -> MapSnapshot:
-        """Return the map as it is now."""
+        """Return the present map."""
         return self._snapshots.snapshot(self._state)
 
     def prior(self) -> MapPrior | None:

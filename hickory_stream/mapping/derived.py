@@ -121,7 +121,7 @@ class RecentTracks:
     def use(self, track_ids: Iterable[int], revision: int) -> None:
         """Mark tracks as used by a keyframe."""
         for track_id in track_ids:
-            # At the end of the order, so that what was left longest ago comes first.
+            # At the end of the order: the track left longest ago comes first.
             self._last.pop(track_id, None)
             self._last[track_id] = revision
 

@@ -48,8 +48,8 @@ def floor_warnings(snapshot: MapSnapshot) -> tuple[str, ...]:
         )
     levels = floors_of(snapshot)
     if len(levels) > 1:
-        told = ", ".join(f"{z_m:.2f} m" for z_m in levels)
-        notes.append(f"the floor has {len(levels)} levels, at z = {told}: each submap uses its own")
+        heights = ", ".join(f"{z_m:.2f} m" for z_m in levels)
+        notes.append(f"the floor has {len(levels)} levels, at z = {heights}: each submap uses its own")
     largest = max(floors, key=lambda submap: _area_m2(submap.observed_space))
     tilted = tilt_warning(largest.observed_space)
     return (*notes, tilted) if tilted is not None else tuple(notes)

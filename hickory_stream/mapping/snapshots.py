@@ -50,7 +50,7 @@ class Snapshots:
         self._scores: dict[int, float] = {}
 
     def snapshot(self, state: MapState) -> MapSnapshot:
-        """Return the map as it is now."""
+        """Return the present map."""
         self._follow(state)
         return MapSnapshot(
             revision=state.revision,
@@ -85,7 +85,7 @@ class Snapshots:
         return self._submap(submaps.states[-1]).observed_space if is_one else as_record(space)
 
     def _known_objects(self, state: MapState) -> tuple[TrackedObject, ...]:
-        # As far around what was seen last as the space reaches at least.
+        # As far around the last view as the space reaches at least.
         near = state.tracks.ordered() if state.sight is None else state.tracks.touching(state.sight, LEAST_BESIDE_M)
         known = []
         for track in near:

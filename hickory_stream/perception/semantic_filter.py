@@ -77,7 +77,7 @@ class FilteredSegmenter:
         return self._segmenter.moved(inner, world_from_camera), semantics
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the segmenter's instances without those of excluded classes."""
+        """Return the segmenter's segmentation without excluded classes."""
         inner, semantics = prepared if isinstance(prepared, tuple) else self.prepare(frame)
         segmentation = self._segmenter.segment(frame, prior, inner)
         return without_classes(segmentation, semantics, self._excluded, self._config)

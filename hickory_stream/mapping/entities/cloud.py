@@ -146,7 +146,7 @@ class Cloud:
         return _count_of(self)
 
     def __getattr__(self, name: str) -> Any:
-        # Python asks here only for what is not at hand.
+        # Python asks here only for missing attributes.
         return unpacked(self, name)
 
 

@@ -194,7 +194,7 @@ def added(state: SpaceState, seen: SpaceObservation, false_m: float | None) -> S
 
 
 def joined(spaces: Sequence[SpaceState]) -> SpaceState:
-    """Return the union of spaces (at least one) on one lattice: votes add up, the floor is that of the last one."""
+    """Return the union of spaces (at least one) on one lattice: votes add up, and the last one gives the floor."""
     if len(spaces) == 1:
         return spaces[0]
     keys, at = np.unique(np.concatenate([space.surface for space in spaces]), return_inverse=True)

@@ -342,7 +342,7 @@ def with_room_changed(submaps: Submaps, gone: NDArray[np.int64], new: NDArray[np
 
 def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float64]]) -> Submaps:
     """Return the submaps at corrected poses; raises `ValueError` for an unknown id."""
-    # The judged space is that of the submaps that are rigid with the open one now.
+    # The submaps that are rigid with the open one now make up the judged space.
     unknown = sorted(world_from_submap.keys() - {state.id for state in submaps.states})
     if unknown:
         raise ValueError(f"there is no submap {unknown[0]}; the map has 0 to {submaps.open_id}")
@@ -459,7 +459,7 @@ def _space_within(submaps: Submaps, window: Window | None) -> SpaceState:
 def _reaching(submaps: Submaps, window: Window | None) -> Iterator[SubmapState]:
     # The judged submaps that reach into a window.
     for state in submaps.states[submaps.first :]:
-        # Each space remembers its extent; that of what is shown lies within these.
+        # Extents are cached by space; the shown space lies within these.
         spaces = [state.space] if state.outdated is None else [state.space, state.seen]
         reaches = [extent(space) for space in spaces]
         if any(reach is not None and (window is None or window.meets(reach)) for reach in reaches):

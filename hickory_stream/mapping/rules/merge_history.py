@@ -137,7 +137,7 @@ Absorbed = dict[int, tuple["Track", ...]]
 
 
 def after_merge(absorbed: Mapping[int, tuple[Track, ...]], kept_id: int, gone: Track) -> Absorbed:
-    """Return the absorbed tracks after `gone` was merged into `kept_id`, which inherits those of `gone`."""
+    """Return the absorbed tracks after `gone` was merged into `kept_id`, with those that `gone` had absorbed."""
     updated = {host: tracks for host, tracks in absorbed.items() if host != gone.id}
     own = () if gone.phase is Phase.TENTATIVE else (gone,)
     if taken := (*absorbed.get(kept_id, ()), *absorbed.get(gone.id, ()), *own):

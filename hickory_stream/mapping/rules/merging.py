@@ -213,7 +213,7 @@ def merge(kept: Track, gone: Track, voxel_m: float) -> Track:
 
 
 def with_better_views(track: Track, other: Track) -> Track:
-    """Return a track with its own views, and those of another one that are better, under its own id."""
+    """Return a track with its own views and better ones of another track, all under its own id."""
 
     def own(view: View) -> View:
         return view if view.object_id == track.id else replace(view, object_id=track.id)

@@ -88,7 +88,7 @@ _Bounds = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
 
 
 class _OwnSpaces:
-    # The spaces seen in submaps, last used last: those of a building do not all fit into memory.
+    # The spaces seen in submaps, last used last: all of a building do not fit into memory.
     def __init__(self, submaps: Submaps) -> None:
         self._states = submaps.states
         self._spaces: OrderedDict[int, SpaceState] = OrderedDict()

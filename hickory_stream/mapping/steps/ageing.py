@@ -115,7 +115,7 @@ def _sight_of(event: FrameObserved, voxel_m: float) -> NDArray[np.float32] | Non
 
 # Parts of which less was made up say nothing of the generator.
 _MADE_UP = 0.05
-# So far from a part's centre to its surface; what is fitted may reach beyond the mesh by less than the rest.
+# This share of the way from a part's centre to its surface; a fit may reach beyond the mesh by less than the rest.
 _INWARDS = 0.75
 
 
@@ -207,7 +207,7 @@ class TrackTransition:
 
     @property
     def track(self) -> Track:
-        """The track as it is now."""
+        """The present track."""
         return self.state.tracks[self._track_id]
 
     def happens(self, event: LifeEvent) -> list[Effect]:

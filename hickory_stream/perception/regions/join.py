@@ -159,7 +159,7 @@ def rounds(
 
 
 def _round(graph: RegionGraph, numbers: NDArray[np.int64], count: int, odds: FragmentOdds | None) -> Round:
-    # The round of `count` regions, of which `numbers` (n,) gives that of each fragment.
+    # `numbers` (n,) gives the region, of `count`, of each fragment.
     pairs, features = pair_features(graph, numbers, count)
     of_odds = odds_features(None if odds is None else odds.of_groups(numbers, count), pairs, count)
     return Round(numbers=numbers, pairs=pairs, features=joined(features, of_odds))

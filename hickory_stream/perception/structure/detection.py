@@ -152,7 +152,7 @@ def floor_height_m(
         return below[0].z_m if below else None
     if camera_z - known_m > _STOREY_M:
         return max(below, key=lambda plane: (plane.area_m2, -plane.z_m)).z_m if below else known_m
-    # A floor as much as a storey lower is that of the storey below, seen over a railing.
+    # A floor a storey lower belongs to the storey below, seen over a railing.
     lower = [plane.z_m for plane in below if known_m - _STOREY_M < plane.z_m <= known_m + _AT_FLOOR_M]
     return lower[0] if lower else known_m
 
