@@ -20,41 +20,27 @@ from hickory_stream.events import (
     PoseJumped,
     PosesCorrected,
     Publish,
-    SearchLoops,
     ShapeFailed,
     ShapeReady,
     SourceEnded,
     TimeJumped,
     WayEnded,
 )
-from hickory_stream.geometry import portable
-from hickory_stream.mapping.entities.observed_space import floor_change
-from hickory_stream.mapping.entities.submaps import (
-    after_pose_jump,
-    compress_unused,
-    false_floor,
-    first_submap,
-    interrupted,
-    looking_at,
-    surveyed,
-    with_keyframe,
-    with_registration,
-    with_seen,
-)
+from hickory_stream.mapping.entities.submaps import first_submap, interrupted, with_registration
 from hickory_stream.mapping.invariants import validate
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
-from hickory_stream.mapping.rules.space_agreement import agreed_after
 from hickory_stream.mapping.snapshots import Snapshots
-from hickory_stream.mapping.steps.ageing import age_tracks, end_tracks, keep_room, settle
-from hickory_stream.mapping.steps.endings import compress_tracks
+from hickory_stream.mapping.steps.ageing import age_tracks, end_tracks, keep_room
 from hickory_stream.mapping.steps.moved_submaps import end_elsewhere, place_submaps, recognise
 from hickory_stream.mapping.steps.shapes import end_shape, request_shapes
+from hickory_stream.mapping.steps.submaps import begin_keyframe, end_search, end_submap, jump, see_space
 from hickory_stream.mapping.steps.tracker import Tracker, moved_out, split_tracks
 from hickory_stream.mapping.steps.views import drop_unused_views, judge_views, propose_views
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
+    from hickory_stream.events import SearchLoops
     from hickory_stream.geometry.lazy_arrays import Keep
     from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.mapping.entities.submaps import SubmapState
@@ -106,16 +92,18 @@ class MapperCore:
                 state.stamp_ns, state.submaps = None, interrupted(state.submaps)
                 state.decide("time_jump", None, f"{event.kind}: stamps jumped from {event.from_ns} to {event.to_ns}")
             case PoseJumped():
-                return self._pose_jumped(event)
+                open_id = state.submaps.open_id
+                jump(state, event, self._config)
+                return [*end_submap(state, open_id, self.snapshot, self._config.submaps)]
             case PosesCorrected():
                 effects = place_submaps(state, event, self._config, merges=not self._tracker.is_external)
                 keep_room(state)
                 # The decisions are published with the next keyframe.
                 return [*effects, *drop_unused_views(state), Publish(snapshot=self.snapshot(), decisions=())]
             case LoopsSearched():
-                self._end_search(event)
+                end_search(state, event)
             case WayEnded():
-                return self._end_submap(state.submaps.open_id)
+                return [*end_submap(state, None, self.snapshot, self._config.submaps)]
             case KeyframeRegistered():
                 state.submaps = with_registration(state.submaps, event)
             case KeyframeKeptOut():
@@ -132,8 +120,8 @@ class MapperCore:
     def _keyframe(self, event: FrameObserved) -> list[Effect]:
         state, config, tracker = self._state, self._config, self._tracker
         open_id = state.submaps.open_id
-        self._begin_keyframe(event)
-        effects = [] if open_id == state.submaps.open_id else self._end_submap(open_id)
+        begin_keyframe(state, event, config)
+        effects: list[Effect] = [*end_submap(state, open_id, self.snapshot, config.submaps)]
         effects += recognise(state, event, config)
         sightings = tracker.track(state, event)
         seen_ids = {sighting.track_id for sighting in sightings}
@@ -143,7 +131,7 @@ class MapperCore:
         effects += tracker.merge_tracks(state, changed_ids)
         state.stirred |= changed_ids
         effects += age_tracks(state, event, config, merges=not tracker.is_external)
-        self._see_space(event)
+        see_space(state, event)
         candidates, keeps = propose_views(state, event, sightings, config.views)
         effects += keeps
         state.num_masks += len(event.observations)
@@ -153,25 +141,6 @@ class MapperCore:
         state.num_features += len(candidates)
         state.pending = PendingFeatures(frame_index=event.frame_index, candidates=candidates, object_ids=object_ids)
         return [*effects, ComputeFeatures(frame_index=event.frame_index, observation_indices=tuple(sorted(candidates)))]
-
-    def _begin_keyframe(self, event: FrameObserved) -> None:
-        state = self._state
-        if state.pending is not None:
-            raise ValueError(f"frame {event.frame_index} came before the features of frame {state.pending.frame_index}")
-        state.revision += 1
-        state.advance_clock(event.stamp_ns)
-        warm = state.derived.warm
-        state.submaps = looking_at(with_keyframe(state.submaps, event, self._config.submaps), event.space, warm.keep)
-        compress_tracks(state, warm.follow(state.tracks, sight=state.sight, revision=state.revision))
-        for rejected in event.rejected:
-            state.decide("reject", None, f"mask {rejected.box_px}: {rejected.reason}")
-
-    def _see_space(self, event: FrameObserved) -> None:
-        state, seen_m = self._state, event.space.floor_z_m
-        changed = floor_change(state.submaps.space, seen_m, false_floor(state.submaps, seen_m))
-        if changed is not None:
-            state.decide("floor", None, changed)
-        state.submaps = with_seen(state.submaps, event.space, state.derived.warm.keep)
 
     def _features_ready(self, event: FeaturesReady) -> list[Effect]:
         state, pending = self._state, self._state.pending
@@ -186,46 +155,6 @@ class MapperCore:
         decisions, metrics = state.taken_decisions(), self._snapshots.metrics(state)
         published = Publish(snapshot=self.snapshot(), decisions=decisions, object_ids=object_ids, metrics=metrics)
         return [*effects, published]
-
-    def _pose_jumped(self, event: PoseJumped) -> list[Effect]:
-        # Later poses are in the same world frame, so objects can be re-identified. The observed space starts empty: an
-        # error of a few centimetres in the jump would see through an object, or place it inside a wall.
-        state, open_id = self._state, self._state.submaps.open_id
-        settle(state, self._config)
-        state.submaps = after_pose_jump(state.submaps)
-        state.split_candidates = {}
-        now_id, distance_m = state.submaps.open_id, portable.norm(event.after_from_before[:3, 3])
-        state.decide("pose_jump", None, f"the odometry jumped by {distance_m:.2f} m: submap {now_id} begins")
-        return [] if open_id == now_id else self._end_submap(open_id)
-
-    def _end_submap(self, submap_id: int) -> list[Effect]:
-        state, config = self._state, self._config.submaps
-        state.submaps = agreed_after(state.submaps, submap_id)
-        compress_unused(state.submaps, state.derived.warm.keep)
-        submaps = state.submaps.states[: submap_id + 1]
-        if not config.searches_loops or submap_id == 0 or len(submaps[-1].surface) == 0:
-            return []
-        search = SearchLoops(
-            submap_id=submap_id,
-            due_ns=(state.stamp_ns or 0) + int(config.loop_latency_s * 1e9),
-            submaps=tuple(surveyed(submap) for submap in submaps),
-            loops=state.loops,
-            snapshot=self.snapshot(),
-        )
-        state.searches = (*state.searches, search)
-        return [search]
-
-    def _end_search(self, event: LoopsSearched) -> None:
-        state = self._state
-        if event.submap_id not in {search.submap_id for search in state.searches}:
-            raise ValueError(f"loops of submap {event.submap_id} were not asked for")
-        state.searches = tuple(search for search in state.searches if search.submap_id != event.submap_id)
-        state.loops = (*state.loops, *event.loops)
-        for loop in event.loops:
-            way = "their surfaces" if loop.method == "surface" else "their objects"
-            said = "may be a loop" if loop.reason is None else f"is no loop: {loop.reason}"
-            text = f"submap {loop.later} in {loop.earlier}, by {way}, {loop.score:.0%} of the surface agrees: {said}"
-            state.decide("loop", None, text)
 
     def snapshot(self) -> MapSnapshot:
         """Return the present map."""
