@@ -210,7 +210,6 @@ INVARIANTS: dict[str, Callable[[MapState], Iterator[str]]] = {
     "if decisions are made against the open submap alone, it is against what was seen in it": _other_judges,
     "the voxels of an observed space are in order, and no structure is free": _disordered_spaces,
 }
-"""The function that yields the violations of each invariant, by the invariant's sentence."""
 
 
 def _twice(text: str, items: Iterable[int]) -> Iterator[str]:

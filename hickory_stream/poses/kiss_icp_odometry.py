@@ -65,8 +65,3 @@ class KissIcpOdometry:
         config.adaptive_threshold.initial_threshold = own.kiss_threshold_m
         config.registration.max_num_threads = 1
         return KissICP(config)
-
-
-def _as_kiss_icp_has_them(scan: Scan) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    times = scan.times_s if scan.times_s is not None else np.empty(0)
-    return scan.points.astype(np.float64), times.astype(np.float64)

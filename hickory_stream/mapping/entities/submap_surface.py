@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 _NEAREST_M = 0.2
 _MOST_HITS = 255
 _STEP_CELLS = 2
+# A greater change of depth, as a share, between cells two apart is an edge, not a surface.
 _MAX_SLOPE = 0.15
-"""Where depth changes by more than this share from a cell to one two cells away there is an edge, not a surface."""
 
+# A surface seen at a more grazing angle has no certain normal.
 _LEAST_COSINE = 0.15
-"""A surface that is seen at a more grazing angle has no certain normal."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
     from hickory_stream.mapping.entities.track import Track
 
+# The side of a cell of the grid: about a large object, so that most tracks lie in one to four.
 _CELL_M = 2.0
-"""The side of a cell of the grid: about the size of a large object, so that most tracks lie in one to four."""
 
+# Further than any check of a track looks around it.
 REACH_M = 0.5
-"""Further than any check of a track looks around it."""
 
 # Bounds and slacks are compared in single precision, cells are found in double precision.
 _ROUNDING_M = 0.01

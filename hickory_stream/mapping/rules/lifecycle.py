@@ -146,8 +146,8 @@ def _life_cycle() -> tuple[Transition, ...]:
     )
 
 
+# In order of precedence.
 LIFE_CYCLE = _life_cycle()
-"""The rows of the life cycle, in order of precedence."""
 
 
 def transition(phase: Phase | None, event: LifeEvent, holds: Callable[[Guard], bool]) -> Transition | None:

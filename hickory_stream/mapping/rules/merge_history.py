@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.rules.merging import Votes
 
 
+# Joins deeper within joins are final: each holds the clouds of its tracks.
 _DEEPEST = 3
-"""Of joins within joins those further in are final: each holds the clouds of its tracks."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -63,8 +63,8 @@ class Join:
         return frozenset({self.far.id, *self.far.merged_ids})
 
 
+# By the id of the host, in their order.
 Joins = dict[int, tuple[Join, ...]]
-"""The joins of each track by the id of the host, in their order."""
 
 
 def with_join(joins: Mapping[int, tuple[Join, ...]], host_id: int, join: Join) -> Joins:
@@ -132,8 +132,8 @@ def _to_depth(joins: tuple[Join, ...], depth: int) -> tuple[Join, ...]:
     return tuple(replace(j, past=replace(j.past, joins=_to_depth(j.past.joins, depth - 1))) for j in joins)
 
 
+# The confirmed tracks that each host has absorbed, by its id.
 Absorbed = dict[int, tuple["Track", ...]]
-"""The confirmed tracks that each track has absorbed, by the id of the absorbing track (the host)."""
 
 
 def after_merge(absorbed: Mapping[int, tuple[Track, ...]], kept_id: int, gone: Track) -> Absorbed:

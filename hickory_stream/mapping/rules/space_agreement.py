@@ -83,8 +83,8 @@ def contradicted(space: SpaceState, later: SpaceState, later_from_here: NDArray[
     return sorted_unique(np.concatenate([free[is_filled], structure[is_open]]))
 
 
+# The lowest and the highest corner (3,) of a space, metres in its own frame.
 _Bounds = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
-"""The lowest and the highest corner (3,) of a space, metres in its own frame."""
 
 
 class _OwnSpaces:

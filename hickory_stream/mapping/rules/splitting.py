@@ -50,8 +50,8 @@ class SplitCandidate:
         return apart >= config.min_apart and apart >= _APART_RATIO * self.together
 
 
+# By the id of their host.
 SplitCandidates = dict[int, tuple[SplitCandidate, ...]]
-"""The candidates by the id of their host."""
 
 
 def with_keyframe(

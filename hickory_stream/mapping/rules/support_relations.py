@@ -122,9 +122,6 @@ _UNDER_QUANTILE = 0.8
 _LOWER_M = 0.01
 
 
-# ---- hidden by: the contact is occluded by what is above ------------------------------------------------------------
-
-
 def _points_over(small: Body, large: Body) -> NDArray[np.float32]:
     top = float(small.bounds[1, 2])
     # A thin leg may stand slightly outside of the visible part of the seat.
@@ -136,9 +133,6 @@ def _points_over(small: Body, large: Body) -> NDArray[np.float32]:
 def is_hidden_by(small: Body, large: Body) -> bool:
     """Return whether the upper end of the smaller body is occluded by the larger one."""
     return len(_points_over(small, large)) >= _MIN_POINTS
-
-
-# ---- is part of -----------------------------------------------------------------------------------------------------
 
 
 def is_leg(small: Body, large: Body) -> bool:
@@ -254,9 +248,6 @@ def _touches_across(small: Body, large: Body) -> bool:
         return False
     distances_m, _ = cKDTree(around).query(points, distance_upper_bound=gap_m)
     return float(np.isfinite(distances_m).mean()) >= _TOUCH_SHARE
-
-
-# ---- rests on -------------------------------------------------------------------------------------------------------
 
 
 def _stands_on(small: Body, large: Body) -> bool:

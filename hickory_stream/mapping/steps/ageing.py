@@ -318,6 +318,7 @@ def _merge(case: TrackTransition, _: Transition) -> list[Effect]:
     return unite(case.state, case.attachment, case.track.id, reason, case.config)
 
 
+# Guards on two tracks that are merged are tested in `rules.merging`.
 GUARDS: dict[Guard, Callable[[TrackTransition], bool]] = {
     Guard.IS_ROOM: lambda case: case.why_structure is not None,
     Guard.IN_ROOM: TrackTransition.is_in_room,
@@ -332,7 +333,6 @@ GUARDS: dict[Guard, Callable[[TrackTransition], bool]] = {
     Guard.KNOWN_HERE: lambda case: case.state.is_judged(case.track),
     Guard.UNSUPPORTED: lambda case: case.attachment is not None,
 }
-"""The test of each guard of the table; guards on two tracks that are merged are tested in `track_merging`."""
 
 EFFECTS: dict[TrackEffect, Callable[[TrackTransition, Transition], list[Effect]]] = {
     TrackEffect.SET_ASIDE: _set_aside,
@@ -341,4 +341,3 @@ EFFECTS: dict[TrackEffect, Callable[[TrackTransition, Transition], list[Effect]]
     TrackEffect.DROP: _drop,
     TrackEffect.MERGE: _merge,
 }
-"""The function of each effect of the table."""

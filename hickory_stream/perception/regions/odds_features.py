@@ -31,7 +31,6 @@ ODDS_FEATURES = (
     *(f"{side}_odds_below_best" for side in _SIDES),
     *(f"{side}_thing_odds" for side in _SIDES),
 )
-"""The names of `odds_features`, in their order."""
 
 
 def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: int) -> Features:

@@ -21,10 +21,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+# `sizes` uses absolute features (metres, heights, colours); `mixed` averages it with a forest of relative features
+# (ratios, sigmas, angles) alone; `odds` also uses the features of the affinity network, which may be NaN.
 Forest = Literal["sizes", "mixed", "odds"]
-"""The forests: `sizes` uses absolute features (metres, heights, colours); `mixed` averages it with one that uses only
-relative features (ratios, sigmas, angles); `odds` also uses the features of the affinity network, which may be NaN.
-"""
 _WEIGHTS: dict[Forest, str] = {"sizes": "join", "mixed": "join_mixed", "odds": "join_odds"}
 EMBEDDED: dict[Forest, str] = {forest: f"weights/{name}.npz" for forest, name in _WEIGHTS.items()}
 
