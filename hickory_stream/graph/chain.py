@@ -1,7 +1,7 @@
-"""What odometry alone says between any two nodes: its edges along the way from one to the other, errors added up.
+"""Odometry between any two nodes of a graph: composed edges, with added errors.
 
-Independent errors of edges in a row add up once all are seen from one frame; to first order this is exact. Those of a
-way are what has added up from the first node to its ends, without what both share.
+Independent errors of edges add up in one frame, exactly to first order. The errors of a path are those from the first
+node to its two ends, without the shared part.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Prediction:
-    """What odometry says of two nodes: `earlier_from_later` (4, 4), and its covariance (6, 6) in the later's frame."""
+    """The odometry between two nodes: `earlier_from_later` (4, 4), and its covariance (6, 6) in the later's frame."""
 
     earlier_from_later: NDArray[np.float64]
     covariance: NDArray[np.float64]
@@ -31,7 +31,7 @@ class Prediction:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Link:
-    """Odometry composed between two nodes: `before_from_after` (4, 4), its covariance (6, 6) in the later's frame."""
+    """Composed odometry between two nodes: `before_from_after` (4, 4), its covariance (6, 6) in the later's frame."""
 
     before: int
     after: int
@@ -40,10 +40,7 @@ class Link:
 
 
 class Chain:
-    """The tree of a graph's odometry.
-
-    `world_from_node` (N, 4, 4) are the poses that its edges give, from node 0 on.
-    """
+    """The tree of a graph's odometry; `world_from_node` (N, 4, 4) are the poses by its edges, from node 0 on."""
 
     def __init__(self, graph: PoseGraph) -> None:
         poses = np.array(graph.world_from_node)
@@ -66,8 +63,8 @@ class Chain:
         self.world_from_node = poses
 
     def predictions(self, pairs: Sequence[tuple[int, int]]) -> list[Prediction]:
-        """Return what odometry and the verticals say of pairs of nodes, the earlier first."""
-        earlier, later = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+        """Return the predictions of odometry and verticals for pairs of nodes, the earlier first."""
+        earlier, later = [a for a, _ in pairs], [b for _, b in pairs]
         shared = [self._meeting(a, b) for a, b in pairs]
         summed = self._errors[earlier] + self._errors[later] - 2.0 * self._errors[shared]
         between = self._between(earlier, later)
@@ -77,10 +74,7 @@ class Chain:
         ]
 
     def skeleton(self, ends: Iterable[int]) -> tuple[Link, ...]:
-        """Return what odometry and the verticals say between the nodes that matter, each after the one it hangs on.
-
-        These are node 0, the nodes `ends`, and those at which the ways to them part; edges have their numbers.
-        """
+        """Return composed odometry with verticals between node 0, `ends`, and the nodes where their paths part."""
         kept = {0} | set(ends)
         passed: set[int] = set()
         for node in sorted(kept):
@@ -98,7 +92,7 @@ class Chain:
         )
 
     def carried(self, places: Mapping[int, NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the poses (N, 4, 4) of all nodes by the places of some, node 0 among them, and odometry from there."""
+        """Return the poses (N, 4, 4) of all nodes from the places of some, with node 0, and odometry from there."""
         nodes = range(len(self._before))
         owners = list(nodes)
         for node in nodes:
@@ -107,27 +101,24 @@ class Chain:
         return portable.matmul(np.array([places[owner] for owner in owners]), self._between(owners, nodes))
 
     def _up_to(self, node: int, kept: set[int]) -> int:
-        """Return the first of `kept` on the way from a node to node 0, after the node itself."""
         node = self._before[node]
         while node not in kept:
             node = self._before[node]
         return node
 
     def _meeting(self, a: int, b: int) -> int:
-        """Return the last node that is on the ways of both to node 0; edges lead from earlier nodes to later ones."""
+        # The last common node on the paths to node 0; edges lead from earlier nodes to later ones.
         while a != b:
             a, b = (self._before[a], b) if a > b else (a, self._before[b])
         return a
 
     def _between(self, firsts: Sequence[int], seconds: Sequence[int]) -> NDArray[np.float64]:
-        """Return where the second of pairs of nodes lie in the first, (K, 4, 4)."""
+        # (K, 4, 4) first_from_second of pairs of nodes.
         return portable.matmul(self._node_from_world[list(firsts)], self.world_from_node[list(seconds)])
 
     def _known(self, nodes: Sequence[int], errors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (K, 6, 6) the covariances of ways, each seen from the node at its end, with the verticals known.
-
-        `errors` (K, 6, 6) are those of the ways, as small motions in the frame of the world.
-        """
+        # (K, 6, 6) covariances of paths, each in the frame of its last node, with known verticals; `errors` (K, 6, 6)
+        # are small motions in the frame of the world.
         if not nodes:
             return np.empty((0, 6, 6))
         node_from_world = self._node_from_world[nodes]
@@ -137,7 +128,7 @@ class Chain:
 
 
 def _adjoints(rotations: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return `adjoint` (N, 6, 6) of transforms with these rotations (N, 3, 3) and places (N, 3)."""
+    # `adjoint` (N, 6, 6) of transforms with these rotations (N, 3, 3) and places (N, 3).
     x, y, z = places.T
     zero = np.zeros_like(x)
     crosses = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
@@ -150,10 +141,8 @@ def _adjoints(rotations: NDArray[np.float64], places: NDArray[np.float64]) -> ND
 def _with_verticals(
     covariances: NDArray[np.float64], ups: NDArray[np.float64], gravity_sigma_rad: float
 ) -> NDArray[np.float64]:
-    """Return covariances (K, 6, 6) after the verticals at both ends were measured; `ups` (K, 3) is up in each frame.
-
-    A turn about a level axis is then known: two scalar updates, one for each level axis, as a Kalman filter makes them.
-    """
+    # Measured verticals at both ends, `ups` (K, 3), fix turns about level axes: two scalar updates as in a Kalman
+    # filter.
     variance = 2.0 * gravity_sigma_rad * gravity_sigma_rad
     first = _unit_crosses(ups, np.eye(3)[np.argmin(np.abs(ups), axis=1)])
     for axes in (first, _unit_crosses(ups, first)):

@@ -1,4 +1,4 @@
-"""What the pose graph is configured by."""
+"""Configuration of the pose graph."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The factors of a pose graph: what odometry and loops say of the places of submaps, and how well.
+"""The factors of a pose graph: odometry and loops between submaps, with their covariances.
 
-Covariances are in the tangent space that GTSAM's `Pose3` has: a small turn about x, y, z (rad), then a small shift
-along x, y, z (m), both in the frame of the second node of an edge: true = measured * Exp(error).
+Covariances are in the tangent space of GTSAM's `Pose3`: a small turn about x, y, z (rad), then a small shift along
+x, y, z (m), both in the frame of the second node of an edge: true = measured * Exp(error).
 """
 
 from __future__ import annotations
@@ -39,15 +39,13 @@ _JUMP_RAD = 3.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OdometryEdge:
-    """What odometry says between two nodes: `before_from_after` (4, 4) with its `covariance` (6, 6).
-
-    `is_jump`: the odometry jumped in between, or nothing is known of the way; its covariance is then very wide.
-    """
+    """Odometry between two nodes: `before_from_after` (4, 4) with its `covariance` (6, 6)."""
 
     before: int
     after: int
     before_from_after: NDArray[np.float64]
     covariance: NDArray[np.float64]
+    #: the odometry jumped in between, or the path is unknown; the covariance is very wide
     is_jump: bool = False
 
     def __post_init__(self) -> None:
@@ -57,19 +55,18 @@ class OdometryEdge:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LoopEdge:
-    """A place that was seen again: `earlier_from_later` (4, 4) between two nodes, with its `covariance` (6, 6).
+    """A place that was seen again: `earlier_from_later` (4, 4) between two nodes, with its `covariance` (6, 6)."""
 
-    `id` names the loop for good; `score` is what its method says for it (the more the better), `stamp_ns` when it was
-    found.
-    """
-
+    #: permanent name of the loop
     id: int
     earlier: int
     later: int
     earlier_from_later: NDArray[np.float64]
     covariance: NDArray[np.float64]
     method: LoopMethod
+    #: of its method, higher is better
     score: float
+    #: when it was found
     stamp_ns: int
 
     def __post_init__(self) -> None:
@@ -79,16 +76,13 @@ class LoopEdge:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PoseGraph:
-    """All that is known of the places of N nodes.
+    """The factors of N nodes; each after the first has one odometry edge to an earlier one; ids of loops differ."""
 
-    `world_from_node` (N, 4, 4) are the poses of odometry; node 0 stays at its pose, and the vertical of each pose is
-    taken as measured with `gravity_sigma_rad` (an accelerometer; a wide sigma where there is none). Each node after the
-    first hangs by one odometry edge on an earlier one. The ids of loops differ.
-    """
-
+    #: (N, 4, 4) poses of odometry; node 0 stays at its pose
     world_from_node: NDArray[np.float64]
     odometry: tuple[OdometryEdge, ...]
     loops: tuple[LoopEdge, ...]
+    #: certainty of the vertical of each pose (an accelerometer; wide without one)
     gravity_sigma_rad: float
 
     def __post_init__(self) -> None:
@@ -107,30 +101,21 @@ class PoseGraph:
 
     @property
     def num_nodes(self) -> int:
-        """How many nodes there are."""
+        """The number of nodes."""
         return len(self.world_from_node)
 
 
 def odometry_covariance(
-    way_m: float,
-    turn_rad: float,
-    config: GraphConfig,
-    *,
-    jumps: int = 0,
-    blind: NDArray[np.float64] | None = None,
+    way_m: float, turn_rad: float, config: GraphConfig, *, jumps: int = 0, blind: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Return the (6, 6) covariance of an edge of odometry.
+    """Return the (6, 6) covariance of an edge of odometry by the length and the turns of its path.
 
-    Args:
-        way_m: the length of the path between the two nodes.
-        turn_rad: the sum of the angles turned on it, without sign.
-        config: how the errors grow.
-        jumps: how often the odometry jumped on it; one leaves the edge nearly free.
-        blind: (6, 6) the lengths of the way, along the axes of the second node, along which scans did not say where it
-            went: turns (rad) and shifts (m); None: of no length.
+    `jumps`: number of jumps of the odometry; one leaves the edge nearly free. `blind` (6, 6): lengths of the path,
+    along the axes of the second node, that scans did not constrain: turns (rad) and shifts (m); None: of no length.
     """
-    variance_m = _sum_of_squares(FLOOR_M, config.drift_share * way_m)
-    variance_rad = _sum_of_squares(_FLOOR_RAD, config.turn_drift_per_m * way_m, _TURN_SHARE * turn_rad)
+    turns = (_FLOOR_RAD, config.turn_drift_per_m * way_m, _TURN_SHARE * turn_rad)
+    variance_m = sum(value * value for value in (FLOOR_M, config.drift_share * way_m))
+    variance_rad = sum(value * value for value in turns)
     variance_m += config.path_noise * config.path_noise * way_m + jumps * _JUMP_M * _JUMP_M
     variance_rad += _TURN_NOISE * _TURN_NOISE * way_m + jumps * _JUMP_RAD * _JUMP_RAD
     covariance = np.diag([variance_rad] * 3 + [variance_m] * 3)
@@ -141,19 +126,13 @@ def odometry_covariance(
 
 
 def registered_covariance(covariance: NDArray[np.float64], after: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (6, 6) covariance of an edge whose keyframes were all registered to the surface of those before.
-
-    Args:
-        covariance: that of the keyframe that was least sure, along the axes of the map.
-        after: (4, 4) the pose of the second node in the map.
-        config: how much it counts.
-    """
+    """Return the (6, 6) covariance of an edge from its least certain keyframe's; `after` (4, 4): second node."""
     floor = np.diag([_FLOOR_RAD * _FLOOR_RAD] * 3 + [FLOOR_M * FLOOR_M] * 3)
     return floor + _REGISTERED_FACTOR * along_axes_of(after, covariance)
 
 
 def along_axes_of(node: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a matrix (6, 6) of turns and shifts along the map's axes along those of a node with a pose (4, 4)."""
+    """Return a matrix (6, 6) of turns and shifts, given in the map's axes, in the axes of a node's pose (4, 4)."""
     carry = np.zeros((6, 6))
     carry[:3, :3] = carry[3:, 3:] = node[:3, :3].T
     return symmetric(portable.matmul(portable.matmul(carry, matrix), carry.T))
@@ -162,10 +141,7 @@ def along_axes_of(node: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDA
 def tangent_covariance(
     a_from_b: NDArray[np.float64], covariance: NDArray[np.float64], center_a: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the (6, 6) covariance of an edge from that of an alignment.
-
-    An alignment has it for a turn about `center_a` (3,) and a shift after it, both in the frame of a.
-    """
+    """Return the (6, 6) covariance of an edge from an alignment's: a turn about `center_a` (3,) in a, then a shift."""
     at_origin = np.eye(6)
     at_origin[3:, :3] = _cross_matrix(center_a)
     to_tangent = portable.matmul(adjoint(invert(a_from_b)), at_origin)
@@ -182,17 +158,13 @@ def adjoint(a_from_b: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def symmetric(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a matrix (n, n) without what rounding made unlike its transpose."""
+    """Return a matrix (n, n) without the asymmetry of rounding."""
     return 0.5 * (matrix + matrix.T)
 
 
 def _cross_matrix(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def _sum_of_squares(*values: float) -> float:
-    return sum(value * value for value in values)
 
 
 def _check_pair(first: int, second: int) -> None:
@@ -206,7 +178,7 @@ def _freeze_edge(edge: OdometryEdge | LoopEdge, transform: str) -> None:
     if not is_rigid(getattr(edge, transform)):
         raise ValueError(f"{transform} is not rigid")
     covariance = edge.covariance
-    # A variance of 1e12 is that of a thousand kilometres; products of greater ones overflow.
+    # A variance of 1e12 m2 is a thousand kilometres; products of greater ones overflow.
     is_plain = np.isfinite(covariance).all() and np.abs(covariance).max() <= 1e12
     if not is_plain or float(portable.eigh(symmetric(covariance))[0][0]) <= 0:
         raise ValueError("the covariance of an edge must be finite, at most 1e12, and positive definite")

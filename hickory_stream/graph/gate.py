@@ -1,4 +1,4 @@
-"""The gate before the solver: a loop that odometry, as uncertain as it is, cannot explain is not put into the graph."""
+"""The gate before the solver: it rejects loops that odometry, with its uncertainty, cannot explain."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Surprise:
-    """How far a loop is from what odometry predicts: place, angle, and the squared Mahalanobis distance (6 dof)."""
+    """The distance of a loop from odometry's prediction: place, angle, and squared Mahalanobis distance (6 dof)."""
 
     distance_m: float
     angle_rad: float
@@ -28,7 +28,7 @@ class Surprise:
 
 
 def surprise_of(loop: LoopEdge, prediction: Prediction) -> Surprise:
-    """Return how far a loop is from what odometry predicts of its two nodes, with the uncertainty of both."""
+    """Return the distance of a loop from odometry's prediction, with the uncertainty of both."""
     error = difference(loop.earlier_from_later, prediction.earlier_from_later)
     return Surprise(
         distance_m=portable.norm(error[3:]),

@@ -1,13 +1,8 @@
-"""The graph as GTSAM has it: factors, start values, marginals. The one module that imports the library.
+"""The pose graph in GTSAM: factors, start values, marginals, and graduated non-convexity; the one importer of GTSAM.
 
-Its wheel has no TBB and runs on one thread: the same factors give the same solution to the last bit. The C library's
-sine and cosine may differ in the last bit between kinds of processor; `settled` rounds it away.
-
-Graduated non-convexity with truncated least squares (Yang et al., RA-L 2020): weights of factors that are doubted.
-
-A factor counts fully up to a limit of its squared residual, and not at all above it. That has many local minima, so the
-weights begin with those of a smooth cost, in which every factor counts a little, and come nearer to it by steps of
-`sharper`; once each weight is 0 or 1 they are those of the limit itself.
+Its wheel runs on one thread: the same factors give the same bits, but for the C library's sine and cosine, which
+`settled` rounds. Graduated non-convexity with truncated least squares (Yang et al., RA-L 2020): a factor counts up to a
+limit of its squared residual; weights begin with those of a smooth cost and sharpen until each is 0 or 1.
 """
 
 from __future__ import annotations
@@ -27,13 +22,13 @@ if TYPE_CHECKING:
     from hickory_stream.graph.factors import LoopEdge, OdometryEdge
 
 
+# Greater steps accepted wrong loops in simulation.
 _STEP = 1.4
-"""Greater steps accepted wrong loops in simulation."""
 _SHARPEST = 1e6
 
 
 def smoothest(chi2: NDArray[np.float64], limit: float) -> float:
-    """Return the sharpness to begin with for squared residuals (K,): none of them is beyond what counts a little."""
+    """Return the first sharpness for squared residuals (K,): each of them counts a little."""
     over = 2.0 * float(chi2.max(initial=0.0)) - limit
     return limit / max(over, limit / _SHARPEST)
 
@@ -64,8 +59,7 @@ class Factors:
         import gtsam
 
         self._gtsam = gtsam
-        self.graph = gtsam.NonlinearFactorGraph()
-        self.values = gtsam.Values()
+        self.graph, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
 
     def add_nodes(self, nodes: Sequence[int], start: NDArray[np.float64]) -> None:
         """Add nodes by their numbers in `start` (N, 4, 4), the first of them held there."""
@@ -76,14 +70,14 @@ class Factors:
         self._add(gtsam.PriorFactorPose3(nodes[0], gtsam.Pose3(start[nodes[0]]), held))
 
     def add_verticals(self, nodes: Sequence[int], upright: NDArray[np.float64], sigma_rad: float) -> None:
-        """Add that the vertical of nodes is the one that they have in `upright` (N, 4, 4), z up."""
+        """Add the verticals of nodes, as in `upright` (N, 4, 4), z up."""
         gtsam = self._gtsam
         up, level = gtsam.Unit3(np.array([0.0, 0.0, 1.0])), gtsam.noiseModel.Isotropic.Sigma(2, sigma_rad)
         for node in nodes:
             self._add(gtsam.AttitudeFactorPose3(node, up, level, gtsam.Unit3(upright[node][2, :3])))
 
     def add_odometry(self, edge: OdometryEdge | Link) -> None:
-        """Add an edge that is not to be cut: its covariance says how far it may stretch."""
+        """Add an edge that is never cut."""
         self._add(self._between(edge.before, edge.after, edge.before_from_after, edge.covariance))
 
     def add_loop(self, loop: LoopEdge) -> int:
@@ -91,15 +85,16 @@ class Factors:
         return self._add(self._between(loop.earlier, loop.later, loop.earlier_from_later, loop.covariance))
 
     def optimized(self) -> Any:
-        """Return the values of least squares, all factors taken as they are; raises RuntimeError."""
-        return self._gtsam.LevenbergMarquardtOptimizer(self.graph, self.values, _parameters()).optimize()
+        """Return the values of least squares over all factors; raises RuntimeError."""
+        parameters = self._gtsam.LevenbergMarquardtParams()
+        parameters.setOrderingType("COLAMD")
+        parameters.setLinearSolverType("MULTIFRONTAL_CHOLESKY")
+        return self._gtsam.LevenbergMarquardtOptimizer(self.graph, self.values, parameters).optimize()
 
     def judged(self, doubted: Sequence[int], limit_chi2: float) -> tuple[NDArray[np.float64], Any]:
-        """Return the weights (K,), 0..1, that graduated non-convexity gives to the factors at these places, and values.
-
-        The library has this, too (`GncLMOptimizer`), and goes from the start values in each round. From where the last
-        one ended one step of Gauss and Newton is enough, instead of two of Levenberg and Marquardt.
-        """
+        """Return the weights (K,), 0..1, of the factors at these places by graduated non-convexity, and values."""
+        # GTSAM's `GncLMOptimizer` restarts in each round; from the last round one Gauss-Newton step is enough.
+        # GTSAM's `GncLMOptimizer` restarts in each round; from the last round one Gauss-Newton step is enough.
         factors: list[Any] = [self.graph.at(place) for place in doubted]
         roots = [factor.noiseModel().R() for factor in factors]
         ordering = self._gtsam.Ordering.ColamdNonlinearFactorGraph(self.graph)
@@ -119,10 +114,10 @@ class Factors:
         return weights, values
 
     def surprises(self, asked: Sequence[int], left_out: Collection[int], values: Any) -> NDArray[np.float64]:
-        """Return the squared Mahalanobis distances (K,) of the factors at the places `asked` from what others predict.
+        """Return the squared Mahalanobis distances (K,) of the factors `asked` from the prediction of others.
 
-        The others are all but those at the places `left_out`, which has what is asked. Each distance is by how much
-        their least squared residual rises when the factor joins them, to first order at `values`; raises RuntimeError.
+        The others are all factors without those at the places `left_out`, which include `asked`. Each distance is the
+        rise of their least squared residual with the factor, to first order at `values`; raises RuntimeError.
         """
         ordering = self._gtsam.Ordering.ColamdNonlinearFactorGraph(self.graph)
         linear = self.graph.linearize(values)
@@ -159,17 +154,8 @@ class Factors:
         return int(self.graph.size()) - 1
 
 
-def _parameters() -> Any:
-    import gtsam
-
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setOrderingType("COLAMD")
-    parameters.setLinearSolverType("MULTIFRONTAL_CHOLESKY")
-    return parameters
-
-
 def poses_of(values: Any, nodes: Iterable[int]) -> NDArray[np.float64]:
-    """Return the poses (N, 4, 4) of nodes, to the last bit."""
+    """Return the poses (N, 4, 4) of nodes, not rounded."""
     return np.array([values.atPose3(node).matrix() for node in nodes])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,16 +27,12 @@ _DIGITS = 6
 def record_of(
     graph: PoseGraph, solution: Solution, submap_ids: Sequence[int], stamps_ns: Sequence[int]
 ) -> PoseGraphRecord:
-    """Return the record of a graph and its solution.
+    """Return the record of a graph and its solution, by the ascending id and the opening stamp of each node's submap.
 
-    Args:
-        graph: the factors.
-        solution: what `solve` answered for them.
-        submap_ids: the submap that each node is, ascending.
-        stamps_ns: when each submap was opened; an edge of odometry has the stamp of its later node.
+    An edge of odometry has the stamp of its later node.
 
     Raises:
-        GraphError: the solution is not one of this graph.
+        GraphError: the solution belongs to another graph.
     """
     covariances = node_covariances(graph, solution)
     variances = covariances.diagonal(axis1=1, axis2=2)
@@ -52,53 +48,29 @@ def record_of(
         )
         for i, (submap_id, stamp_ns) in enumerate(zip(submap_ids, stamps_ns, strict=True))
     )
+
+    def edge_of(earlier: int, later: int, earlier_from_later: NDArray[np.float64], **more: Any) -> GraphEdge:
+        poses = solution.world_from_node
+        error = difference(earlier_from_later, portable.matmul(invert(poses[earlier]), poses[later]))
+        residual_m, residual_rad = _rounded(portable.norm(error[3:])), _rounded(portable.norm(error[:3]))
+        first, last = submap_ids[earlier], submap_ids[later]
+        return GraphEdge(earlier=first, later=last, residual_m=residual_m, residual_rad=residual_rad, **more)
+
     edges = []
     for edge in graph.odometry:
-        residual_m, residual_rad = _residual(solution, edge.before, edge.after, edge.before_from_after)
-        edges.append(
-            GraphEdge(
-                kind="odometry",
-                earlier=submap_ids[edge.before],
-                later=submap_ids[edge.after],
-                status="accepted",
-                score=None,
-                reason="the odometry jumped" if edge.is_jump else "",
-                residual_m=residual_m,
-                residual_rad=residual_rad,
-                stamp_ns=stamps_ns[edge.after],
-            )
-        )
-    refused = {loop.id: loop for loop in solution.rejected}
+        reason, stamp_ns = "the odometry jumped" if edge.is_jump else "", stamps_ns[edge.after]
+        own: dict[str, Any] = {"kind": "odometry", "status": "accepted", "score": None}
+        edges.append(edge_of(edge.before, edge.after, edge.before_from_after, reason=reason, stamp_ns=stamp_ns, **own))
+    rejected = {loop.id: (loop.status, loop.reason) for loop in solution.rejected}
     for loop in graph.loops:
-        residual_m, residual_rad = _residual(solution, loop.earlier, loop.later, loop.earlier_from_later)
-        told = refused.get(loop.id)
-        edges.append(
-            GraphEdge(
-                kind="loop",
-                earlier=submap_ids[loop.earlier],
-                later=submap_ids[loop.later],
-                status="accepted" if told is None else told.status,
-                score=loop.score,
-                reason="" if told is None else told.reason,
-                residual_m=residual_m,
-                residual_rad=residual_rad,
-                stamp_ns=loop.stamp_ns,
-            )
-        )
+        status, reason = rejected.get(loop.id, ("accepted", ""))
+        own = {"kind": "loop", "status": status, "score": loop.score, "reason": reason}
+        edges.append(edge_of(loop.earlier, loop.later, loop.earlier_from_later, stamp_ns=loop.stamp_ns, **own))
     return PoseGraphRecord(nodes=nodes, edges=tuple(edges))
 
 
-def _residual(
-    solution: Solution, first: int, second: int, first_from_second: NDArray[np.float64]
-) -> tuple[float, float]:
-    """Return how far the solution is from what an edge says: metres and radians."""
-    poses = solution.world_from_node
-    error = difference(first_from_second, portable.matmul(invert(poses[first]), poses[second]))
-    return _rounded(portable.norm(error[3:])), _rounded(portable.norm(error[:3]))
-
-
 def _in_the_plane(world_from_node: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the covariance (2, 2) of a place along the world's x and y, from that in the frame of the node."""
+    # (2, 2) of a place along the world's x and y, from (6, 6) in the frame of the node.
     rotation = world_from_node[:3, :3]
     along = portable.matmul(portable.matmul(rotation, covariance[3:, 3:]), rotation.T)
     return np.round(along[:2, :2], 2 * _DIGITS)

@@ -1,4 +1,4 @@
-"""What a solver answers: a `Solution`, or a `NoSolution` with its reason; never odometry's poses for a failure."""
+"""The answer of a solver: a `Solution`, or a `NoSolution` with its reason; never odometry's poses for a failure."""
 
 from __future__ import annotations
 
@@ -24,17 +24,16 @@ class RejectedLoop:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Solution:
-    """Where the nodes lie, and which loops are believed.
+    """The places of the nodes, and the accepted loops."""
 
-    `world_from_node` (N, 4, 4). `loop_weights` (L,) are those of graduated non-convexity in the order of the graph's
-    loops, 0 where a loop was impossible to begin with, 1 where nothing but odometry had spoken against it. `accepted`
-    are ids, ascending. `chi2` with `dof` degrees of freedom says how well all of it fits.
-    """
-
+    #: (N, 4, 4)
     world_from_node: NDArray[np.float64]
+    #: (L,) of graduated non-convexity, in the graph's order; 0: impossible, 1: nothing but odometry against it
     loop_weights: NDArray[np.float64]
+    #: ids, ascending
     accepted: tuple[int, ...]
     rejected: tuple[RejectedLoop, ...]
+    #: of all factors, with `dof` degrees of freedom
     chi2: float
     dof: int
 
@@ -45,6 +44,6 @@ class Solution:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoSolution:
-    """The factors have no solution that can be computed; `reason` is for people."""
+    """The factors have no computable solution; `reason` is for people."""
 
     reason: str

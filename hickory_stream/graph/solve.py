@@ -1,13 +1,11 @@
-"""The solver: which loops are believed, and where the nodes lie, computed anew from the factors alone.
+"""The solver: it accepts or rejects loops, and places the nodes, from the factors alone.
 
-1. A loop that odometry, as uncertain as it is, cannot explain is impossible (`gate.py`).
-2. The others are judged by graduated non-convexity with truncated least squares (Yang et al., RA-L 2020), as GTSAM has
-   it, on the skeleton of the graph: the nodes at which loops end, and odometry with verticals composed between them.
-   Of those that it gives up, the ones that no believed loop speaks against are believed.
-3. All nodes are placed by least squares over odometry, verticals and the believed loops.
+1. A loop that odometry, with its uncertainty, cannot explain is impossible (`gate.py`).
+2. Graduated non-convexity (Yang et al., RA-L 2020, in GTSAM) judges the others on the skeleton of the graph: the nodes
+   of loops, with composed odometry and verticals. A loop that it rejects, but no accepted one contradicts, is accepted.
+3. Least squares over odometry, verticals and accepted loops place all nodes.
 
-Only loops are ever cut, as in Kimera-RPGO: were edges of odometry cut alike, each wrong loop could be had by cutting
-one. None is certain either: each stretches as far as its covariance says, and one that jumped nearly as it likes.
+Only loops are ever cut, as in Kimera-RPGO: else a wrong loop could cut odometry. Edges stretch by their covariance.
 """
 
 from __future__ import annotations
@@ -34,8 +32,8 @@ if TYPE_CHECKING:
     from hickory_stream.graph.factors import LoopEdge, PoseGraph
 
 _BELIEVED = 0.5
+# Squared distances that differ by less are the same: rounding, for loops that do not concern one another.
 _SAME_CHI2 = 0.01
-"""Squared distances that differ by less are the same: what rounding leaves where loops do not concern one another."""
 
 # A loop is impossible above this squared Mahalanobis distance from the odometry's prediction: 99.9 % of chi-squared
 # with 6 degrees of freedom.
@@ -47,14 +45,10 @@ INLIER_CHI2 = 16.81
 def solve(
     graph: PoseGraph, config: GraphConfig | None = None, *, accepted_before: Collection[int] = ()
 ) -> Solution | NoSolution:
-    """Return where the nodes lie and which loops are believed; the same factors give the same bytes.
+    """Return the places of the nodes and the accepted loops; the same factors give the same bytes.
 
-    Without a loop that is believed the poses are those of the graph, to the last bit.
-
-    Args:
-        graph: the factors.
-        config: when a loop is believed.
-        accepted_before: ids of loops that an earlier solution had accepted; those not believed now are withdrawn.
+    Without an accepted loop the poses are the graph's, to the last bit. `accepted_before`: ids of loops in an earlier
+    solution; those rejected now are withdrawn.
     """
     config = GraphConfig() if config is None else config
     chain = Chain(graph)
@@ -68,30 +62,19 @@ def solve(
 
 
 def node_covariances(graph: PoseGraph, solution: Solution) -> NDArray[np.float64]:
-    """Return (N, 6, 6) how uncertain each node is relative to node 0 in a solution, in the node's frame.
-
-    Raises:
-        GraphError: the solution is not one of this graph.
-    """
+    """Return (N, 6, 6) the covariance of each node relative to node 0, in its frame; raises `GraphError`."""
     marginals = _marginals(graph, solution)
     return np.array([symmetric(marginals.marginalCovariance(i)) for i in range(graph.num_nodes)])
 
 
 def relative_covariances(graph: PoseGraph, solution: Solution, pairs: Sequence[tuple[int, int]]) -> NDArray[np.float64]:
-    """Return (P, 6, 6) how uncertain `a_from_b` of each pair of nodes (a, b) is in a solution, in the frame of b.
-
-    Raises:
-        GraphError: the solution is not one of this graph.
-    """
+    """Return (P, 6, 6) the covariance of `a_from_b` of pairs (a, b), in the frame of b; raises `GraphError`."""
     marginals = _marginals(graph, solution)
     return np.array([_relative(marginals, solution.world_from_node, a, b) for a, b in pairs]).reshape(-1, 6, 6)
 
 
-# ---- the steps ------------------------------------------------------------------------------------------------------
-
-
 def _possible(graph: PoseGraph, chain: Chain) -> tuple[list[LoopEdge], dict[int, str]]:
-    """Return the loops that odometry allows, and why not of each other one."""
+    # The loops that odometry allows, and the reason against each other one.
     possible, reasons = [], {}
     predictions = chain.predictions([(loop.earlier, loop.later) for loop in graph.loops])
     for loop, prediction in zip(graph.loops, predictions, strict=True):
@@ -99,15 +82,14 @@ def _possible(graph: PoseGraph, chain: Chain) -> tuple[list[LoopEdge], dict[int,
         if surprise.chi2 <= GATE_CHI2:
             possible.append(loop)
         else:
-            reasons[loop.id] = (
-                f"impossible: {surprise.distance_m:.2f} m and {np.degrees(surprise.angle_rad):.1f} deg from where "
-                f"odometry predicts it (chi2 {surprise.chi2:.0f}, at most {GATE_CHI2:g})"
-            )
+            where = f"{surprise.distance_m:.2f} m and {np.degrees(surprise.angle_rad):.1f} deg from where"
+            limits = f"(chi2 {surprise.chi2:.0f}, at most {GATE_CHI2:g})"
+            reasons[loop.id] = f"impossible: {where} odometry predicts it {limits}"
     return possible, reasons
 
 
 def _judged(chain: Chain, loops: Sequence[LoopEdge]) -> tuple[list[float], NDArray[np.float64]]:
-    """Return the weight, 0..1, of each loop, and about where (N, 4, 4) all nodes lie by them."""
+    # The weight, 0..1, of each loop, and the approximate places (N, 4, 4) of all nodes.
     if not loops:
         return [], chain.world_from_node
     edges = chain.skeleton({node for loop in loops for node in (loop.earlier, loop.later)})
@@ -125,13 +107,9 @@ def _judged(chain: Chain, loops: Sequence[LoopEdge]) -> tuple[list[float], NDArr
 def _reconsidered(
     factors: Factors, places: Sequence[int], weights: NDArray[np.float64], values: Any
 ) -> NDArray[np.float64]:
-    """Return the weights (K,), 1 for each loop left out that no believed loop speaks against.
-
-    Graduated non-convexity gives next to no weight at first to a loop for which odometry must stretch far, and where
-    hardly any other loop helps that weight never grows, although the gate has allowed the stretch. What contradicts a
-    loop are others: those believed make it more surprising than it is to odometry alone. One that they do not is
-    believed, what fits them best first.
-    """
+    # Graduated non-convexity gives next to no weight to a loop for which odometry must stretch far, without help of
+    # other loops, although the gate allows the stretch. Such a loop is accepted, best first, if the accepted ones do
+    # not make it more surprising than odometry alone.
     believed = weights > _BELIEVED
     doubted = np.flatnonzero(~believed)
     if len(doubted) == 0:
@@ -157,10 +135,7 @@ def _placed(
     reasons: Mapping[int, str],
     accepted_before: frozenset[int],
 ) -> Solution | NoSolution:
-    """Return the solution over the loops of some weight; those beyond the limit in it are left out, the worst first.
-
-    The skeleton is the whole graph to first order only, so that a loop at the limit there may be beyond it here.
-    """
+    # The skeleton is the whole graph to first order only, so loops beyond the limit here are cut, the worst first.
     believed = [loop for loop, weight in zip(possible, weights, strict=True) if weight > _BELIEVED]
     while True:
         factors, places = _whole(graph, believed, start)
@@ -173,16 +148,16 @@ def _placed(
     poses[0] = graph.world_from_node[0]
     if not np.isfinite(poses).all():
         return NoSolution(reason="the pose graph could not be solved: its solution is not finite")
-    accepted = tuple(sorted(loop.id for loop in believed))
     contradicted = {loop.id: "contradicted by odometry and other loops" for loop in possible if loop not in believed}
+    against = sorted({**reasons, **contradicted}.items())
     weight_of = {loop.id: weight for loop, weight in zip(possible, weights, strict=True)}
     return Solution(
         world_from_node=poses,
         loop_weights=np.array([weight_of.get(loop.id, 0.0) for loop in graph.loops]),
-        accepted=accepted,
+        accepted=tuple(sorted(loop.id for loop in believed)),
         rejected=tuple(
             RejectedLoop(id=i, status="withdrawn" if i in accepted_before else "rejected", reason=reason)
-            for i, reason in sorted({**reasons, **contradicted}.items())
+            for i, reason in against
         ),
         chi2=factors.total_chi2(values),
         dof=6 * len(believed) + 2 * (graph.num_nodes - 1),
@@ -190,7 +165,6 @@ def _placed(
 
 
 def _whole(graph: PoseGraph, loops: Sequence[LoopEdge], start: NDArray[np.float64]) -> tuple[Factors, list[int]]:
-    """Return all factors of a graph with these loops, and the places of the loops."""
     factors = Factors()
     factors.add_nodes(range(graph.num_nodes), start)
     factors.add_verticals(range(1, graph.num_nodes), graph.world_from_node, graph.gravity_sigma_rad)

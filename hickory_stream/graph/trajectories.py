@@ -1,4 +1,4 @@
-"""The way of the camera before and after the pose graph moved the submaps."""
+"""The path of the camera before and after the pose graph moved the submaps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ways:
-    """Where the camera was: `before` (N, 3) as odometry has it, `after` (N, 3) as the solution of the graph has it."""
+    """Camera places: `before` (N, 3) by odometry, `after` (N, 3) by the solution of the graph."""
 
     before: NDArray[np.float64]
     after: NDArray[np.float64]
@@ -31,10 +31,7 @@ class Ways:
 
 
 def ways_of(graph: PoseGraphRecord, stamps_ns: Sequence[int], places_m: NDArray[np.float64]) -> Ways:
-    """Return the ways of the camera from the places (N, 3) that odometry gave it; each moves with its submap.
-
-    A place belongs to the last submap that had been opened by its stamp.
-    """
+    """Return the paths of the camera from its places (N, 3) by odometry; each moves with its (last opened) submap."""
     opened = np.array([node.stamp_ns for node in graph.nodes])
     owners = np.maximum(np.searchsorted(opened, np.asarray(stamps_ns), side="right") - 1, 0)
     after = np.empty_like(places_m)

@@ -16,7 +16,7 @@ from hickory_stream.inspection.graph_summary import told as graph_line
 from hickory_stream.inspection.object_geometry import Place, place_of
 from hickory_stream.inspection.supports import supports_of, told
 from hickory_stream.map_folder.digest import map_digest
-from hickory_stream.mapping.floor_notes import floor_notes
+from hickory_stream.mapping.floor_warnings import floor_warnings
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def summarize(saved: SavedMap) -> MapSummary:
         num_shaped=sum(row.containment is not None for row in objects),
         is_altered=saved.is_altered,
         doubt=saved.doubt,
-        notes=floor_notes(saved.snapshot),
+        notes=floor_warnings(saved.snapshot),
         graph=None if saved.snapshot.graph is None else summary_of(saved.snapshot.graph),
     )
 

@@ -1,4 +1,4 @@
-"""The pose graph of a map: its submaps as nodes, odometry between them, and the loops that searches have found."""
+"""The pose graph of a map: its submaps as nodes, odometry between them, and loops."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from hickory_stream.graph.solution import Solution
     from hickory_stream.records import Loop
 
+# The odometry's certainty of the vertical: visual-inertial ones know it to half a degree.
 _GRAVITY_SIGMA_RAD = 0.01
-"""How well the odometry knows the vertical: visual-inertial ones do to half a degree."""
 _NO_WAY = 1e-6
 # A solution of the graph that moves no submap by more than this, against those around it, is no correction: the map
 # resolves no less.
@@ -38,7 +38,7 @@ _CORRECT_DEG = 0.3
 
 
 class Node(Protocol):
-    """What the graph asks of a submap; the nodes are those with an anchor, in the order of their ids."""
+    """A submap as a node of the graph."""
 
     @property
     def anchor(self) -> NDArray[np.float64] | None:
@@ -46,11 +46,11 @@ class Node(Protocol):
 
     @property
     def way_m(self) -> float:
-        """How far the camera moved in it."""
+        """The length of the camera's path in it."""
 
     @property
     def turn_rad(self) -> float:
-        """How far it turned."""
+        """The sum of the camera's turns in it."""
 
     @property
     def after_jump(self) -> bool:
@@ -58,23 +58,23 @@ class Node(Protocol):
 
     @property
     def registered(self) -> NDArray[np.float64] | None:
-        """The covariance (6, 6) of its least sure keyframe, along the map's axes; None: not all were registered."""
+        """The covariance (6, 6) of its least certain keyframe, along the map's axes; None: not all were registered."""
 
     @property
     def blind(self) -> NDArray[np.float64] | None:
-        """The lengths of its way (6, 6), along the map's axes, along which the odometry saw nothing."""
+        """The lengths of its path (6, 6), along the map's axes, along which the odometry saw nothing."""
 
     @property
     def unfixed(self) -> NDArray[np.float64] | None:
-        """The same of the registration of keyframes, where all were registered."""
+        """The same of the registration of keyframes, if all were registered."""
 
 
 def pose_graph(
     submaps: Sequence[Node], loops: Sequence[Loop], stamps_ns: Sequence[int], config: GraphConfig
 ) -> PoseGraph:
-    """Return the graph of submaps (at least one) that all have an anchor; loops that a search did not believe stay out.
+    """Return the graph of submaps (at least one, all with an anchor), without loops that their search rejected.
 
-    `stamps_ns` are those at which the submaps began; a loop has that of its later one.
+    `stamps_ns`: begin of the submaps; a loop has its later one's.
     """
     anchors = np.array([submap.anchor for submap in submaps])
     odometry = tuple(
@@ -105,10 +105,7 @@ def pose_graph(
 
 
 def _edge_covariance(submap: Node, after: Node, config: GraphConfig) -> NDArray[np.float64]:
-    """Return that of what odometry says of the next submap: as registration has it, where it is surer than the way.
-
-    Along what registration did not see the odometry alone says where the next submap lies, for that share of the way.
-    """
+    # By registration if that is more certain than the path; what registration did not see counts as by the path.
     anchor = _anchor(after)
     blind = None if submap.blind is None else along_axes_of(anchor, submap.blind)
     by_way = odometry_covariance(submap.way_m, submap.turn_rad, config, jumps=int(after.after_jump), blind=blind)
@@ -126,7 +123,7 @@ def _edge_covariance(submap: Node, after: Node, config: GraphConfig) -> NDArray[
 def graph_record(
     graph: PoseGraph, solution: Solution, loops: Sequence[Loop], stamps_ns: Sequence[int]
 ) -> PoseGraphRecord:
-    """Return the public record of a solution; loops that their search did not believe are in it as well."""
+    """Return the public record of a solution, with the loops that their search rejected."""
     solved = record_of(graph, solution, range(graph.num_nodes), stamps_ns)
     unbelieved = tuple(
         GraphEdge(
@@ -152,11 +149,8 @@ def world_from_submaps(submaps: Sequence[Node], world_from_node: NDArray[np.floa
 
 
 def submap_places(submaps: Sequence[Node], world_from_node: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return world_from_submap (4, 4) of each submap in a solution.
-
-    From the last one back, a submap that the solution moves against the one after it by less than the map resolves has
-    the very pose of that one: what was mapped in a row stays in one piece.
-    """
+    """Return world_from_submap (4, 4) of each submap in a solution."""
+    # A submap that moves against the next one by less than the map resolves gets its very pose: one piece stays one.
     places = world_from_submaps(submaps, world_from_node)
     for i in range(len(places) - 2, -1, -1):
         if _is_same(places[i], places[i + 1], _anchor(submaps[i + 1])):
@@ -169,7 +163,7 @@ def is_correction(
     places: Sequence[NDArray[np.float64]],
     before: Sequence[NDArray[np.float64]],
 ) -> bool:
-    """Return whether places of submaps, as the last one has them, differ from those before by what can be seen."""
+    """Return whether places of submaps, relative to the last one's, differ visibly from those before."""
     return not all(
         _is_same(compose(invert(places[-1]), now), compose(invert(before[-1]), then), _anchor(submap))
         for submap, now, then in zip(submaps, places, before, strict=True)

@@ -1,4 +1,4 @@
-"""Where the pose graph has a submap in the earlier ones, and how well it knows: where a search for loops begins."""
+"""The place of a submap in the earlier ones by the pose graph, where a search for loops begins."""
 
 from __future__ import annotations
 
@@ -24,13 +24,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Predicted:
-    """Where the graph has the later submap in an earlier one: `earlier_from_later` (4, 4) between their frames.
-
-    `sigma_m` and `sigma_yaw_rad` say how well, in a horizontal direction and about the vertical.
-    """
+    """The place of the later submap in an earlier one: `earlier_from_later` (4, 4) between their frames."""
 
     earlier_from_later: NDArray[np.float64]
+    #: in a horizontal direction
     sigma_m: float
+    #: about the vertical
     sigma_yaw_rad: float
 
     def __post_init__(self) -> None:
@@ -40,10 +39,7 @@ class Predicted:
 def predictions(
     submaps: Sequence[Node], loops: Sequence[Loop], config: GraphConfig, *, least_apart: int
 ) -> dict[int, Predicted] | NoSolution:
-    """Return where the graph has the last submap in each that is at least so many before it, by the ids of these.
-
-    The ids of submaps are their places; `loops` are those found so far.
-    """
+    """Return the place of the last submap in each at least `least_apart` before it, by id (its index)."""
     from hickory_stream.graph.solve import relative_covariances, solve
 
     later_id = len(submaps) - 1

@@ -1,8 +1,7 @@
-"""The search for loops: where a submap that has ended lies in those before it.
+"""The search for loops: the place of a submap that has ended in the earlier ones.
 
-First from where the graph has it: its surface is registered to the earlier submaps that it overlaps there. Where the
-graph is too unsure for that, or nothing met, its objects are aligned with those of the earlier submaps, by the
-project's own alignment and its test of significance, and the surfaces refine the answer. Budgets are in candidates and
+Its surface is registered to the earlier submaps that it overlaps by the graph. If the graph is too uncertain, or no
+surface meets, its objects are aligned with theirs, and the surfaces refine the answer. Budgets are in candidates and
 iterations, never in time: the same snapshot gives the same loops.
 """
 
@@ -16,13 +15,7 @@ import numpy as np
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
-from hickory_stream.geometry.rigid import (
-    apply,
-    compose,
-    from_rotation_translation,
-    invert,
-    yaw_rotation,
-)
+from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.graph.gate import difference, mahalanobis2
 from hickory_stream.loops.config import MIN_AGREEING_POINTS
@@ -34,16 +27,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.alignment.config import AlignConfig
     from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.loops.config import LoopConfig
     from hickory_stream.loops.predictions import Predicted
 
 _CELL_M = 0.4
 _WITHIN_SIGMAS = 3.0
+# A place that the graph knows this well has no rival nearby.
 _SURE_M = 0.1
-"""Where the graph knows a place this well there is no other one nearby that could be meant."""
-
 _SAME_M, _SAME_RAD = 0.15, 0.035
 _LEAST_OBJECTS = 4
 # Minimum share of a submap's surface in the other one for them to be a candidate.
@@ -56,61 +47,54 @@ _RIVAL_SHARE = 0.85
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LoopQuery:
-    """What is searched: the submap `later_id` among the earlier ones of `predicted`.
-
-    `surfaces` are theirs by id; `snapshot` is the map with all of them, None: objects are not compared.
-    """
+    """The search for submap `later_id` in the earlier ones of `predicted`, by their `surfaces`."""
 
     later_id: int
     surfaces: Mapping[int, Surface]
     predicted: Mapping[int, Predicted]
+    #: the map with all of them; None: objects are not compared
     snapshot: MapSnapshot | None = None
     extractor: str = ""
 
 
-def search_loops(query: LoopQuery, config: LoopConfig, align_config: AlignConfig | None = None) -> tuple[Loop, ...]:
-    """Return the loops found, those that are not believed with the reason; none where nothing overlaps."""
+def search_loops(query: LoopQuery, config: LoopConfig) -> tuple[Loop, ...]:
+    """Return the loops found, with a reason if they are not believed."""
     if len(query.surfaces[query.later_id].points) < MIN_AGREEING_POINTS:
         return ()
     known = [i for i in sorted(query.predicted) if query.predicted[i].sigma_m <= _MAX_SIGMA_M]
     loops = [_by_surface(query, earlier_id, config) for earlier_id in _overlapped(query, known, config)]
     if any(loop.reason is None for loop in loops) or len(known) == len(query.predicted):
         return tuple(loops)
-    by_objects = _by_objects(query, config, align_config)
+    by_objects = _by_objects(query, config)
     return (*loops, *(() if by_objects is None else (by_objects,)))
 
 
-# ---- by surfaces, from where the graph has them ----------------------------------------------------------------------
-
-
 def _overlapped(query: LoopQuery, earlier_ids: list[int], config: LoopConfig) -> list[int]:
-    """Return the earlier submaps that the later one overlaps most, as the graph has them, in the order of their ids."""
+    # The most overlapping earlier submaps, in the order of their ids.
     later = query.surfaces[query.later_id]
     shares: list[tuple[float, int]] = []
     for earlier_id in earlier_ids:
         earlier, predicted = query.surfaces[earlier_id], query.predicted[earlier_id]
         if len(earlier.points) < MIN_AGREEING_POINTS:
             continue
-        share = _overlap(earlier.points, apply(predicted.earlier_from_later, later.points))
+        cells = sorted_unique(keys_of_points(earlier.points, _CELL_M))
+        there = apply(predicted.earlier_from_later, later.points)
+        share = float(contains(cells, keys_of_points(there, _CELL_M)).mean())
         if share >= _MIN_OVERLAP:
             shares.append((-share, earlier_id))
     return sorted(earlier_id for _, earlier_id in sorted(shares)[: config.max_candidates])
 
 
-def _overlap(earlier: NDArray[np.float64], later: NDArray[np.float64]) -> float:
-    cells = sorted_unique(keys_of_points(earlier, _CELL_M))
-    return float(contains(cells, keys_of_points(later, _CELL_M)).mean())
-
-
 def _by_surface(query: LoopQuery, earlier_id: int, config: LoopConfig) -> Loop:
-    """Register a submap to an earlier one from where the graph has it, and from around there."""
+    # From the place in the graph, and from around it.
     earlier, later, predicted = query.surfaces[earlier_id], query.surfaces[query.later_id], query.predicted[earlier_id]
     reach_m = _WITHIN_SIGMAS * predicted.sigma_m
     fits: list[SurfaceFit] = []
     for start in _starts(predicted, later):
         near = approached(earlier, later, start, reach_m)
         # Most starts come to where one before has led to; one that led nowhere says nothing about the others.
-        if not any(_why_not(fit, config) is None and _is_at(near, fit, later) for fit in fits):
+        led = [fit for fit in fits if _why_not(fit, config) is None]
+        if not any(_differ(near, fit.earlier_from_later, fit.covariance, later) < 1.0 for fit in led):
             fits.append(refined(earlier, later, start, near))
     best = max(fits, key=lambda fit: fit.support)
     reason = _why_not(best, config)
@@ -122,7 +106,6 @@ def _by_surface(query: LoopQuery, earlier_id: int, config: LoopConfig) -> Loop:
 
 
 def _starts(predicted: Predicted, later: Surface) -> list[NDArray[np.float64]]:
-    """Return where to start a registration: at the prediction, and around it where that is unsure."""
     starts = [predicted.earlier_from_later]
     if predicted.sigma_m <= _SURE_M:
         return starts
@@ -138,32 +121,24 @@ def _starts(predicted: Predicted, later: Surface) -> list[NDArray[np.float64]]:
 
 
 def _is_same(a: SurfaceFit, b: SurfaceFit, later: Surface) -> bool:
-    """Return whether two fits say the same, along the directions in which both say anything."""
+    # Along the directions in which both are certain.
     return _differ(a.earlier_from_later, b.earlier_from_later, a.covariance + b.covariance, later) < 1.0
 
 
-def _is_at(near: NDArray[np.float64], fit: SurfaceFit, later: Surface) -> bool:
-    """Return whether a place, earlier_from_later, is that of a fit, along the directions in which it says anything."""
-    return _differ(near, fit.earlier_from_later, fit.covariance, later) < 1.0
-
-
 def _differ(a: NDArray[np.float64], b: NDArray[np.float64], covariance: NDArray[np.float64], later: Surface) -> float:
-    """Return the squared distance of two places, earlier_from_later, in units of what makes places two."""
+    # The squared distance of two places, earlier_from_later, in units of the tolerance.
     error = difference(compose(a, later.anchor), compose(b, later.anchor))
     tolerance = np.diag([_SAME_RAD * _SAME_RAD] * 3 + [_SAME_M * _SAME_M] * 3)
     return mahalanobis2(error, covariance + tolerance)
 
 
 def _why_not(fit: SurfaceFit, config: LoopConfig) -> str | None:
-    """Return why a fit is not believed, None where it is."""
+    # Why a fit is not believed, None where it is.
     if fit.num_met < MIN_AGREEING_POINTS:
         return f"{fit.num_met} points of the surfaces meet; expected {MIN_AGREEING_POINTS} and more"
     if fit.agreement < config.min_agreement:
-        against = fit.num_known - fit.num_met
-        return (
-            f"{fit.agreement:.0%} of the surface agrees, {against} points lie in free space; "
-            f"expected {config.min_agreement:.0%} and more"
-        )
+        against = f"{fit.num_known - fit.num_met} points lie in free space"
+        return f"{fit.agreement:.0%} of the surface agrees, {against}; expected {config.min_agreement:.0%} and more"
     return None
 
 
@@ -179,18 +154,15 @@ def _loop(earlier_id: int, later_id: int, fit: SurfaceFit, method: str, reason: 
     )
 
 
-# ---- by objects ------------------------------------------------------------------------------------------------------
-
-
-def _by_objects(query: LoopQuery, config: LoopConfig, align_config: AlignConfig | None) -> Loop | None:
-    """Align the objects of a submap with those of the earlier ones; None where there is nothing to refine it by."""
+def _by_objects(query: LoopQuery, config: LoopConfig) -> Loop | None:
+    # None: too few objects, no alignment, or no surface to refine it.
     if query.snapshot is None:
         return None
     later_map = _objects_of(query.snapshot, {query.later_id}, query.extractor)
     earlier_map = _objects_of(query.snapshot, set(query.predicted), query.extractor)
     if min(len(later_map), len(earlier_map)) < _LEAST_OBJECTS:
         return None
-    answer = align(earlier_map, later_map, align_config)
+    answer = align(earlier_map, later_map)
     if not isinstance(answer, Alignment):
         return None
     places = {submap.id: submap.world_from_submap for submap in query.snapshot.submaps}
@@ -208,6 +180,5 @@ def _by_objects(query: LoopQuery, config: LoopConfig, align_config: AlignConfig 
 def _objects_of(snapshot: MapSnapshot, submap_ids: set[int], extractor: str) -> ObjectMap:
     objects = tuple(item for item in snapshot.objects if item.submap_id in submap_ids)
     submaps = tuple(submap for submap in snapshot.submaps if submap.id in submap_ids)
-    return object_map(
-        MapSnapshot(revision=snapshot.revision, stamp_ns=snapshot.stamp_ns, submaps=submaps, objects=objects), extractor
-    )
+    part = MapSnapshot(revision=snapshot.revision, stamp_ns=snapshot.stamp_ns, submaps=submaps, objects=objects)
+    return object_map(part, extractor)

@@ -1,11 +1,8 @@
-"""Registration of two submaps by their surfaces, and what speaks for and against the result.
+"""Registration of two submaps by their surfaces, and the evidence for and against the result.
 
-Iterated closest points, point to plane (Chen and Medioni 1992), with gates that narrow and a robust loss. Points pair
-only where their normals agree, which look at the camera that saw them (Pulli 1999): the two sides of a wall are never
-taken for one another, as a registration by distributions of points alone does it by the wall's thickness.
-
-It answers always; what there is to believe it is measured here: how much surface has met, and how much of it lies where
-the other submap saw free space.
+Iterated closest points, point to plane (Chen and Medioni 1992), with narrowing gates and a robust loss. Points pair
+only if their normals, which look at the camera, agree (Pulli 1999): the two sides of a wall never pair. Evidence is how
+much surface met, and how much lies in the free space of the other submap.
 """
 
 from __future__ import annotations
@@ -20,13 +17,7 @@ from scipy.spatial import cKDTree
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import solve_in_place
-from hickory_stream.geometry.rigid import (
-    apply,
-    compose,
-    from_rotation_translation,
-    invert,
-    rotation_of_vector,
-)
+from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, rotation_of_vector
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.poses.degeneracy import Surfels, degenerate_directions, without_degenerate
 
@@ -37,54 +28,43 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import SurveyedSubmap
 
+# Metres of distance for a radian between normals: opposite sides are further apart than any gate.
 _NORMAL_M = 0.4
-"""So many metres apart are points whose normals differ by a radian: opposite sides are further apart than any gate."""
-
 _COARSE_GATES_M, _FINE_GATES_M = (0.3, 0.3, 0.2, 0.2, 0.15, 0.15), (0.12, 0.12, 0.12, 0.12)
 _WIDE_ROUNDS = 4
+# About so many points of the later surface, spread evenly, are paired while the gates are coarse.
 _COARSE_POINTS = 1500
-"""About so many points of the later surface are paired while the gates are coarse, spread evenly over all of it."""
-
+# So many neighbouring points err alike: the share of the Hessian that counts as independent evidence.
 _CORRELATED = 30.0
-"""So many neighbouring points err alike: the share of the Hessian that counts as independent evidence."""
-
+# The least difference of two surfaces of one room, however many points they have: no submap is quite rigid.
 _FLOOR_RAD, _FLOOR_M = 0.004, 0.02
-"""What two surfaces of one room differ by, however many points they have: no submap is quite rigid."""
-
+# Variance along directions that the surfaces leave open, in m^2 and rad^2.
 _UNKNOWN_VARIANCE = 100.0
-"""That of a direction along which the surfaces say nothing, in m^2 and rad^2."""
-
+# Surfaces nearer than this to each other, across, have met.
 _MET_M = 0.06
-"""Surfaces that are nearer than this to each other, across, have met."""
-
+# The normal of an upright surface has a smaller part along the vertical.
 _UPRIGHT = 0.7
-"""Surface whose normal has a smaller part along the vertical is upright."""
-
+# The reach, of place and normal together, of a search for the same side of a surface.
 _SIDE_M = 0.25
-"""Up to so far from a point, of place and normal together, the same side of a surface is looked for."""
-
+# A point in free space counts against a fit only so far from all surface: at its rim both are seen.
 _FREE_M = 0.12
-"""A point in free space counts against a fit only so far from all surface: at its rim both are seen."""
-
 _STRONG_COSINE, _LEAST_STRONG = 0.7, 40.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """A submap's surface: `points` and unit `normals` (N, 3), and the sorted keys of its `free` voxels, in its frame.
-
-    `anchor` (4, 4) is the camera's first pose in it, the node of the pose graph. The trees are made when first asked.
-    """
+    """A submap's surface in its frame: `points`, unit `normals` (N, 3), and the sorted keys of `free` voxels."""
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
     free: NDArray[np.int64]
     voxel_m: float
+    #: (4, 4) first camera pose in it, the node of the pose graph
     anchor: NDArray[np.float64]
 
     @cached_property
     def sides(self) -> cKDTree:
-        """The points with their normals, to be looked up together."""
+        """The points with their normals, for a joint search; made on first use."""
         return cKDTree(_with_normals(self.points, self.normals))
 
     @cached_property
@@ -94,7 +74,7 @@ class Surface:
 
 
 class Surfaces(Mapping[int, Surface]):
-    """The surfaces of submaps by their ids, each made when it is first asked for: few are candidates of a search."""
+    """The surfaces of submaps by their ids, each made on first use: few are candidates of a search."""
 
     def __init__(self, submaps: Iterable[SurveyedSubmap]) -> None:
         self._submaps = {submap.id: submap for submap in submaps}
@@ -123,17 +103,17 @@ class Surfaces(Mapping[int, Surface]):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SurfaceFit:
-    """How a later submap lies in an earlier one by their surfaces, and how well.
+    """The place of a later submap in an earlier one by their surfaces.
 
-    `earlier_from_later` (4, 4) is between their frames; `covariance` (6, 6) that of a small turn, then shift, in the
-    frame of the later one's anchor. Of the `num_known` points of either of which the other one knows what is there,
-    `num_met` have met a surface; the others lie in its free space. Only upright surface counts: floors and tops of
-    things meet wherever one stands.
+    Only upright surface counts: floors and tops of things meet everywhere.
     """
 
     earlier_from_later: NDArray[np.float64]
+    #: (6, 6) of a small turn, then shift, in the frame of the later one's anchor
     covariance: NDArray[np.float64]
+    #: points of either that met a surface of the other
     num_met: int
+    #: these and the points in the other's free space
     num_known: int
 
     @property
@@ -143,14 +123,13 @@ class SurfaceFit:
 
     @property
     def support(self) -> int:
-        """Points for it without those against it."""
+        """Points for it minus points against it."""
         return 2 * self.num_met - self.num_known
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Paired:
-    """Points of the later surface in the frame of its anchor, the normals between them and theirs, and residuals."""
-
+    # Points of the later surface in the frame of its anchor, the mean normals of pairs, and residuals.
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
     residuals_m: NDArray[np.float64]
@@ -158,10 +137,7 @@ class _Paired:
 
 
 def approached(earlier: Surface, later: Surface, predicted: NDArray[np.float64], reach_m: float) -> NDArray[np.float64]:
-    """Return about where `registered` comes to, earlier_from_later: by the coarse gates alone, of a few of the points.
-
-    Takes what `registered` takes, and a tenth of its time.
-    """
+    """Return the approximate result of `registered`, earlier_from_later: by the coarse gates and a few points."""
     points, normals = _from_anchor(later)
     stride = max(len(points) // _COARSE_POINTS, 1)
     wide = [reach_m] * _WIDE_ROUNDS if reach_m > _COARSE_GATES_M[0] else []
@@ -171,39 +147,25 @@ def approached(earlier: Surface, later: Surface, predicted: NDArray[np.float64],
 
 
 def registered(earlier: Surface, later: Surface, predicted: NDArray[np.float64], reach_m: float) -> SurfaceFit:
-    """Return how a later surface lies in an earlier one.
-
-    Args:
-        earlier: the surface that stays.
-        later: the surface that is moved.
-        predicted: (4, 4) earlier_from_later, where to start.
-        reach_m: points up to this far apart are paired at first.
-    """
+    """Return the fit of a later surface from `predicted` (4, 4) earlier_from_later; at first up to `reach_m` apart."""
     return refined(earlier, later, predicted, approached(earlier, later, predicted, reach_m))
 
 
 def refined(earlier: Surface, later: Surface, predicted: NDArray[np.float64], near: NDArray[np.float64]) -> SurfaceFit:
-    """Return the registration that goes on from `near`, which the start `predicted` has `approached`."""
+    """Return the registration that continues from `near`, the result of `approached` from `predicted`."""
     points, normals = _from_anchor(later)
     pose, paired = _narrowed(earlier, points, normals, compose(near, later.anchor), _FINE_GATES_M)
-    degenerate = degenerate_directions(
-        Surfels(points=paired.points, normals=paired.normals, weight=1.0),
-        strong_cosine=_STRONG_COSINE,
-        least_strong=_LEAST_STRONG,
-    )
+    surfels = Surfels(points=paired.points, normals=paired.normals, weight=1.0)
+    degenerate = degenerate_directions(surfels, strong_cosine=_STRONG_COSINE, least_strong=_LEAST_STRONG)
     start = compose(predicted, later.anchor)
-    earlier_from_later = compose(without_degenerate(pose, start, degenerate), invert(later.anchor))
-    met, known = _evidence(earlier, later, earlier_from_later)
-    return SurfaceFit(
-        earlier_from_later=earlier_from_later,
-        covariance=_covariance(paired, degenerate),
-        num_met=met,
-        num_known=known,
-    )
+    found = compose(without_degenerate(pose, start, degenerate), invert(later.anchor))
+    counts = (_met_and_against(earlier, later, found), _met_and_against(later, earlier, invert(found)))
+    met, against = (sum(count[i] for count in counts) for i in range(2))
+    covariance = _covariance(paired, degenerate)
+    return SurfaceFit(earlier_from_later=found, covariance=covariance, num_met=met, num_known=met + against)
 
 
 def _from_anchor(later: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the points and normals of a surface in the frame of its anchor."""
     node_from_later = invert(later.anchor)
     return apply(node_from_later, later.points), portable.matmul(later.normals, node_from_later[:3, :3].T)
 
@@ -215,7 +177,7 @@ def _narrowed(
     pose: NDArray[np.float64],
     gates_m: Iterable[float],
 ) -> tuple[NDArray[np.float64], _Paired]:
-    """Return the pose after a step with each gate, and the last pairs; it ends before where there are too few."""
+    # The pose after a step with each gate, and the last pairs; it stops early if they are too few.
     for gate_m in gates_m:
         paired = _pairs(earlier, points, normals, pose, gate_m)
         step = _step(paired)
@@ -236,7 +198,6 @@ def _pairs(
     pose: NDArray[np.float64],
     gate_m: float,
 ) -> _Paired:
-    """Pair the later points with the nearest earlier ones, of place and normal together, within a gate."""
     turn = pose[:3, :3]
     there, facing = apply(pose, points), portable.matmul(normals, turn.T)
     distance, at = earlier.sides.query(_with_normals(there, facing), distance_upper_bound=gate_m)
@@ -246,18 +207,13 @@ def _pairs(
     across = facing[is_paired] + earlier.normals[theirs]
     across /= np.sqrt((across * across).sum(axis=1))[:, None]
     residuals = (across * (earlier.points[theirs] - there[is_paired])).sum(axis=1)
-    scale = gate_m / 3.0
-    ratio = residuals / scale
-    return _Paired(
-        points=points[is_paired],
-        normals=portable.matmul(across, turn),
-        residuals_m=residuals,
-        weights=1.0 / (1.0 + ratio * ratio),
-    )
+    ratio = residuals / (gate_m / 3.0)
+    weights, mean_normals = 1.0 / (1.0 + ratio * ratio), portable.matmul(across, turn)
+    return _Paired(points=points[is_paired], normals=mean_normals, residuals_m=residuals, weights=weights)
 
 
 def _normal_equations(paired: _Paired) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the Hessian (6, 6) and the right side (6,) of a small turn, then shift, in the frame of the anchor."""
+    # Hessian (6, 6) and right side (6,) of a small turn, then shift, in the frame of the anchor.
     lever = np.cross(paired.points, paired.normals)
     rows = np.concatenate([lever, paired.normals], axis=1)
     weighted = rows * paired.weights[:, None]
@@ -265,26 +221,17 @@ def _normal_equations(paired: _Paired) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def _step(paired: _Paired) -> NDArray[np.float64] | None:
-    """Return the small turn, then shift (6,), that brings pairs together best; None where there are too few."""
     if len(paired.points) < _LEAST_STRONG:
         return None
     hessian, right = _normal_equations(paired)
-    # What no pair speaks for stays as it is.
+    # Directions without evidence stay.
     hessian = np.ascontiguousarray(hessian + 1e-3 * np.eye(6))
     solve_in_place(hessian, right)
     return right
 
 
-def _evidence(earlier: Surface, later: Surface, earlier_from_later: NDArray[np.float64]) -> tuple[int, int]:
-    """Return how many points of either surface met the other one, and of how many it knows what is there."""
-    back = invert(earlier_from_later)
-    counts = [_met_and_against(earlier, later, earlier_from_later), _met_and_against(later, earlier, back)]
-    met, against = (sum(count[i] for count in counts) for i in range(2))
-    return met, met + against
-
-
 def _met_and_against(surface: Surface, other: Surface, here_from_other: NDArray[np.float64]) -> tuple[int, int]:
-    """Return how many upright points of another surface lie on one, and how many in its free space, off all surface."""
+    # Numbers of upright points of `other` on a surface, and in its free space, off all surface.
     is_upright = np.abs(other.normals[:, 2]) < _UPRIGHT
     points = apply(here_from_other, other.points[is_upright])
     facing = portable.matmul(other.normals[is_upright], here_from_other[:3, :3].T)
@@ -297,7 +244,7 @@ def _met_and_against(surface: Surface, other: Surface, here_from_other: NDArray[
 
 
 def _covariance(paired: _Paired, degenerate: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the covariance (6, 6) of a result: its Hessian in units of its residuals, wide where it is degenerate."""
+    # (6, 6) the Hessian in units of its residuals, wide along degenerate directions.
     hessian, _ = _normal_equations(paired)
     total = float(paired.weights.sum())
     variance = max(float((paired.weights * paired.residuals_m**2).sum()) / max(total, 1.0), 1e-8)

@@ -18,7 +18,7 @@ from hickory_stream.mapping.rules.splitting import TrackSplitConfig
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MappingConfig(Ranged):
-    """The configuration of everything that the core decides, and the voxels that it shares with perception."""
+    """The configuration of the core, and the voxels that it shares with perception."""
 
     voxels: Lattice = field(default_factory=Lattice)
     associate: AssociateConfig = field(default_factory=AssociateConfig)

@@ -1,20 +1,11 @@
-"""What follows from the tracks of a state: no part of what is saved, and kept up with the tracks that change.
-
-Which views are in use: counted by name, and followed from the tracks that have changed.
-
-Which tracks were looked at lately: the clouds of all others, and of what belongs to them, are kept compressed.
-
-The voxels of tracks that are part of the room, by track, so that the observed space follows those that change.
-
-Which tracks have an open shape job, and which may want one, followed from the tracks that have changed.
-"""
+"""Values derived from the tracks of a state, updated as tracks change; they are not saved."""
 
 from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections import Counter
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import islice, takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class ViewUse:
-    """By how many tracks each view is held: those of the map, and those that a split or a parting could restore."""
+    """The number of tracks that hold each view, with the tracks that a split or an unmerge could restore."""
 
     def __init__(self) -> None:
         self._marks: tuple[Mark, Mark] | None = None
@@ -53,10 +44,7 @@ class ViewUse:
         self._freed: set[str] = set()
 
     def ask_for(self, name: str) -> None:
-        """Ask at the next count whether a view is held, though no track that held it is known to have let it go.
-
-        A better view may have taken its place before the views were counted.
-        """
+        """Check at the next count whether a view is held: a better one may have replaced it by then."""
         self._freed.add(name)
 
     def unused(
@@ -73,23 +61,19 @@ class ViewUse:
             for track_id in table.changed_since(mark):
                 # A track that is in neither table is gone; one may have come from the other.
                 track = tracks.get(track_id) or elsewhere.get(track_id)
-                self._hold(track_id, () if track is None else track.names_of_views)
+                before, names = self._held.pop(track_id, ()), () if track is None else track.names_of_views
+                if names:
+                    self._held[track_id] = names
+                self._count(before, names)
         self._marks = (tracks.now, elsewhere.now)
-        self._follow(self._absorbed, absorbed, _names)
+        self._follow(self._absorbed, absorbed, lambda own: [name for track in own for name in track.names_of_views])
         self._follow(self._joins, joins, views_in)
         self._absorbed, self._joins = dict(absorbed), dict(joins)
         unused = sorted(name for name in self._freed if not self._num_holders[name] and name in kept)
         self._freed = set()
         return unused
 
-    def _hold(self, track_id: int, names: tuple[str, ...]) -> None:
-        before = self._held.pop(track_id, ())
-        if names:
-            self._held[track_id] = names
-        self._count(before, names)
-
     def _follow(self, known: Mapping[int, Any], now: Mapping[int, Any], names: Callable[[Any], Iterable[str]]) -> None:
-        """Count the views that hosts hold for others, where these have changed."""
         changed = [host for host, held in now.items() if known.get(host) is not held]
         changed += [host for host in known if host not in now]
         for host in changed:
@@ -104,18 +88,14 @@ class ViewUse:
                 self._freed.add(name)
 
 
-def _names(tracks: Iterable[Track]) -> list[str]:
-    return [name for track in tracks for name in track.names_of_views]
-
-
+# A robot that looks around sees a thing again within so many keyframes.
 _KEEP_KEYFRAMES = 24
-"""A robot that looks around sees a thing again within so many keyframes."""
 
 
-class WarmTracks:
-    """The tracks that keyframes were about lately, and those beside them, by the last keyframe.
+class RecentTracks:
+    """The tracks seen or changed recently, and their neighbours, by the last keyframe.
 
-    `keep` has what is compressed: in memory, or where the engine says.
+    `keep` holds the compressed arrays of all others: in memory, or where the engine says.
     """
 
     def __init__(self) -> None:
@@ -124,10 +104,7 @@ class WarmTracks:
         self._last: dict[int, int] = {}
 
     def follow(self, tracks: TrackTable, *, sight: NDArray[np.float32] | None, revision: int) -> list[int]:
-        """Take up a keyframe that saw what is in the bounds `sight` (2, 3); `revision` is its number.
-
-        Returns the ids of the tracks that no keyframe was about for some time.
-        """
+        """Update with keyframe `revision`, which saw the bounds `sight` (2, 3); return the tracks to compress."""
         mark = self._mark if self._mark is not None and self._mark.table is tracks else None
         about = set(tracks.changed_since(mark)) & tracks.keys()
         for track_id in list(about) if mark is not None else ():
@@ -135,20 +112,16 @@ class WarmTracks:
         if sight is not None:
             about |= {track.id for track in tracks.touching(sight, REACH_M)}
         self.use(sorted(about), revision)
-        resting = []
-        for track_id, last in self._last.items():
-            if last > revision - _KEEP_KEYFRAMES:
-                break
-            resting.append(track_id)
+        resting = [i for i, _ in takewhile(lambda item: item[1] <= revision - _KEEP_KEYFRAMES, self._last.items())]
         for track_id in resting:
             del self._last[track_id]
         self._mark = tracks.now
         return resting
 
     def use(self, track_ids: Iterable[int], revision: int) -> None:
-        """Note the tracks that a keyframe is about, be they here or elsewhere."""
+        """Mark tracks as used by a keyframe."""
         for track_id in track_ids:
-            # At the end of the order, so that what was left longest ago comes first.
+            # At the end of the order: the track left longest ago comes first.
             self._last.pop(track_id, None)
             self._last[track_id] = revision
 
@@ -157,10 +130,7 @@ _NONE = np.empty(0, dtype=np.int64)
 
 
 class RoomVoxels:
-    """The clouds of the tracks that are part of the room and were seen since the last jump, as the submaps have them.
-
-    `first` is the first submap that is judged; the space of another one has other tracks.
-    """
+    """The clouds of the room's tracks seen since the last jump; `first` is the first judged submap."""
 
     def __init__(self, first: int = 0) -> None:
         self._first = first
@@ -176,7 +146,7 @@ class RoomVoxels:
         return room
 
     def kept(self, submaps: Submaps, tracks: TrackTable) -> Submaps:
-        """Return the submaps with the voxels of the tracks as they are now."""
+        """Return the submaps with the voxels of the present tracks of the room."""
         mark, self._mark = self._mark, tracks.now
         if submaps.first != self._first or (mark is not None and mark.table is not tracks):
             return self._renewed(submaps, tracks)
@@ -185,19 +155,16 @@ class RoomVoxels:
             track = tracks.get(track_id)
             before = self._clouds.get(track_id)
             now = track.solid if track is not None and _is_room(track, submaps.first) else None
-            if now is before:
-                continue
-            changed.append((before, now))
-            if now is None:
-                del self._clouds[track_id]
-            else:
-                self._clouds[track_id] = now
+            if now is not before:
+                changed.append((before, now))
+                self._clouds.pop(track_id, None)
+                if now is not None:
+                    self._clouds[track_id] = now
         return self._changed(submaps, tracks, changed) if changed else submaps
 
     def _renewed(self, submaps: Submaps, tracks: TrackTable) -> Submaps:
         self._first = submaps.first
-        aside = [track for track in tracks.ordered() if _is_room(track, submaps.first)]
-        self._clouds = {track.id: track.solid for track in aside}
+        self._clouds = {track.id: track.solid for track in tracks.ordered() if _is_room(track, submaps.first)}
         return with_room(submaps, _voxels(self._clouds.values(), submaps.space.voxel_m))
 
     def _changed(
@@ -223,20 +190,20 @@ def _voxels(clouds: Iterable[Cloud], voxel_m: float) -> NDArray[np.int64]:
 
 
 class ShapeWishes:
-    """The ids of tracks with an open job, here and elsewhere, and of those here whose shape may be wanted by now."""
+    """The ids of tracks with an open shape job, and of tracks here whose shape may be wanted by now."""
 
     def __init__(self) -> None:
         self._here = _Followed()
         self._elsewhere = _Followed()
 
     def follow(self, tracks: TrackTable, elsewhere: TrackTable, config: RequestConfig) -> None:
-        """Take up what has changed in the tables."""
+        """Update with the changes of the tables."""
         self._here.follow(tracks, config)
         self._elsewhere.follow(elsewhere, config)
 
     @property
     def num_open(self) -> int:
-        """How many jobs are open."""
+        """The number of open jobs."""
         return len(self._here.with_job) + len(self._elsewhere.with_job)
 
     def with_job(self, tracks: TrackTable) -> dict[int, Track]:
@@ -244,15 +211,13 @@ class ShapeWishes:
         return {i: tracks[i] for i in sorted(self._here.with_job)}
 
     def next_wanted(self, tracks: TrackTable, clock_ns: int, config: RequestConfig) -> list[int]:
-        """Return what `next_requests` does of the tracks here; what waits for a free job is not looked at."""
+        """Return the result of `next_requests` for the tracks here; tracks without a free job are not tested."""
         ranked = (rank[-1] for rank in self._here.wanting)
         wanted = (i for i in ranked if is_wanted(tracks[i], clock_ns, is_final=False, config=config))
         return list(islice(wanted, max(0, config.max_in_flight - self.num_open)))
 
 
 class _Followed:
-    """The ids of one table; those whose shape may be wanted with their ranks, in the order of these."""
-
     def __init__(self) -> None:
         self._mark: Mark | None = None
         self.with_job: set[int] = set()
@@ -260,10 +225,8 @@ class _Followed:
         self._ranks: dict[int, Rank] = {}
 
     def follow(self, table: TrackTable, config: RequestConfig) -> None:
-        if self._mark is not None and self._mark.table is not table:
-            self._mark = None
-        if self._mark is None:
-            self.with_job, self.wanting, self._ranks = set(), [], {}
+        if self._mark is None or self._mark.table is not table:
+            self._mark, self.with_job, self.wanting, self._ranks = None, set(), [], {}
         for track_id in table.changed_since(self._mark):
             track = table.get(track_id)
             has_job = track is not None and track.shape_state.open_ticket is not None
@@ -278,9 +241,9 @@ class _Followed:
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class Derived:
-    """The `room`'s voxels as the submaps have them, the `views` in use, `wishes` for shapes, and the `warm` tracks."""
+    """Everything that is derived from a state."""
 
     room: RoomVoxels = field(default_factory=RoomVoxels)
     views: ViewUse = field(default_factory=ViewUse)
     wishes: ShapeWishes = field(default_factory=ShapeWishes)
-    warm: WarmTracks = field(default_factory=WarmTracks)
+    warm: RecentTracks = field(default_factory=RecentTracks)

@@ -1,7 +1,6 @@
-"""The invariants of the map's state: relations between its parts that hold after every event.
+"""The invariants of the map's state: a sentence each, and a function that yields violations.
 
-Each invariant is a sentence and a function that yields its violations. `validate` runs after every event in the tests
-of the core, and in a run with `--debug`.
+`validate` runs after every event in the tests of the core, and in a run with `--debug`.
 """
 
 from __future__ import annotations
@@ -29,20 +28,15 @@ if TYPE_CHECKING:
 
 
 def validate(state: MapState) -> None:
-    """Check every invariant of a state.
-
-    Raises:
-        InvariantError: an invariant is broken; the message gives its sentence and the violation.
-    """
+    """Raise `InvariantError`, with the sentence and the violation, if an invariant of a state is broken."""
     for name, broken in INVARIANTS.items():
         for found in broken(state):
             raise InvariantError(f"the map's state is broken after keyframe {state.revision}: {name}; found {found}")
 
 
 def _misplaced_tracks(state: MapState) -> Iterator[str]:
-    for track_id, track in (*state.tracks.items(), *state.elsewhere.items()):
-        if track.id != track_id:
-            yield f"#{track.id} as #{track_id}"
+    tracks = (*state.tracks.items(), *state.elsewhere.items())
+    yield from (f"#{track.id} as #{track_id}" for track_id, track in tracks if track.id != track_id)
 
 
 def _divided_tracks(state: MapState) -> Iterator[str]:
@@ -64,10 +58,8 @@ def _numbers_to_come(state: MapState) -> Iterator[str]:
 
 
 def _living_merged(state: MapState) -> Iterator[str]:
-    for track in state.everywhere():
-        for gone in track.merged_ids:
-            if gone in state.tracks or gone in state.elsewhere:
-                yield f"#{gone} in #{track.id}"
+    merged = ((gone, track.id) for track in state.everywhere() for gone in track.merged_ids)
+    yield from (f"#{gone} in #{i}" for gone, i in merged if gone in state.tracks or gone in state.elsewhere)
 
 
 def _shared_merged(state: MapState) -> Iterator[str]:
@@ -80,9 +72,8 @@ def _shared_tickets(state: MapState) -> Iterator[str]:
 
 
 def _tentative_shapes(state: MapState) -> Iterator[str]:
-    for track in state.everywhere():
-        if not is_object(track) and track.shape_state.open_ticket is not None:
-            yield f"job {track.shape_state.open_ticket} of #{track.id}"
+    jobs = ((track.shape_state.open_ticket, track.id) for track in state.everywhere() if not is_object(track))
+    yield from (f"job {ticket} of #{i}" for ticket, i in jobs if ticket is not None)
 
 
 def _loose_solids(state: MapState) -> Iterator[str]:
@@ -101,20 +92,16 @@ def _disordered_clouds(state: MapState) -> Iterator[str]:
 
 
 def _times_to_come(state: MapState) -> Iterator[str]:
-    for track in state.everywhere():
-        if track.seen_clock_ns > state.clock_ns:
-            yield f"#{track.id} at {track.seen_clock_ns}, and now is {state.clock_ns}"
+    late = [track for track in state.everywhere() if track.seen_clock_ns > state.clock_ns]
+    yield from (f"#{track.id} at {track.seen_clock_ns}, and now is {state.clock_ns}" for track in late)
 
 
 def _foreign_views(state: MapState) -> Iterator[str]:
-    for track in state.everywhere():
-        for view in track.views:
-            if view.object_id != track.id:
-                yield f"a view of #{view.object_id} in #{track.id}"
-    if state.pending is not None:
-        for view in state.pending.candidates.values():
-            if view.object_id not in state.tracks:
-                yield f"a candidate of #{view.object_id}, which is not there"
+    held = ((view.object_id, track.id) for track in state.everywhere() for view in track.views)
+    yield from (f"a view of #{own} in #{i}" for own, i in held if own != i)
+    pending = () if state.pending is None else state.pending.candidates.values()
+    missing = (view.object_id for view in pending if view.object_id not in state.tracks)
+    yield from (f"a candidate of #{i}, which is not there" for i in missing)
 
 
 def _unkept_views(state: MapState) -> Iterator[str]:
@@ -143,11 +130,9 @@ def _dead_hosts(state: MapState) -> Iterator[str]:
 
 
 def _foreign_histories(state: MapState) -> Iterator[str]:
-    for host, absorbed in state.absorbed.items():
-        for track in absorbed:
-            known = {**state.tracks, **state.elsewhere}
-            if host in known and track.id not in known[host].merged_ids:
-                yield f"#{track.id} in #{host}"
+    known = {**state.tracks, **state.elsewhere}
+    pairs = ((host, track.id) for host, absorbed in state.absorbed.items() for track in absorbed if host in known)
+    yield from (f"#{i} in #{host}" for host, i in pairs if i not in known[host].merged_ids)
 
 
 def _shared_histories(state: MapState) -> Iterator[str]:
@@ -155,14 +140,10 @@ def _shared_histories(state: MapState) -> Iterator[str]:
 
 
 def _foreign_joins(state: MapState) -> Iterator[str]:
-    for host_id, joins in state.joins.items():
-        known = {**state.tracks, **state.elsewhere}
-        if host_id not in known:
-            yield f"those of #{host_id}"
-            continue
-        for join in joins:
-            if join.far.id not in (host_id, *known[host_id].merged_ids):
-                yield f"#{join.far.id} in #{host_id}"
+    known = {**state.tracks, **state.elsewhere}
+    yield from (f"those of #{host_id}" for host_id in state.joins if host_id not in known)
+    pairs = ((host_id, join.far.id) for host_id, joins in state.joins.items() if host_id in known for join in joins)
+    yield from (f"#{far} in #{host}" for host, far in pairs if far not in (host, *known[host].merged_ids))
 
 
 def _disordered_submaps(state: MapState) -> Iterator[str]:
@@ -229,7 +210,6 @@ INVARIANTS: dict[str, Callable[[MapState], Iterator[str]]] = {
     "if decisions are made against the open submap alone, it is against what was seen in it": _other_judges,
     "the voxels of an observed space are in order, and no structure is free": _disordered_spaces,
 }
-"""The function that yields the violations of each invariant, by the invariant's sentence."""
 
 
 def _twice(text: str, items: Iterable[int]) -> Iterator[str]:

@@ -1,7 +1,6 @@
-"""The state of the map: everything that later decisions depend on, with one owner for each part.
+"""The state of the map: everything that later decisions depend on.
 
-Only the modules that `MapperCore` calls change it. Tracks, submaps and the vote book are immutable: a copy of the state
-shares them, and published records never change.
+Only the modules that `MapperCore` calls change it. Tracks, submaps and votes are immutable, so copies share them.
 """
 
 from __future__ import annotations
@@ -13,14 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 from hickory_stream.mapping.derived import Derived, RoomVoxels
 from hickory_stream.mapping.entities.track import Track, without_views
 from hickory_stream.mapping.entities.track_table import TrackTable
-from hickory_stream.mapping.rules.merge_history import (
-    Absorbed,
-    Joins,
-    joins_without,
-    views_in,
-    views_of,
-    without_lost_views,
-)
+from hickory_stream.mapping.rules.merge_history import Absorbed, Joins, joins_without, views_in, without_lost_views
 from hickory_stream.mapping.rules.merging import VoteBook
 from hickory_stream.mapping.rules.support_graph import SupportGraph
 from hickory_stream.records import Decision, View
@@ -49,65 +41,47 @@ class PendingFeatures:
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class MapState:
-    """The map and its history.
-
-    Attributes:
-        submaps: the submaps with their poses, and the observed space.
-        tracks: the tracks by id that lie where the odometry has them.
-        elsewhere: the tracks by id of submaps that a correction has moved against the open one; their data are in the
-            frame of their submap. They come back among `tracks` when they are seen again (`moved_submaps`).
-        votes: how often pairs of tracks were segmented together and apart.
-        split_candidates: parts of tracks that keyframes segmented apart, by host.
-        absorbed: the tracks that were merged into each track, by host.
-        joins: the tracks that a correction has brought to each track, by host, so that another one can part them.
-        clock_ns: time that has passed in all, in ns, not counting jumps of the stamps.
-        stamp_ns: the stamp of the last keyframe; None before the first one and after a jump of the stamps.
-        revision: the number of keyframes.
-        next_id, next_ticket: the ids of the next track and of the next shape job.
-        pending: the keyframe whose features were requested and have not arrived yet.
-        sight: (2, 3) the bounds of what the last keyframe saw; None before it.
-        judged_ns: the clock when the tracks were judged last, in ns.
-        stirred: the tracks to judge in the next keyframe wherever they lie: they, or what is beside them, have changed.
-        kept_views: the names of the views whose pixels are kept.
-        loops: what searches for loops gave, believed or not, in the order in which they ended.
-        searches: the searches for loops that have not ended yet.
-        graph: the pose graph as it was solved last; None before the first loop.
-        decisions: the decisions since the last publication.
-        num_masks, num_features: the number of masks so far, and of those whose features were requested.
-        derived: what follows from the rest.
-    """
+    """The map and its history."""
 
     submaps: Submaps
+    #: by id, the tracks that lie where the odometry has them
     tracks: TrackTable = field(default_factory=TrackTable)
+    #: by id, tracks of submaps that a correction has moved, in their submap's frame (`moved_submaps`)
     elsewhere: TrackTable = field(default_factory=TrackTable)
     votes: VoteBook = field(default_factory=VoteBook)
     split_candidates: SplitCandidates = field(default_factory=dict)
+    #: the tracks that were merged into each track, by host
     absorbed: Absorbed = field(default_factory=dict)
+    #: the tracks that a correction has brought to each track, by host, for a later unmerge
     joins: Joins = field(default_factory=dict)
+    #: time that has passed in all, without jumps of the stamps
     clock_ns: int = 0
+    #: stamp of the last keyframe; None before it and after a jump of the stamps
     stamp_ns: int | None = None
     revision: int = 0
     next_id: int = 1
     next_ticket: int = 1
+    #: the keyframe whose features were requested and have not arrived
     pending: PendingFeatures | None = None
+    #: bounds (2, 3) of the last keyframe's view
     sight: NDArray[np.float32] | None = None
+    #: the clock at the last judgement of the tracks
     judged_ns: int = 0
+    #: tracks to judge in the next keyframe wherever they lie: they or their neighbours have changed
     stirred: set[int] = field(default_factory=set)
     kept_views: set[str] = field(default_factory=set)
+    #: results of the searches for loops, believed or not, in order
     loops: tuple[Loop, ...] = ()
     searches: tuple[SearchLoops, ...] = ()
+    #: the last solution of the pose graph; None before the first loop
     graph: PoseGraphRecord | None = None
     decisions: list[Decision] = field(default_factory=list)
     num_masks: int = 0
     num_features: int = 0
     derived: Derived = field(default_factory=Derived)
 
-    def ordered(self) -> list[Track]:
-        """Return the tracks in the order of their ids."""
-        return self.tracks.ordered()
-
     def everywhere(self) -> list[Track]:
-        """Return all tracks, those elsewhere as well, in the order of their ids."""
+        """Return all tracks, here and elsewhere, in the order of their ids."""
         known = {**self.tracks, **self.elsewhere}
         return [known[i] for i in sorted(known)]
 
@@ -116,27 +90,28 @@ class MapState:
         return self.tracks[track_id] if track_id in self.tracks else self.elsewhere[track_id]
 
     def is_judged(self, track: Track) -> bool:
-        """Return whether a track was seen since the last pose jump, so that it can be judged by the observed space."""
+        """Return whether a track was seen since the last pose jump, so that the observed space can judge it."""
         return track.seen_in >= self.submaps.first
 
     def current_id(self, track_id: int | None) -> int | None:
-        """Return the id of a track, or of the one that it was merged into; None if it was dropped."""
+        """Return the id of a track, or of the track it was merged into; None if it was dropped."""
         if track_id is None or track_id in self.tracks or track_id in self.elsewhere:
             return track_id
         host_id = self.tracks.host_of(track_id)
         return self.elsewhere.host_of(track_id) if host_id is None else host_id
 
     def support_graph(self, space: SpaceState | None = None) -> SupportGraph:
-        """Return the support graph of `tracks`, which it follows as they change, in a space; None: what is near."""
+        """Return the support graph of `tracks`, updated as they change, in a space; None: the submaps' space."""
         return SupportGraph(
             bodies=self.tracks,
             space=self.submaps.space if space is None else space,
         )
 
     def view_names(self) -> set[str]:
-        """Return the names of the views that the tracks have, or that a later split or parting could restore."""
-        own = {view.name for track in self.everywhere() for view in track.views}
-        return own.union(views_of(self.absorbed), views_in(join for own in self.joins.values() for join in own))
+        """Return the names of the views that the tracks have, or that a later split or unmerge could restore."""
+        merged = [track for tracks in self.absorbed.values() for track in tracks]
+        own = {view.name for track in (*self.everywhere(), *merged) for view in track.views}
+        return own.union(views_in(join for joins in self.joins.values() for join in joins))
 
     def advance_clock(self, stamp_ns: int) -> None:
         """Advance the clock to a stamp."""
@@ -166,7 +141,7 @@ class MapState:
         self.decisions.append(decision)
 
     def keep_view(self, name: str) -> None:
-        """Note that the pixels of a view are kept from now on."""
+        """Add a view to those whose pixels are kept."""
         self.kept_views.add(name)
         self.derived.views.ask_for(name)
 
@@ -181,32 +156,20 @@ class MapState:
 
     @classmethod
     def of_parts(cls, parts: Mapping[str, Any], empty: MapState) -> Self:
-        """Return the state from which `parts` were taken; `empty` is the state of a new map.
-
-        Raises:
-            ValueError: the state was written by another version.
-        """
+        """Return the state of `parts`; `empty` is a new map's. Raises `ValueError` if another version wrote them."""
         expected = {name: getattr(empty, name) for name in _PARTS}
         if parts.keys() != expected.keys():
             raise ValueError(f"a state of {sorted(parts)}; expected {sorted(expected)}")
-        # A written state has tuples where there were lists.
-        state = cls(
-            **{
-                name: type(expected[name])(value)
-                if isinstance(expected[name], (list, dict, set, TrackTable))
-                else value
-                for name, value in parts.items()
-            }
-        )
+        values = dict(parts)
+        for name, value in expected.items():
+            if isinstance(value, (list, dict, set, TrackTable)):  # a written state has tuples where there were lists
+                values[name] = type(value)(parts[name])
+        state = cls(**values)
         state.derived.room = RoomVoxels.of_tracks(state.tracks, state.submaps.first)
         return state
 
     def going_on_after(self, later: MapState, lost_views: Collection[str]) -> None:
-        """Prepare this earlier state for continuing after the run was rewound to it from the `later` one.
-
-        Ids of objects, job tickets and revisions continue from those of `later`, so that no number is used twice.
-        The pixels of `lost_views` no longer exist; these views are removed.
-        """
+        """Prepare this earlier state for continuing after a rewind from `later`; see `MapperCore.going_on_after`."""
         self.next_id = max(self.next_id, later.next_id)
         self.next_ticket = max(self.next_ticket, later.next_ticket)
         self.revision = max(self.revision, later.revision)

@@ -1,4 +1,4 @@
-"""Public records of the map: tracks and submaps. Records of what did not change are reused."""
+"""Public records of the map; records of unchanged tracks and submaps are reused."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from hickory_stream.geometry.lazy_arrays import give_up, has_given_up, made_of, read_briefly
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.mapping.entities.observed_space import as_record, without_room
+from hickory_stream.mapping.entities.observed_space import as_record, with_room
 from hickory_stream.mapping.entities.rigid_motion import moved_object
 from hickory_stream.mapping.entities.submaps import LEAST_BESIDE_M, record_of
 from hickory_stream.mapping.entities.track import as_object
@@ -30,15 +30,14 @@ _NO_KEYS = np.empty(0, dtype=np.int64)
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """The record of a track at the place of its submap (4, 4)."""
-
+    # The record of a track at the pose of its submap (4, 4).
     track: Track
     place: NDArray[np.float64]
     item: TrackedObject
 
 
 class Snapshots:
-    """Makes the public records of a state; each shares with the last one what has not changed."""
+    """Makes the public records of a state; each shares unchanged parts with the last one."""
 
     def __init__(self, points_m: float) -> None:
         self._points_m = points_m
@@ -51,7 +50,7 @@ class Snapshots:
         self._scores: dict[int, float] = {}
 
     def snapshot(self, state: MapState) -> MapSnapshot:
-        """Return the map as it is now."""
+        """Return the present map."""
         self._follow(state)
         return MapSnapshot(
             revision=state.revision,
@@ -62,10 +61,7 @@ class Snapshots:
         )
 
     def metrics(self, state: MapState) -> tuple[tuple[str, float], ...]:
-        """Return named numbers for plots: tracks by phase, the share of masks without features, best scores.
-
-        Of the scores it returns those that have changed since it was called last.
-        """
+        """Return named numbers for plots: tracks by phase, the share of masks without features, changed scores."""
         self._follow(state)
         counts = [(f"core/{phase}", float(self._num_of[phase])) for phase in Phase]
         saved = 1.0 - state.num_features / state.num_masks if state.num_masks else 0.0
@@ -74,10 +70,7 @@ class Snapshots:
         return (*counts, ("core/features_saved", saved), *best)
 
     def prior(self, state: MapState) -> MapPrior | None:
-        """Return the map prior for perception, in the odometry frame (without corrections); None before a keyframe.
-
-        It has the space and the objects seen since the last jump of the odometry, across submap borders.
-        """
+        """Return the map prior (see `MapperCore.prior`)."""
         if state.revision == 0:
             return None
         return MapPrior(space=self._observed_space(state), objects=self._known_objects(state), points_m=self._points_m)
@@ -87,13 +80,13 @@ class Snapshots:
         space = submaps.space
         if len(space.room):
             # Without tracks that are part of the room: conclusions of the map must not become evidence for themselves.
-            return as_record(without_room(space))
+            return as_record(with_room(space, _NO_KEYS))
         is_one = submaps.first == submaps.open_id
         return self._submap(submaps.states[-1]).observed_space if is_one else as_record(space)
 
     def _known_objects(self, state: MapState) -> tuple[TrackedObject, ...]:
-        # As far around what was seen last as the space reaches at least.
-        near = state.ordered() if state.sight is None else state.tracks.touching(state.sight, LEAST_BESIDE_M)
+        # As far around the last view as the space reaches at least.
+        near = state.tracks.ordered() if state.sight is None else state.tracks.touching(state.sight, LEAST_BESIDE_M)
         known = []
         for track in near:
             if state.is_judged(track) and track.phase is not Phase.ROOM:
@@ -103,7 +96,6 @@ class Snapshots:
         return tuple(known)
 
     def _follow(self, state: MapState) -> None:
-        """Take up the tracks that have changed; all of them where submaps were placed anew."""
         tables, marks = (state.tracks, state.elsewhere), self._marks
         places = {submap.id: submap.world_from_submap for submap in state.submaps.states}
         is_placed_anew = any(places.get(i) is not place for i, place in self._places.items())
@@ -137,9 +129,8 @@ class Snapshots:
 
     def _shown(self, track: Track, place: NDArray[np.float64]) -> _Shown:
         shown = self._objects.get(track.id)
-        if shown is None or shown.track is not track or shown.place is not place:
-            shown = _Shown(track, place, _in_world(as_object(track), place))
-        return shown
+        is_same = shown is not None and shown.track is track and shown.place is place
+        return shown if shown is not None and is_same else _Shown(track, place, _in_world(as_object(track), place))
 
     def _submap(self, state: SubmapState) -> Submap:
         shown = self._submaps.get(state.id)
@@ -154,9 +145,11 @@ class Snapshots:
 
 
 def _record_of(state: SubmapState, shown: tuple[SubmapState, Submap, bool] | None) -> tuple[Submap, bool]:
-    """Return the public record of a submap, and whether it has given up its space; `shown` is the last one."""
-    if shown is not None and _has_same_space(shown[0], state):
-        return replace(shown[1], world_from_submap=state.world_from_submap), shown[2]
+    # The record of a submap, and whether its space is compressed; `shown` is the last one.
+    if shown is not None:
+        known = shown[0]
+        if known.space is state.space and known.seen is state.seen and known.outdated is state.outdated:
+            return replace(shown[1], world_from_submap=state.world_from_submap), shown[2]
     if not has_given_up(state.space):
         return record_of(state), False
     space = ObservedSpace(
@@ -170,30 +163,22 @@ def _record_of(state: SubmapState, shown: tuple[SubmapState, Submap, bool] | Non
     return submap, True
 
 
-def _has_same_space(a: SubmapState, b: SubmapState) -> bool:
-    return a.space is b.space and a.seen is b.seen and a.outdated is b.outdated
-
-
 def _give_up_space(submap: Submap, state: SubmapState) -> None:
-    give_up(submap.observed_space, lambda name: _of_space(state, name), "free", "structure")
+    def array_of(name: str) -> NDArray[Any]:
+        with read_briefly(state.space, state.seen):
+            array: NDArray[Any] = getattr(record_of(state).observed_space, name)
+        return array
+
+    give_up(submap.observed_space, array_of, "free", "structure")
 
 
 def _in_world(item: TrackedObject, world_from_submap: NDArray[np.float64]) -> TrackedObject:
-    """Return an object at its submap's corrected pose; the unchanged record if the pose was not corrected."""
     if np.array_equal(world_from_submap, np.eye(4)):
         return item
-    moved = moved_object(item, world_from_submap)
-    known = made_of(item)
-    of = (*known, world_from_submap) if known else ()
-    give_up(moved, lambda name: _moved_array(item, world_from_submap, name), "points_world", "colors", of=of)
+
+    def moved_array(name: str) -> NDArray[Any]:
+        return apply(world_from_submap, item.points_world) if name == "points_world" else item.colors
+
+    moved, known = moved_object(item, world_from_submap), made_of(item)
+    give_up(moved, moved_array, "points_world", "colors", of=(*known, world_from_submap) if known else ())
     return moved
-
-
-def _moved_array(item: TrackedObject, world_from_submap: NDArray[np.float64], name: str) -> NDArray[Any]:
-    return apply(world_from_submap, item.points_world) if name == "points_world" else item.colors
-
-
-def _of_space(state: SubmapState, name: str) -> NDArray[Any]:
-    with read_briefly(state.space, state.seen):
-        array: NDArray[Any] = getattr(record_of(state).observed_space, name)
-    return array

@@ -1,4 +1,4 @@
-"""Construction of the segmenter, the feature extractor and the semantic model that the configuration names."""
+"""Construction of the configured segmenter, feature extractor and semantic model."""
 
 from __future__ import annotations
 
@@ -9,20 +9,29 @@ from hickory_stream.perception.geometric_segmenter import GeometricSegmenter
 from hickory_stream.perception.semantic_filter import FilteredSegmenter
 
 if TYPE_CHECKING:
+    from hickory_stream.perception.models.library import Kind, ModelEntry
+    from hickory_stream.perception.models.network import Network
     from hickory_stream.perception.perceive import PerceptionConfig
-    from hickory_stream.ports import FeatureExtractor, Segmenter, SemanticModel
+    from hickory_stream.ports import FeatureExtractor, Segmenter
 
 
 def make_segmenter(config: PerceptionConfig) -> Segmenter:
-    """Return the segmenter, with the semantic model's filter around it where there is one.
+    """Return the segmenter, filtered by the semantic model if there is one.
 
     Raises:
         ModelError: a network is missing, damaged, of another kind, or cannot run here.
-        ConfigError: a class that is to be excluded is not in the model's table.
+        ConfigError: an excluded class is not in the model's table.
     """
     segmenter = _bare_segmenter(config)
-    semantics = make_semantics(config)
-    return segmenter if semantics is None else FilteredSegmenter(segmenter, semantics, config.semantic.exclude)
+    if config.semantics == "none":
+        return segmenter
+    from hickory_stream.perception.models.semantic_graph import GraphSemantics
+
+    semantic = config.semantic
+    entry, network = _network(config, semantic.model, "oneformer" if config.semantics == "oneformer" else "semantic")
+    warm_up, panoptic = config.network.warm_up, semantic.panoptic
+    model = GraphSemantics(network, entry.labels, short_px=semantic.short_px, panoptic=panoptic, warm_up=warm_up)
+    return FilteredSegmenter(segmenter, model, semantic.exclude)
 
 
 def make_extractor(config: PerceptionConfig) -> FeatureExtractor:
@@ -32,34 +41,20 @@ def make_extractor(config: PerceptionConfig) -> FeatureExtractor:
             return ColorTextureDescriptor()
         case "dinov2":
             from hickory_stream.perception.models.dinov2 import DinoExtractor
-            from hickory_stream.perception.models.library import find_model
-            from hickory_stream.perception.models.network import Network
 
-            entry, path = find_model(config.dinov2.model, "dinov2")
+            entry, network = _network(config, config.dinov2.model, "dinov2")
             name = f"dinov2-{entry.sha256[:16]}"
-            return DinoExtractor(
-                Network(path, config.network), config.dinov2, name=name, warm_up=config.network.warm_up
-            )
+            return DinoExtractor(network, config.dinov2, name=name, warm_up=config.network.warm_up)
         case _:
             assert_never(config.extractor)
 
 
-def make_semantics(config: PerceptionConfig) -> SemanticModel | None:
-    """Return the semantic model, None if none is configured; raises `ModelError`."""
-    if config.semantics == "none":
-        return None
+def _network(config: PerceptionConfig, name: str, kind: Kind) -> tuple[ModelEntry, Network]:
     from hickory_stream.perception.models.library import find_model
     from hickory_stream.perception.models.network import Network
-    from hickory_stream.perception.models.semantic_graph import GraphSemantics
 
-    entry, path = find_model(config.semantic.model, "oneformer" if config.semantics == "oneformer" else "semantic")
-    return GraphSemantics(
-        Network(path, config.network),
-        entry.labels,
-        short_px=config.semantic.short_px,
-        panoptic=config.semantic.panoptic,
-        warm_up=config.network.warm_up,
-    )
+    entry, path = find_model(name, kind)
+    return entry, Network(path, config.network)
 
 
 def _bare_segmenter(config: PerceptionConfig) -> Segmenter:
@@ -73,16 +68,9 @@ def _bare_segmenter(config: PerceptionConfig) -> Segmenter:
             return NetworkSegmenter(PixelNetwork(), config.affinities, config.geometric)
         case "fastsam":
             from hickory_stream.perception.models.fastsam import FastSam, FastSamSegmenter
-            from hickory_stream.perception.models.library import find_model
-            from hickory_stream.perception.models.network import Network
 
-            _, path = find_model(config.fastsam.model, "fastsam")
-            network = FastSam(Network(path, config.network), config.fastsam, warm_up=config.network.warm_up)
-            return FastSamSegmenter(
-                network,
-                masks=config.masks,
-                surface=config.geometric.surface,
-                structure=config.geometric.structure,
-            )
+            _, network = _network(config, config.fastsam.model, "fastsam")
+            sam, geometric = FastSam(network, config.fastsam, warm_up=config.network.warm_up), config.geometric
+            return FastSamSegmenter(sam, masks=config.masks, surface=geometric.surface, structure=geometric.structure)
         case _:
             assert_never(config.segmenter)

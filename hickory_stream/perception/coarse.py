@@ -1,7 +1,6 @@
-"""A keyframe's depth and structure at low resolution, kept in the journal: for loops, and to explain decisions later.
+"""A keyframe's depth and structure at low resolution, kept in the journal for loops and explanations.
 
-About 160 cells across for any camera: enough to tell where a pixel was in 3D and whether it was structure, at a
-twentieth of the size of a keyframe in the journal.
+About 160 cells across for any camera, at a twentieth of the size of a keyframe in the journal.
 """
 
 from __future__ import annotations
@@ -21,19 +20,15 @@ _MOST_MM = 65535.0
 
 
 def coarse_frame(depth_m: NDArray[np.float32], structure: NDArray[np.bool_], camera: Camera) -> CoarseFrame:
-    """Return the low-resolution copy of (H, W) depth and structure; depth beyond 65 m is stored as no return."""
-    stride = stride_of(depth_m.shape[1])
-    return CoarseFrame(
-        stride_px=stride,
-        depth_mm=coarse_depth(depth_m),
-        structure=structure[_sampled(depth_m.shape, stride)].copy(),
-        camera=camera,
-    )
+    """Return the low-resolution copy of (H, W) depth and structure; depth beyond 65 m is no return."""
+    stride = _stride_of(depth_m.shape[1])
+    kept = structure[sampled_pixels(depth_m.shape, stride)].copy()
+    return CoarseFrame(stride_px=stride, depth_mm=coarse_depth(depth_m), structure=kept, camera=camera)
 
 
 def coarse_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
     """Return the low-resolution copy of depth (H, W) alone, in millimetres; 0 = no return."""
-    sampled = depth_m[_sampled(depth_m.shape, stride_of(depth_m.shape[1]))]
+    sampled = depth_m[sampled_pixels(depth_m.shape, _stride_of(depth_m.shape[1]))]
     millimetres = np.nan_to_num(sampled * np.float32(1000.0), nan=0.0, posinf=0.0, neginf=0.0)
     millimetres = np.where((millimetres < 0) | (millimetres > _MOST_MM), np.float32(0.0), millimetres)
     return np.rint(millimetres).astype(np.uint16)
@@ -41,8 +36,12 @@ def coarse_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 def coarse_camera(camera: Camera) -> Camera:
     """Return the camera whose pixels are the cells."""
-    stride = stride_of(camera.width)
-    rows, columns = _sampled((camera.height, camera.width), stride)
+    return sampled_camera(camera, _stride_of(camera.width))
+
+
+def sampled_camera(camera: Camera, stride: int) -> Camera:
+    """Return the camera of the `sampled_pixels` of its images."""
+    rows, columns = sampled_pixels((camera.height, camera.width), stride)
     return Camera(
         width=len(range(camera.width)[columns]),
         height=len(range(camera.height)[rows]),
@@ -53,13 +52,12 @@ def coarse_camera(camera: Camera) -> Camera:
     )
 
 
-def stride_of(width_px: int) -> int:
-    """Return the side of the cells of an image of this width, in pixels."""
+def _stride_of(width_px: int) -> int:
     return max(1, -(-width_px // _CELLS_ACROSS))
 
 
-def _sampled(shape: tuple[int, ...], stride: int) -> tuple[slice, slice]:
-    """Return which pixels of an image (H, W) are kept: the middle one of every cell."""
+def sampled_pixels(shape: tuple[int, ...], stride: int) -> tuple[slice, slice]:
+    """Return the middle pixel of every cell of an image (H, W); one that is smaller than a cell still has one."""
     top, left = min(stride // 2, shape[0] - 1), min(stride // 2, shape[1] - 1)
     return slice(top, None, stride), slice(left, None, stride)
 
@@ -74,7 +72,7 @@ def cells_of(coarse: CoarseFrame, pixels: NDArray[Any]) -> tuple[NDArray[np.floa
 
 
 def enlarged_cells(cells: NDArray[Any], stride_px: int, size: tuple[int, int]) -> NDArray[Any]:
-    """Return cells (h, w) at the size of the frame (width, height), by nearest neighbour; the last cells extend."""
+    """Return cells (h, w) at the size of the frame (width, height), by nearest neighbour."""
     rows = np.minimum(np.arange(size[1]) // stride_px, cells.shape[0] - 1)
     columns = np.minimum(np.arange(size[0]) // stride_px, cells.shape[1] - 1)
     return np.asarray(cells[rows][:, columns])

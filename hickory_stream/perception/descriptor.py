@@ -1,13 +1,8 @@
-"""A dense patch descriptor from colour alone, with DINOv2's interface: small, documented, without weights.
+"""A dense patch descriptor from colour alone, with DINOv2's interface and without weights.
 
-Per patch of 14 pixels, at half resolution: a soft histogram of colour in Lab (opponent colours and lightness), and soft
-histograms of gradient orientation at two scales, minus their mean over many objects. Histograms are non-negative, so
-that without centring all patches would be similar. Its uses (the variance in S, the mean feature of an object) require
-only unit-norm patch features.
-
-Gradients of an image after a Gaussian blur, in single precision and with a fixed order of operations.
-
-OpenCV's floating-point filters use fused multiply-add only on processors that have it: results would differ.
+Per patch of 14 pixels: soft histograms of colour in Lab and of gradient orientation at two scales, minus their mean
+over many objects, since all patches would be similar otherwise. OpenCV's floating-point filters use fused multiply-add
+on some processors only, so gradients have a kernel of their own.
 """
 
 from __future__ import annotations
@@ -20,7 +15,7 @@ import numpy as np
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import arctan2
-from hickory_stream.perception.cielab import lab_of
+from hickory_stream.perception.surface import lab_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,10 +24,7 @@ if TYPE_CHECKING:
 
 
 def gradients(image: NDArray[np.float32], sigma_px: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return (h, w) the differences along x and y of a blurred image (h, w), by Sobel's operator.
-
-    The image is extended beyond its border by reflection at the outermost pixel.
-    """
+    """Return (h, w) Sobel differences along x and y of a blurred image (h, w), mirrored at its border."""
     radius = max(1, round(4 * sigma_px))
     weights = portable.gaussian_weights(sigma_px, radius).astype(np.float32)
     blurred = _blurred(_mirrored(image, radius), weights)
@@ -46,7 +38,7 @@ def _mirrored(image: NDArray[np.float32], radius: int) -> NDArray[np.float32]:
 
 @kernel
 def _blurred(padded, weights):
-    """Weight along the rows, then along the columns; the innermost loop runs along a row and is vectorised."""
+    # The innermost loop runs along a row and is vectorised.
     height, width = padded.shape[0] - len(weights) + 1, padded.shape[1] - len(weights) + 1
     rows = np.zeros((padded.shape[0], width), dtype=np.float32)
     for y in range(padded.shape[0]):
@@ -78,41 +70,12 @@ def _sobel(p):
 
 _LIGHT_BINS, _HUE_BINS, _ORIENTATIONS = 5, 8, 8
 # The mean over the objects of a synthetic apartment and a table-top, by `tools/descriptor_mean` (seeds 22 and 31).
-_MEAN = np.array(
-    [
-        0.047,
-        0.323,
-        0.339,
-        0.097,
-        0.032,
-        0.060,
-        0.431,
-        0.313,
-        0.025,
-        0.008,
-        0.013,
-        0.037,
-        0.027,
-        0.306,
-        0.072,
-        0.066,
-        0.065,
-        0.088,
-        0.115,
-        0.092,
-        0.066,
-        0.063,
-        0.067,
-        0.061,
-        0.059,
-        0.081,
-        0.104,
-        0.084,
-        0.060,
-        0.058,
-    ],
-    dtype=np.float32,
-)
+_MEAN_TEXT = """
+    0.047 0.323 0.339 0.097 0.032 0.060 0.431 0.313 0.025 0.008 0.013 0.037 0.027 0.306
+    0.072 0.066 0.065 0.088 0.115 0.092 0.066 0.063 0.067 0.061 0.059 0.081 0.104 0.084
+    0.060 0.058
+"""
+_MEAN = np.array([float(mean) for mean in _MEAN_TEXT.split()], dtype=np.float32)
 
 
 class ColorTextureDescriptor:
@@ -149,10 +112,9 @@ class ColorTextureDescriptor:
 
 
 def mask_feature(observation: Observation, features: NDArray[np.float32], patch_px: int) -> MaskFeature:
-    """Return the pooled feature of a mask and the variance of its patches, weighted by the share of mask in each patch.
-
-    sigma^2 is the trace of the covariance of the unit-norm patch features, at most 1 (issue: S <= ln 2 * ...).
-    """
+    """Return the pooled feature of a mask and the variance of its patches, weighted by their shares of mask."""
+    # sigma^2 is the trace of the covariance of the unit-norm patch features, at most 1.
+    # sigma^2 is the trace of the covariance of the unit-norm patch features, at most 1.
     from hickory_stream.records import MaskFeature
 
     x0, y0, _, _ = observation.box_px
@@ -172,7 +134,7 @@ def mask_feature(observation: Observation, features: NDArray[np.float32], patch_
 
 @kernel
 def _pixels_of_patches(mask, x0, y0, patch_px, rows, columns):
-    """Return (rows, columns) the number of mask pixels in each patch, for a mask whose box begins at (x0, y0)."""
+    # (rows, columns) the number of mask pixels in each patch, for a mask whose box begins at (x0, y0).
     out = np.zeros((rows, columns))
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
@@ -184,14 +146,13 @@ def _pixels_of_patches(mask, x0, y0, patch_px, rows, columns):
 def _gradient(
     light: NDArray[np.float32], sigma_px: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Return (h, w) the gradient along x and y, and its direction in half turns."""
+    # (h, w) the gradient along x and y, and its direction in half turns.
     x, y = gradients(light, sigma_px)
     return x, y, _turns(y.ravel(), x.ravel(), np.pi).reshape(light.shape)
 
 
 @kernel(error_model="numpy")
 def _turns(y, x, turn):
-    """Return the angle of each (x, y) as a fraction of `turn` radians."""
     out = np.empty(len(y))
     for i in range(len(y)):
         out[i] = arctan2(np.float64(y[i]), np.float64(x[i])) / turn
@@ -200,10 +161,8 @@ def _turns(y, x, turn):
 
 @kernel
 def _pooled(lab, hue, fine_x, fine_y, fine, coarse_x, coarse_y, coarse, side):
-    """Return (h, w, 30) soft histograms of patches of `side` pixels: every pixel is shared by the two nearest bins.
-
-    `hue` is in turns; the gradients at the fine and coarse scales are given by x, y and their direction in half turns.
-    """
+    # (h, w, 30) soft histograms of patches of `side` pixels: every pixel is shared by the two nearest bins. `hue` is in
+    # turns, directions of gradients in half turns.
     rows, columns = lab.shape[0] // side, lab.shape[1] // side
     out = np.zeros((rows, columns, _LIGHT_BINS + _HUE_BINS + 1 + 2 * _ORIENTATIONS), np.float32)
     share = 1.0 / (side * side)
@@ -232,7 +191,6 @@ def _pooled(lab, hue, fine_x, fine_y, fine, coarse_x, coarse_y, coarse, side):
 
 @kernel
 def _add(bins, first, count, turns, weight):
-    """Share a weight between the two of `count` cyclic bins, from index `first`, nearest to an angle in turns."""
     position = (turns - np.floor(turns)) * count
     low = int(position)
     rest = position - low

@@ -1,7 +1,7 @@
 """The segmenter without networks: class-agnostic instances from depth and colour, on a CPU.
 
-Room structure is removed, the rest is over-segmented into fragments at depth edges, concave creases, support planes and
-colour edges, and fragments of one object are merged. Works at a reduced resolution; labels have that of the frame.
+Room structure is removed, the rest is over-segmented at depth edges, concave creases, support planes and colour edges,
+and fragments of one object are merged. It works at a reduced resolution; labels have the frame's.
 """
 
 from __future__ import annotations
@@ -59,21 +59,18 @@ class GeometricConfig(Ranged):
 
 
 class GeometricSegmenter:
-    """Segments frames by geometry and colour; stateless.
-
-    `trees` estimate whether a pair of regions is one object; None: the trees of the package.
-    """
+    """Segments frames by geometry and colour; stateless. `trees` rate pairs of regions; None: the packaged trees."""
 
     def __init__(self, config: GeometricConfig, trees: Trees | None = None) -> None:
         self._config = config
         self._trees = trees or embedded_trees(config.join.forest)
 
     def prepare(self, frame: Frame) -> Surface:
-        """Return the surface of a frame: the slowest part of segmentation, which does not depend on the map."""
+        """Return the surface of a frame: the slowest part of segmentation, which needs no map."""
         return surface_of(frame, self._config.surface)
 
     def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
-        """Return what was prepared of a frame for another pose (4, 4) of it."""
+        """Return the result of `prepare` for another pose (4, 4) of the frame."""
         return moved_surface(prepared, world_from_camera) if isinstance(prepared, Surface) else None
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
@@ -87,10 +84,9 @@ class GeometricSegmenter:
     def segmentation(
         self, frame: Frame, pieces: Fragments, joined: Joined, structure_odds: NDArray[np.float64] | None = None
     ) -> Segmentation:
-        """Return the segmentation of a frame whose fragments were merged into masks.
+        """Return the segmentation of a frame from merged fragments.
 
-        `structure_odds` (n + 1,) are log-odds, e.g. of a network, that masks 0..n are part of the room: masks with
-        positive log-odds are rejected.
+        `structure_odds` (n + 1,): log-odds that masks 0..n are part of the room; positive ones reject the mask.
         """
         labels, rejected = _usable(pieces.surface, joined.labels, self._config, structure_odds)
         size, factor = (frame.camera.width, frame.camera.height), pieces.surface.factor
@@ -126,12 +122,8 @@ class GeometricSegmenter:
 
 
 def _usable(
-    surface: Surface,
-    labels: NDArray[np.int32],
-    config: GeometricConfig,
-    structure_odds: NDArray[np.float64] | None,
+    surface: Surface, labels: NDArray[np.int32], config: GeometricConfig, structure_odds: NDArray[np.float64] | None
 ) -> tuple[NDArray[np.int32], tuple[RejectedMask, ...]]:
-    """Return the labels of the masks worth lifting, renumbered, and the others with their reasons."""
     count = int(labels.max()) + 1
     pixels = np.bincount(labels.ravel(), minlength=count)
     occluded = occluded_shares(surface.depth_m, labels, count)
@@ -176,7 +168,6 @@ def _why_not(
 def _side_and_sigma_m(
     surface: Surface, labels: NDArray[np.int32], label: int, pixels: int, box: NDArray[np.int64]
 ) -> tuple[float, float]:
-    """Return the side of a square with the area of a mask at its depth, and the sigma of depth there, in m."""
     x0, y0, x1, y1 = box
     inside = labels[y0:y1, x0:x1] == label
     # Every pixel of a fragment has a depth.

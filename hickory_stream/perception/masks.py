@@ -1,11 +1,8 @@
 """The mask pipeline: from overlapping masks of any segmentation network to the instances of a frame.
 
 Masks that are too small, structure, duplicates, or parts of another mask are rejected with a reason. A smaller mask
-inside a larger one is an object of its own if it protrudes from the surface around it, like a cup on a table, or lies
-flat on a horizontal surface, like a magazine; a label on a box is a part. Masks cut by the image border are used:
-`observe` marks them.
-
-The bounding boxes of the labels of an image.
+inside a larger one is an object if it protrudes from the surface around it, like a cup on a table, or lies flat on a
+horizontal surface, like a magazine; a label on a box is a part.
 """
 
 from __future__ import annotations
@@ -92,10 +89,7 @@ class MaskConfig(Ranged):
 def compose(
     masks: Sequence[InstanceMask], surface: Surface, structure: NDArray[np.bool_], config: MaskConfig
 ) -> tuple[NDArray[np.int32], tuple[RejectedMask, ...]]:
-    """Return the instances (H, W) int32, numbered from 1, and the rejected masks with their reasons.
-
-    `surface` is that of the frame, `structure` (H, W) its room structure.
-    """
+    """Return the instances (H, W) int32, numbered from 1, of a frame's masks; and rejected masks with reasons."""
     areas = np.array([np.count_nonzero(mask.mask) for mask in masks], dtype=np.int64)
     reasons = [_why_unusable(mask, int(area), structure, config) for mask, area in zip(masks, areas, strict=True)]
     usable = [i for i, reason in enumerate(reasons) if reason is None]
@@ -113,13 +107,15 @@ def compose(
     for i, why in _why_no_objects(labels, surface, config):
         reasons[i - 1] = why
         labels[labels == i] = 0
-    return _renumbered(labels, [i for i in kept if reasons[i] is None]), _rejected(masks, reasons)
+    rejected = [(mask, why) for mask, why in zip(masks, reasons, strict=True) if why is not None]
+    records = tuple(RejectedMask(box_px=mask.box_px, reason=why, mask=mask.mask) for mask, why in rejected)
+    return _renumbered(labels, [i for i in kept if reasons[i] is None]), records
 
 
 def why_no_object(
     surface: Surface, labels: NDArray[np.int32], label: int, box: NDArray[np.int64], max_extent_m: float
 ) -> str | None:
-    """Return why a label (at working resolution) is too long for an object, None if it is not."""
+    """Return the reason if a label (at working resolution) is too long for an object, else None."""
     x0, y0, x1, y1 = box
     window = surface.points_world[y0:y1, x0:x1], labels[y0:y1, x0:x1]
     extent = float(_extent_m(*window, label))
@@ -132,7 +128,6 @@ def why_no_object(
 
 @kernel
 def _extent_m(points, labels, label):
-    """Return the longest side of the upright box around the points of a label; 0 where it has none."""
     low, high = np.full(3, np.float32(np.inf)), np.full(3, np.float32(-np.inf))
     for y in range(labels.shape[0]):
         for x in range(labels.shape[1]):
@@ -150,7 +145,7 @@ def occluded_shares(depth_m: NDArray[np.float32], labels: NDArray[np.int32], cou
 
 @kernel
 def _outlines(depth, labels, count):
-    """Return (count,) the number of neighbouring pixels of other labels, and of those among them that are nearer."""
+    # (count,) the number of neighbouring pixels of other labels, and of those among them that are nearer.
     height, width = labels.shape
     outline, occluded = np.zeros(count), np.zeros(count)
     for y in range(height):
@@ -173,12 +168,10 @@ def enlarged(labels: NDArray[np.int32], factor: int, size: tuple[int, int]) -> N
     """Return labels at the size of the frame (width, height), padded with 0 where the reduction truncated."""
     if factor == 1:
         return labels.astype(np.int32)
-    big = cv2.resize(
-        labels.view(np.float32),  # nearest neighbour copies bits, and cv2 resizes no int32
-        (labels.shape[1] * factor, labels.shape[0] * factor),
-        interpolation=cv2.INTER_NEAREST,
-    ).view(np.int32)
-    return _filled_up(big, size)
+    shape = (labels.shape[1] * factor, labels.shape[0] * factor)
+    # Nearest neighbour copies bits, and cv2 resizes no int32.
+    big = cv2.resize(labels.view(np.float32), shape, interpolation=cv2.INTER_NEAREST)
+    return _filled_up(big.view(np.int32), size)
 
 
 def enlarged_mask(mask: NDArray[np.bool_], factor: int, size: tuple[int, int]) -> NDArray[np.bool_]:
@@ -188,7 +181,7 @@ def enlarged_mask(mask: NDArray[np.bool_], factor: int, size: tuple[int, int]) -
 
 
 def _filled_up(image: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
-    """Return an image (h, w) with zeros to the right and below up to a size (width, height)."""
+    # An image (h, w) with zeros to the right and below up to a size (width, height).
     if image.shape == (size[1], size[0]):
         return image
     large = np.zeros((size[1], size[0]), dtype=image.dtype)
@@ -214,7 +207,7 @@ def _reject_duplicates(
     shared: NDArray[np.int64],
     reasons: list[str | None],
 ) -> None:
-    """Reject duplicates of better masks; `shared` (N, N): pixels shared by `usable` masks, areas on its diagonal."""
+    # `shared` (N, N): pixels shared by `usable` masks, areas on its diagonal.
     areas = shared.diagonal()
     iou = shared / np.maximum(areas[:, None] + areas[None, :] - shared, 1)
     kept: list[int] = []
@@ -233,25 +226,20 @@ def _reject_parts(
     reasons: list[str | None],
     surface: Surface,
 ) -> None:
-    """Reject masks inside a larger one, the smallest around them, from whose surface they do not protrude."""
+    # Inside the smallest larger mask around them, without protruding from its surface.
     areas = np.maximum(shared.diagonal(), 1)
     kept: list[int] = []
     for j in sorted((j for j in range(len(usable)) if reasons[usable[j]] is None), key=lambda j: (-areas[j], j)):
         around = np.asarray(kept, dtype=np.int64)[shared[kept, j] > _INSIDE_SHARE * areas[j]]
-        is_own = len(around) == 0 or _is_own_thing(
-            masks[usable[j]], masks[usable[around[-1]]], areas[j] / areas[around[-1]], surface
-        )
-        if is_own:
-            kept.append(j)
-        else:
-            reasons[usable[j]] = "part of a larger mask: nothing stands out"
+        kept.append(j)
+        if len(around):
+            outer, share = masks[usable[around[-1]]], areas[j] / areas[around[-1]]
+            if not _is_own_thing(masks[usable[j]], outer, share, surface):
+                reasons[usable[kept.pop()]] = "part of a larger mask: nothing stands out"
 
 
 def _is_own_thing(inner: InstanceMask, outer: InstanceMask, share: float, surface: Surface) -> bool:
-    """Return whether a mask inside another one protrudes from the surface around it, or is flat on a horizontal one.
-
-    `share` is the ratio of their areas.
-    """
+    # `share` is the ratio of the two areas.
     factor, (height, width) = surface.factor, surface.depth_m.shape
     x0, y0, x1, y1 = inner.box_px
     rows = _working_lattice(y0, y1, factor, height)
@@ -277,12 +265,11 @@ def _is_own_thing(inner: InstanceMask, outer: InstanceMask, share: float, surfac
 
 
 def _working_lattice(first: int, last: int, factor: int, size: int) -> range:
-    """Return the range of working pixels for a range of frame pixels, with a margin for the ring around a mask."""
+    # With a margin for the ring around a mask.
     return range(max(0, first // factor - _RING_PX), max(0, min(size, -(-last // factor) + _RING_PX)))
 
 
 def _sampled(mask: InstanceMask, rows: range, columns: range, factor: int) -> NDArray[np.bool_]:
-    """Return a mask at working resolution, sampled at the centres of the working pixels."""
     x0, y0, x1, y1 = mask.box_px
     y, x = (np.asarray(places) * factor + factor // 2 for places in (rows, columns))
     out = np.zeros((len(rows), len(columns)), dtype=bool)
@@ -292,7 +279,7 @@ def _sampled(mask: InstanceMask, rows: range, columns: range, factor: int) -> ND
 
 
 def _plane_of(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return the unit normal and offset of a plane through (N, 3) points, fitted again without the worst third."""
+    # Unit normal and offset through (N, 3) points, fitted again without the worst third.
     normal, offset = _least_squares_plane(points)
     distance = np.abs(portable.matmul(points, normal) - offset)
     return _least_squares_plane(points[distance <= np.quantile(distance, 0.67)])
@@ -306,7 +293,6 @@ def _least_squares_plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float6
 
 
 def _area_m2(points: NDArray[np.float32], seen: NDArray[np.bool_], surface: Surface) -> float:
-    """Return the area of a horizontal patch, from its pixels and their depth."""
     camera = surface.camera
     place = points[seen] - surface.world_from_camera[:3, 3]
     depth = portable.matmul(place, surface.world_from_camera[:3, 2])
@@ -315,13 +301,13 @@ def _area_m2(points: NDArray[np.float32], seen: NDArray[np.bool_], surface: Surf
 
 
 def _shared_pixels(masks: Sequence[InstanceMask]) -> NDArray[np.int64]:
-    """Return (N, N) the number of pixels shared by two masks, at a stride of `_STRIDE`; areas on the diagonal."""
+    # (N, N) the number of pixels shared by two masks, at a stride of `_STRIDE`; areas on the diagonal.
     if not masks:
         return np.zeros((0, 0), dtype=np.int64)
     boxes = np.array([m.box_px for m in masks], dtype=np.int64)
     starts = np.concatenate([[0], np.cumsum([m.mask.size for m in masks])]).astype(np.int64)
-    shared: NDArray[np.int64] = _count_shared(boxes, starts, np.concatenate([m.mask.ravel() for m in masks]), _STRIDE)
-    return shared
+    pixels = np.concatenate([m.mask.ravel() for m in masks])
+    return np.asarray(_count_shared(boxes, starts, pixels, _STRIDE))
 
 
 @kernel
@@ -344,7 +330,7 @@ def _count_shared(boxes, starts, pixels, stride):
 
 
 def _painted(masks: Sequence[InstanceMask], order: Sequence[int], shape: tuple[int, ...]) -> NDArray[np.int32]:
-    """Return labels i + 1 of the masks, painted in this order, later ones over earlier ones."""
+    # Labels i + 1, later masks over earlier ones.
     labels = np.zeros(shape, dtype=np.int32)
     for i in order:
         x0, y0, x1, y1 = masks[i].box_px
@@ -353,7 +339,6 @@ def _painted(masks: Sequence[InstanceMask], order: Sequence[int], shape: tuple[i
 
 
 def _why_no_objects(labels: NDArray[np.int32], surface: Surface, config: MaskConfig) -> list[tuple[int, str]]:
-    """Return the labels that are rejected as objects by their geometry, with the reason."""
     factor, (height, width) = surface.factor, surface.depth_m.shape
     middle = factor // 2
     small = np.ascontiguousarray(labels[middle::factor, middle::factor][:height, :width])
@@ -377,11 +362,3 @@ def _renumbered(labels: NDArray[np.int32], kept: Sequence[int]) -> NDArray[np.in
     visible = [i for i in sorted(kept) if i + 1 < len(numbers)]
     numbers[[i + 1 for i in visible]] = np.arange(1, len(visible) + 1)
     return numbers[labels]
-
-
-def _rejected(masks: Sequence[InstanceMask], reasons: Sequence[str | None]) -> tuple[RejectedMask, ...]:
-    return tuple(
-        RejectedMask(box_px=mask.box_px, reason=reason, mask=mask.mask)
-        for mask, reason in zip(masks, reasons, strict=True)
-        if reason is not None
-    )

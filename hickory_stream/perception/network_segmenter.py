@@ -1,7 +1,4 @@
-"""The segmenter with the packaged affinity network: geometric fragments, joined by trees that use its log-odds.
-
-Whether a mask is an object or part of the room, by the affinity network's log-odds over its pixels.
-"""
+"""The segmenter with the packaged affinity network: geometric fragments, joined by trees that use its log-odds."""
 
 from __future__ import annotations
 
@@ -33,10 +30,7 @@ if TYPE_CHECKING:
 
 
 def thing_log_odds(labels: NDArray[np.int32], odds: PixelOdds) -> NDArray[np.float64]:
-    """Return (n + 1,) the mean log-odds that each mask 0..n of an image (h, w) is an object.
-
-    NaN for a mask without a pixel in the network's output, which has half the resolution.
-    """
+    """Return (n + 1,) the mean log-odds that each mask 0..n of an image (h, w) is an object; NaN if unknown."""
     few = labels[::2, ::2].ravel()
     count = int(labels.max(initial=0)) + 1
     from_even = odds.odds[THING].ravel().astype(np.float64) - ODDS_ZERO
@@ -65,10 +59,7 @@ class Prepared:
 
 
 class NetworkSegmenter:
-    """A `Segmenter` with the affinity network; stateless.
-
-    `trees` estimate whether a pair of regions is one object; None: the trees of the package.
-    """
+    """A `Segmenter` with the affinity network; stateless. `trees` rate pairs of regions; None: the packaged trees."""
 
     def __init__(
         self, network: PixelNetwork, config: NetworkJoinConfig, geometric: GeometricConfig, trees: Trees | None = None
@@ -85,7 +76,7 @@ class NetworkSegmenter:
         return Prepared(surface=surface, odds=self._network.odds(surface, None))
 
     def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
-        """Return what was prepared of a frame for another pose (4, 4) of it; odds do not depend on the pose."""
+        """Return the result of `prepare` for another pose (4, 4) of the frame; odds do not depend on it."""
         if not isinstance(prepared, Prepared):
             return None
         return replace(prepared, surface=moved_surface(prepared.surface, world_from_camera))

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from hickory_stream.records import Frame, Segmentation
 
 
+# Players convert the cameras' millimetres to metres by this factor.
 MILLIMETRE, MOST_MM = np.float32(0.001), 65535
-"""As players make metres of the millimetres that cameras give."""
 
 # Near the rim of a mask a return counts only within this many sigmas of depth of its neighbour further inside.
 _AGREE_SIGMAS = 3.0
@@ -75,7 +75,7 @@ def observe(
                 mask=mask,
                 points_world=lifted.points,
                 colors=lifted.colors,
-                box=gravity_aligned_box(lifted.company, lattice.object_m),
+                box=gravity_aligned_box(lifted.inliers, lattice.object_m),
                 r_area=float(np.count_nonzero(mask)) / mask_area_of(frame.camera),
                 r_depth=lifted.valid_share,
                 is_cut=_touches_border(box_px, frame.camera),
@@ -92,7 +92,6 @@ def mask_area_of(camera: Camera) -> float:
 
 
 def _masks(instances: NDArray[np.int32]) -> list[tuple[tuple[int, int, int, int], NDArray[np.bool_]]]:
-    """Return the box (x0, y0, x1, y1) and the mask within it of each instance, in the order of their labels."""
     masks = []
     for i, place in enumerate(find_objects(instances)):
         if place is not None:
@@ -103,14 +102,10 @@ def _masks(instances: NDArray[np.int32]) -> list[tuple[tuple[int, int, int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Lifted:
-    """A mask in 3D: (N, 3) points and colours, the inlier points, and R_depth, the share of its pixels with depth.
-
-    `returns` are those that the points were made of, None where their depth is in no whole millimetres.
-    """
-
+    # A mask in 3D; `returns` None: their depth is not in whole millimetres.
     points: NDArray[np.float32]
     colors: NDArray[np.uint8]
-    company: NDArray[np.float32]
+    inliers: NDArray[np.float32]
     valid_share: float
     returns: Returns | None
 
@@ -118,7 +113,7 @@ class _Lifted:
 def _lift(
     frame: Frame, box_px: tuple[int, int, int, int], mask: NDArray[np.bool_], config: ObserveConfig, voxel_m: float
 ) -> _Lifted | str:
-    """Return a mask lifted to 3D, or the reason why it cannot be lifted."""
+    # A text is the reason why the mask cannot be lifted.
     x0, y0, x1, y1 = box_px
     camera = frame.camera.cropped(x0, y0, x1, y1)
     depth = frame.depth_m[y0:y1, x0:x1]
@@ -126,7 +121,7 @@ def _lift(
         depth,
         frame.rgb[y0:y1, x0:x1],
         mask,
-        _supported(depth, _agreeing(depth, mask, frame), frame),
+        _with_support(depth, _agreeing(depth, mask, frame), frame.sensor.law, _AGREE_SIGMAS, _MIN_NEIGHBORS),
         *rays_of(camera),
         np.float32(config.min_depth_m),
         np.float32(config.max_depth_m),
@@ -135,40 +130,32 @@ def _lift(
         return "no reliable depth in the mask"
     if len(points) < _MIN_RETURNS:
         return f"{len(points)} sure returns, fewer than {_MIN_RETURNS}"
-    points, colors = means_in_world(points, colors, frame.world_from_camera, voxel_m)
+    points, colors = _means_in_world(points, colors, frame.world_from_camera, voxel_m)
     if len(points) < _MIN_POINTS:
         return f"{len(points)} points, fewer than {_MIN_POINTS}"
-    company = points[in_company(points)]
-    size_m = float(extent_of(company).max())
+    inliers = points[in_company(points)]
+    size_m = float(extent_of(inliers).max())
     if size_m > config.max_box_m:
         return f"{size_m:.1f} m long: no object"
-    return _Lifted(
-        points=points,
-        colors=colors,
-        company=company,
-        valid_share=float(num_reliable / np.count_nonzero(mask)),
-        returns=Returns(depth_mm=depth_mm, voxel_m=voxel_m, checksum=checksum_of(points, frame.world_from_camera))
-        if is_whole
-        else None,
-    )
+    checksum = checksum_of(points, frame.world_from_camera)
+    returns = Returns(depth_mm=depth_mm, voxel_m=voxel_m, checksum=checksum) if is_whole else None
+    share = float(num_reliable / np.count_nonzero(mask))
+    return _Lifted(points=points, colors=colors, inliers=inliers, valid_share=share, returns=returns)
 
 
 def rays_of(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the normalised image coordinates of the columns (w,) and rows (h,): of their rays at a depth of 1."""
+    """Return the normalised image coordinates of the columns (w,) and rows (h,), at a depth of 1."""
     u = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
     return u, ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)
 
 
-def means_in_world(
+def _means_in_world(
     points_camera: NDArray[np.float32],
     colors: NDArray[np.uint8],
     world_from_camera: NDArray[np.float64],
     voxel_m: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return the points and colours of an observation, those of its returns.
-
-    Journals hold returns instead of points (`Returns`): what this gives must stay as it is, to the bit.
-    """
+    # Journals hold returns instead of points (`Returns`): this must give the same points, to the bit.
     points_world = on_steps(apply(world_from_camera, points_camera))
     return voxel_means(points_world, colors, voxel_m)[:2]
 
@@ -176,23 +163,20 @@ def means_in_world(
 def points_of_returns(
     returns: Returns, box_px: tuple[int, int, int, int], camera: Camera, world_from_camera: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Return the points (N, 3) of an observation anew, from its returns in the frame's camera and pose."""
+    """Return the points (N, 3) of an observation from its returns in the frame's camera and pose."""
     points = _points_of(returns.depth_mm, *rays_of(camera.cropped(*box_px)))
-    return means_in_world(points, np.zeros(points.shape, np.uint8), world_from_camera, returns.voxel_m)[0]
+    return _means_in_world(points, np.zeros(points.shape, np.uint8), world_from_camera, returns.voxel_m)[0]
 
 
 def checksum_of(points: NDArray[np.float32], world_from_camera: NDArray[np.float64]) -> int:
-    """Return the checksum of (N, 3) points of an observation and the pose (4, 4) that they were seen from."""
+    """Return the checksum of (N, 3) points of an observation and its camera pose (4, 4)."""
     return zlib.crc32(world_from_camera.astype("<f8").tobytes(), zlib.crc32(points.astype("<f4", copy=False).tobytes()))
 
 
 @kernel
 def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):
-    """Return (N, 3) camera-frame points and colours of reliable depth in `inner`, and the number of those in `mask`.
-
-    Between them (h, w) their depth in millimetres, 0 elsewhere, and whether it is in whole ones. `u` (w,) and `v` (h,)
-    are the `rays_of` the camera.
-    """
+    # (N, 3) camera-frame points and colours of reliable depth in `inner`; (h, w) depth in millimetres, 0 elsewhere;
+    # whether all is in whole ones; the number in `mask`. `u` (w,) and `v` (h,): `rays_of`.
     height, width = mask.shape
     points, colors = np.empty((height * width, 3), dtype=np.float32), np.empty((height * width, 3), dtype=np.uint8)
     depth_mm, is_whole = np.zeros((height, width), dtype=np.uint16), True
@@ -217,7 +201,6 @@ def _returns(depth, rgb, mask, inner, u, v, nearest, farthest):
 
 @kernel
 def _points_of(depth_mm, u, v):
-    """Return (N, 3) the points of `_returns` of which the depth is given."""
     height, width = depth_mm.shape
     points = np.empty((np.count_nonzero(depth_mm), 3), dtype=np.float32)
     count = 0
@@ -233,10 +216,7 @@ def _points_of(depth_mm, u, v):
 def voxel_means(
     points: NDArray[np.float32], colors: NDArray[np.uint8], voxel_m: float
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.int64]]:
-    """Return the mean point and colour of every occupied voxel, in the order of the keys, and the points in each.
-
-    Means are at multiples of the step of points (`geometry.lattice`).
-    """
+    """Return the mean point (on lattice steps) and colour of every voxel, in the order of the keys, and its points."""
     groups, keys = groups_of(keys_of_points(points, voxel_m))
     means: tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.int64]]
     means = _means_of_groups(groups, np.argsort(keys, kind="stable"), points, colors)
@@ -245,7 +225,7 @@ def voxel_means(
 
 @kernel
 def _means_of_groups(groups, order, points, colors):
-    """Return the mean point and colour of each group, summed in the order of points; `order` is the order of groups."""
+    # Summed in the order of points; `order` is the order of groups.
     sums, counts = np.zeros((len(order), 6)), np.zeros(len(order), dtype=np.int64)
     for i in range(len(groups)):
         group = groups[i]
@@ -265,7 +245,7 @@ def _means_of_groups(groups, order, points, colors):
 
 
 def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:
-    """Return the eroded mask; parts too thin for the erosion (a leg, a pole, a handle) are kept whole."""
+    # Parts too thin for the erosion (a leg, a pole, a handle) are kept whole.
     if erode_px == 0:
         return mask
     padded = np.pad(mask.astype(np.uint8), erode_px)
@@ -278,7 +258,7 @@ def _eroded(mask: NDArray[np.bool_], erode_px: int) -> NDArray[np.bool_]:
 
 
 def _agreeing(depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame) -> NDArray[np.bool_]:
-    """Return the mask without rim pixels that belong to another surface or mix two surfaces (flying pixels)."""
+    # Without rim pixels that belong to another surface or mix two surfaces (flying pixels).
     edge_px = frame.sensor.edge_px(frame.camera.fx)
     inner = _eroded(mask, edge_px)
     law = frame.sensor.law
@@ -289,7 +269,6 @@ def _agreeing(depth: NDArray[np.float32], mask: NDArray[np.bool_], frame: Frame)
 
 @kernel
 def _with_agreeing(depth, mask, inner, law, sigmas):
-    """Return `inner` grown within the mask by pixels whose depth is within `sigmas` sigmas of a neighbour's."""
     height, width = mask.shape
     out = inner.copy()
     for y in range(height):
@@ -303,12 +282,6 @@ def _with_agreeing(depth, mask, inner, law, sigmas):
                     if inner[yy, xx] and abs(depth[yy, xx] - z) <= gate:
                         out[y, x] = True
     return out
-
-
-def _supported(depth: NDArray[np.float32], inner: NDArray[np.bool_], frame: Frame) -> NDArray[np.bool_]:
-    """Return (h, w) which returns have enough image neighbours on the same surface, whatever their depth."""
-    supported: NDArray[np.bool_] = _with_support(depth, inner, frame.sensor.law, _AGREE_SIGMAS, _MIN_NEIGHBORS)
-    return supported
 
 
 @kernel
@@ -327,7 +300,6 @@ def _with_support(depth, inner, law, sigmas, least):
 
 @kernel
 def _has_company(depth, inner, y, x, gate, least):
-    """Return whether at least `least` of the 24 returns around a pixel are within `gate` of its depth."""
     count = -1  # the loop also counts the pixel itself
     for yy in range(max(0, y - 2), min(depth.shape[0], y + 3)):
         for xx in range(max(0, x - 2), min(depth.shape[1], x + 3)):
@@ -338,7 +310,7 @@ def _has_company(depth, inner, y, x, gate, least):
 
 
 def _group(alone: NDArray[np.int32], box_px: tuple[int, int, int, int], mask: NDArray[np.bool_]) -> int:
-    """Return the instance of the frame without the map prior that contains a mask: that at the mask's first pixel."""
+    # The instance without the map prior at the mask's first pixel, which contains the mask.
     x0, y0, _, _ = box_px
     y, x = np.unravel_index(int(mask.argmax()), mask.shape)
     return int(alone[y0 + y, x0 + x])

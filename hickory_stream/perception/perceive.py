@@ -97,10 +97,9 @@ def perceive(
     lattice: Lattice,
     free_keys: NDArray[np.int64] | None = None,
 ) -> Perceived:
-    """Return the results of perception for a keyframe.
+    """Return the results of perception for a keyframe; `prior` is the map so far.
 
-    `prior` is the map so far, `lattice` its voxel sizes; `prepared` is the result of the segmenter's `prepare` for this
-    frame, and `free_keys` its `free_space`, None if they were not called.
+    `prepared`, `free_keys`: results of the segmenter's `prepare` and of `free_space`, None if they were not called.
     """
     segmentation = segmenter.segment(frame, prior, prepared)
     observations, rejected = observe(frame, segmentation, config.observe, lattice)
@@ -121,7 +120,7 @@ def features_of(
 ) -> tuple[tuple[MaskFeature, ...], NDArray[np.float32]]:
     """Return the pooled features of the observations at `indices`, and the (h, w, D) patches they were pooled from.
 
-    `patches` is what the extractor gave for this frame, None if it was not asked.
+    `patches`: features of this frame, if they were extracted before.
     """
     if patches is None:
         patches = extractor.extract(np.asarray(frame.rgb))

@@ -57,11 +57,7 @@ class ExcludedClasses:
 
 
 class FilteredSegmenter:
-    """A `Segmenter` whose masks are filtered by a semantic model.
-
-    Raises:
-        ConfigError: a class that the configuration names is not in the model's table.
-    """
+    """A `Segmenter` with masks filtered by a semantic model; raises `ConfigError` for a class unknown to the model."""
 
     def __init__(self, segmenter: Segmenter, model: SemanticModel, config: FilterConfig) -> None:
         self._segmenter = segmenter
@@ -74,24 +70,21 @@ class FilteredSegmenter:
         return self._segmenter.prepare(frame), self._model.classify(np.asarray(frame.rgb))
 
     def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
-        """Return what was prepared of a frame for another pose (4, 4) of it; None where that must be done anew."""
+        """Return the result of `prepare` for another pose (4, 4) of the frame; None if it must be repeated."""
         if not isinstance(prepared, tuple) or not isinstance(self._segmenter, Moving):
             return None
         inner, semantics = prepared
         return self._segmenter.moved(inner, world_from_camera), semantics
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the segmenter's instances without those of excluded classes."""
+        """Return the segmenter's segmentation without excluded classes."""
         inner, semantics = prepared if isinstance(prepared, tuple) else self.prepare(frame)
         segmentation = self._segmenter.segment(frame, prior, inner)
         return without_classes(segmentation, semantics, self._excluded, self._config)
 
 
 def excluded_classes(labels: tuple[str, ...], config: FilterConfig) -> ExcludedClasses:
-    """Return the ids of the classes that a configuration names.
-
-    A label may list several names (`door, double door`): one is enough, and case does not matter. Names of the default
-    configuration may be missing from a model's table.
+    """Return the ids of the configured classes, without case, by one of a label's names (`door, double door`).
 
     Raises:
         ConfigError: a name that is not a default one is missing from the table, or all names are.
@@ -110,7 +103,7 @@ def excluded_classes(labels: tuple[str, ...], config: FilterConfig) -> ExcludedC
 def without_classes(
     segmentation: Segmentation, semantics: SemanticImage, excluded: ExcludedClasses, config: FilterConfig
 ) -> Segmentation:
-    """Return a segmentation in which the instances on excluded classes are rejected, with the class as the reason."""
+    """Return a segmentation without the instances on excluded classes; the class is the reason."""
     instances = segmentation.instances.copy()
     rejected = list(segmentation.rejected)
     count = len(semantics.labels)
@@ -142,7 +135,7 @@ def without_classes(
 
 
 def _ids_of(labels: tuple[str, ...], names: Iterable[str]) -> tuple[frozenset[int], set[str]]:
-    """Return the ids of the classes that have one of the names, and the names that no class has."""
+    # The ids of the classes that have one of the names, and the names that no class has.
     wanted = {name.strip().lower() for name in names}
     ids, met = set(), set()
     for i, label in enumerate(labels):

@@ -1,7 +1,7 @@
 """Space observed by a keyframe: the free voxels that its rays traverse, and the voxels on structure.
 
-Path planning, visibility checks and the removal of false objects rely on it, so that it is conservative: a ray stops
-one voxel before its return, and pixels without a return are ignored.
+Planning and the removal of false objects rely on it, so a ray stops one voxel before its return, and pixels without a
+return are ignored.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import numpy as np
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
-from hickory_stream.geometry.camera import Camera, backproject
+from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import difference, keys_of_cells, keys_of_points, sorted_unique
+from hickory_stream.perception.coarse import sampled_camera, sampled_pixels
 from hickory_stream.records import SpaceObservation
 
 if TYPE_CHECKING:
@@ -42,10 +43,7 @@ def observe_space(
     lattice: Lattice,
     free_keys: NDArray[np.int64] | None = None,
 ) -> SpaceObservation:
-    """Return the free and structure voxels of a frame.
-
-    `free_keys` is what `free_space` gave for it, None if it was not asked.
-    """
+    """Return the free and structure voxels of a frame; `free_keys`: the result of `free_space`, if it was called."""
     points, valid, pixels = _rays(frame, config)
     structure = segmentation.own_structure[pixels][valid]
     on_structure = sorted_unique(keys_of_points(points[structure], lattice.space_m))
@@ -58,34 +56,23 @@ def observe_space(
 
 
 def free_space(frame: Frame, config: SpaceConfig, lattice: Lattice) -> NDArray[np.int64]:
-    """Return the sorted keys of the free voxels of a frame, which do not depend on what is structure in it."""
+    """Return the sorted keys of the free voxels of a frame; structure does not matter."""
     points, _, _ = _rays(frame, config)
     origin = frame.world_from_camera[:3, 3].astype(np.float64)
     return _free_keys(origin, points, _dense_returns(frame, config), lattice.space_m)
 
 
 def _rays(frame: Frame, config: SpaceConfig) -> tuple[NDArray[np.float64], NDArray[np.bool_], tuple[slice, slice]]:
-    """Return (N, 3) where the rays end in the world, (h, w) which of them have an end, and their pixels (h, w)."""
-    stride = config.stride_px
-    # One ray at the centre of each cell; an image that is smaller than a cell still has one.
-    top, left = min(stride // 2, frame.camera.height - 1), min(stride // 2, frame.camera.width - 1)
-    pixels = slice(top, None, stride), slice(left, None, stride)
-    depth = frame.depth_m[pixels]
-    camera = Camera(
-        width=depth.shape[1],
-        height=depth.shape[0],
-        fx=frame.camera.fx / stride,
-        fy=frame.camera.fy / stride,
-        cx=(frame.camera.cx - left) / stride,
-        cy=(frame.camera.cy - top) / stride,
-    )
+    # (N, 3) where the rays end in the world, (h, w) which of them have an end, and their pixels (h, w).
+    pixels = sampled_pixels(frame.depth_m.shape, config.stride_px)
+    depth, camera = frame.depth_m[pixels], sampled_camera(frame.camera, config.stride_px)
     valid = np.isfinite(depth) & (depth < config.max_depth_m)
     points = apply(frame.world_from_camera, backproject(depth, camera)[valid]).astype(np.float64)
     return points, valid, pixels
 
 
 def _dense_returns(frame: Frame, config: SpaceConfig) -> NDArray[np.float64]:
-    """Return (N, 3) world points of the returns at half the stride: rays beside a pole must not free its voxels."""
+    # At half the stride: rays beside a pole must not free its voxels.
     step = max(1, config.stride_px // 2)
     camera = frame.camera
     points = _returns(frame.depth_m, step, camera.fx, camera.fy, camera.cx, camera.cy, config.max_depth_m)
@@ -94,7 +81,7 @@ def _dense_returns(frame: Frame, config: SpaceConfig) -> NDArray[np.float64]:
 
 @kernel
 def _returns(depth, step, fx, fy, cx, cy, farthest):
-    """Return (N, 3) the returns of every `step`-th pixel in the camera's frame."""
+    # (N, 3) the returns of every `step`-th pixel in the camera's frame.
     height, width = depth.shape
     out = np.empty((-(-height // step) * -(-width // step), 3))
     count = 0
@@ -110,10 +97,8 @@ def _returns(depth, step, fx, fy, cx, cy, farthest):
 def _free_keys(
     origin: NDArray[np.float64], ends: NDArray[np.float64], returns: NDArray[np.float64], voxel_m: float
 ) -> NDArray[np.int64]:
-    """Return the sorted keys of the voxels traversed by rays to (N, 3) end points, except those with a return.
-
-    Rays stop one voxel before their end. There is one bit per voxel of the box around all rays, in the order of keys.
-    """
+    # Rays to (N, 3) ends stop one voxel before; voxels with a return stay. One bit per voxel of the box around all
+    # rays.
     if len(ends) == 0:
         return np.empty(0, dtype=np.int64)
     # A margin of one voxel on each side, for rounding in a ray's last step.

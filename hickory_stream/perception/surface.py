@@ -1,7 +1,7 @@
 """The visible surface of a frame: cleaned depth at working resolution, points and normals in the world.
 
-Planes are linear in inverse depth, and a stereo or structured-light camera has the same noise everywhere in it: normals
-come from a least-squares plane in inverse depth, twice, the second time over the inliers of the first.
+Planes are linear in inverse depth, where stereo cameras have uniform noise: normals come from a least-squares plane in
+it, then from one over the inliers of the first.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply, compose, invert
-from hickory_stream.perception.cielab import lab_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,18 +46,18 @@ class SurfaceConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Surface:
-    """The surface at working resolution (h, w); NaN where there is none.
+    """The surface at working resolution (h, w); NaN where there is none."""
 
-    `depth_m` (h, w), `points_world` and `normals_world` (h, w, 3; normals look at the camera), `lab` (h, w, 3) CIE Lab,
-    `sigma_m` (h, w): the standard deviation of depth. `factor` frame pixels make one working pixel.
-    """
-
+    #: frame pixels per working pixel, along each side
     factor: int
     camera: Camera
     depth_m: NDArray[np.float32]
     points_world: NDArray[np.float32]
+    #: (h, w, 3) unit, looking at the camera
     normals_world: NDArray[np.float32]
+    #: (h, w, 3) CIE Lab
     lab: NDArray[np.float32]
+    #: (h, w) standard deviation of depth
     sigma_m: NDArray[np.float32]
     world_from_camera: NDArray[np.float64]
 
@@ -95,8 +94,13 @@ def surface_of(frame: Frame, config: SurfaceConfig) -> Surface:
     )
 
 
+def lab_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return (h, w, 3) CIE Lab, in which Euclidean distance is perceived difference; lightness in 0..100."""
+    return np.asarray(cv2.cvtColor(rgb.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB))
+
+
 def moved_surface(surface: Surface, world_from_camera: NDArray[np.float64]) -> Surface:
-    """Return the surface of a frame whose pose turned out to be another one, (4, 4)."""
+    """Return the surface of a frame at another pose (4, 4)."""
     turn = compose(world_from_camera, invert(surface.world_from_camera))[:3, :3]
     return replace(
         surface,
@@ -109,7 +113,7 @@ def moved_surface(surface: Surface, world_from_camera: NDArray[np.float64]) -> S
 def _reduce_depth(
     depth: NDArray[np.float32], factor: int, height: int, width: int, nearest_m: float, farthest_m: float
 ) -> NDArray[np.float32]:
-    """Return the lower median of the valid depths of each block: always a measured depth, and thin objects survive."""
+    # The lower median of valid depths of a block is a measured depth, and thin objects survive.
     out: NDArray[np.float32]
     if factor == 2:
         out = _median_of_four(depth, height, width, nearest_m, farthest_m)
@@ -142,7 +146,7 @@ def _median_of_blocks(depth, factor, height, width, nearest, farthest):
 
 @kernel
 def _median_of_four(depth, height, width, nearest, farthest):
-    """Return the same as `_median_of_blocks` for blocks of 2 x 2, the usual ones, without branches: vectorised."""
+    # The same as `_median_of_blocks` for the usual blocks of 2 x 2, without branches: vectorised.
     out = np.empty((height, width), dtype=np.float32)
     none = np.float32(np.inf)
     for y in range(height):
@@ -162,11 +166,8 @@ def _median_of_four(depth, height, width, nearest, farthest):
 
 @kernel
 def _without_flying_pixels(depth):
-    """Remove flying pixels: those with fewer than three of their eight neighbours within 4 % of their depth.
-
-    Flying pixels lie between two surfaces. A pixel without a nearer neighbour may be part of a thin object and needs
-    only two neighbours. Neighbours are processed a row at a time, so that the innermost loop is vectorised.
-    """
+    # Flying pixels, between two surfaces, have fewer than three of their eight neighbours within 4 % of their depth. A
+    # pixel without a nearer neighbour may be a thin object and needs two. A row at a time: vectorised.
     height, width = depth.shape
     padded = np.full((height + 2, width + 2), np.float32(np.nan), dtype=np.float32)
     padded[1 : height + 1, 1 : width + 1] = depth
@@ -190,12 +191,9 @@ def _without_flying_pixels(depth):
 
 @kernel(error_model="numpy")
 def _normals(depth, u, v, radius, noise):
-    """Fit 1/z = a du + b dv + c over each window; (a, b, c) gives the plane's normal in the camera frame.
-
-    Two fits: to all pixels within 3 % of the depth, then to those within 3 sigma of the first plane. The sums of a
-    whole row are accumulated offset by offset, so that the innermost loop runs along the row and is vectorised. Inverse
-    depths are relative to the centre pixel's, so that single precision is enough.
-    """
+    # Fit 1/z = a du + b dv + c over each window; (a, b, c) gives the plane's normal in the camera frame. Two fits: to
+    # all pixels within 3 % of the depth, then within 3 sigma of the first plane. The sums of a row are accumulated
+    # offset by offset, vectorised. Inverse depths relative to the centre fit single precision.
     height, width = depth.shape
     out = np.full((height, width, 3), np.nan, dtype=np.float32)
     padded_width = width + 2 * radius
@@ -232,7 +230,7 @@ def _normals(depth, u, v, radius, noise):
 
 @kernel
 def _sum_windows(inverses, y, own, gates, planes, sums, radius, step_u, step_v):
-    """Fill the nine sums of a row's windows: n, u, v, d, uu, uv, vv, ud, vd over the pixels within the gate."""
+    # n, u, v, d, uu, uv, vv, ud, vd over the pixels within the gate.
     width, one, none = len(own), np.float32(1.0), np.float32(0.0)
     sums[:] = np.float32(0.0)
     for dy in range(-radius, radius + 1):
@@ -258,10 +256,7 @@ def _sum_windows(inverses, y, own, gates, planes, sums, radius, step_u, step_v):
 
 @kernel(error_model="numpy")
 def _solve_planes(sums, planes, has_plane, is_first):
-    """Solve the windows of a row for the first or the second fit, without branches: vectorised.
-
-    `has_plane` says whether the first fit has a solution; the plane stays that of the first fit if the second has none.
-    """
+    # Without branches: vectorised. The plane stays the first fit's if the second has no solution.
     for x in range(sums.shape[1]):
         n, su, sv, sd = sums[0, x], sums[1, x], sums[2, x], sums[3, x]
         cuu, cuv, cvv = sums[4, x] - su * su / n, sums[5, x] - su * sv / n, sums[6, x] - sv * sv / n

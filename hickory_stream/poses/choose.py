@@ -1,4 +1,4 @@
-"""Which odometry: by the name that `--odometry` gives."""
+"""The odometry of a name of `--odometry`."""
 
 from __future__ import annotations
 
@@ -14,11 +14,7 @@ if TYPE_CHECKING:
 
 
 def make_odometry(sensor: Sensor, method: MethodName | None = None) -> Odometry:
-    """Return a fresh odometry for the scans of a sensor; None: the method that is the default for it.
-
-    Raises:
-        ModelError: its library is not installed.
-    """
+    """Return a fresh odometry for a sensor's scans; None: its default. Raises `ModelError` without the library."""
     chosen = method or DEFAULT_METHOD[sensor]
     match chosen:
         case "small_gicp":

@@ -1,11 +1,8 @@
-"""Which motions a scan says nothing about: in a corridor it looks the same wherever one stands along it.
+"""Motions that a scan does not constrain, e.g. along a corridor.
 
-As X-ICP does it (Tuna et al., T-RO 2024), translation and rotation apart: the axes of the points' constraints are
-those of the point-to-plane problem, and for each is counted what surfaces face it. The ratio of eigenvalues does not
-do: it is as small in furnished rooms, and in a corridor the noise of the walls' normals keeps it from being smaller.
-
-Only points whose surroundings are a surface are counted. The rings of a LiDAR on a floor are lines, each with a normal
-by chance; they go along with the sensor and hold a registration where it is.
+As in X-ICP (Tuna et al., T-RO 2024), translation and rotation apart: for each axis of the point-to-plane problem, the
+surfaces that face it are counted. The ratio of eigenvalues is as small in furnished rooms. Only points on surfaces
+count: the rings of a LiDAR on a floor are lines with random normals, which move along with the sensor.
 """
 
 from __future__ import annotations
@@ -27,11 +24,10 @@ from hickory_stream.geometry.rigid import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+# The least ratio of variances within a surface and across it.
 _FLATNESS = 5.0
-"""The least ratio of variances within a surface and across it."""
-
+# The least lever for a rotation: a camera sees little that faces sideways, and noise of normals is a third of it.
 _STRONG_LEVER = 0.15
-"""What a point says of a rotation: a camera sees little that faces sideways, and noise of normals is a third of it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -44,7 +40,7 @@ class Surfels:
 
 
 def surfels_of(points: NDArray[np.float64], neighbors: NDArray[np.int64], stride: int) -> Surfels:
-    """Return of points (N, 3), each of which has `neighbors` (N / stride, K), those that lie on a surface."""
+    """Return the points of (N, 3) that lie on a surface, by their `neighbors` (N / stride, K)."""
     around = points[neighbors]
     off = around - around.mean(axis=1, keepdims=True)
     spread, axes = np.linalg.eigh(np.swapaxes(off, 1, 2) @ off)
@@ -53,11 +49,8 @@ def surfels_of(points: NDArray[np.float64], neighbors: NDArray[np.int64], stride
 
 
 def degenerate_directions(surfels: Surfels, *, strong_cosine: float, least_strong: float) -> NDArray[np.float64]:
-    """Return the directions (K, 6) for which fewer than `least_strong` points speak, unit, rotation first.
-
-    A rotation about an axis is spoken for by surfaces that face
-    the way that their points would go, with the weight of their lever: the median distance counts 1.
-    """
+    """Return the unit directions (K, 6), rotation first, for which fewer than `least_strong` points count."""
+    # Surfaces that face the motion of their points count for a rotation, by their lever: the median distance is 1.
     points, normals = surfels.points, surfels.normals
     if not len(points):
         return np.eye(6)
@@ -78,10 +71,9 @@ def degenerate_directions(surfels: Surfels, *, strong_cosine: float, least_stron
 def without_degenerate(
     registered: NDArray[np.float64], predicted: NDArray[np.float64], degenerate: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the registered pose (4, 4), along degenerate directions (K, 6) of the sensor that of the prediction.
-
-    Solution remapping (Zhang, Kaess and Singh, ICRA 2016).
-    """
+    """Return the registered pose (4, 4), with the prediction's part along degenerate directions (K, 6)."""
+    # Solution remapping (Zhang, Kaess and Singh, ICRA 2016); directions are the sensor's.
+    # Solution remapping (Zhang, Kaess and Singh, ICRA 2016).
     if not len(degenerate):
         return registered
     step = compose(invert(predicted), registered)

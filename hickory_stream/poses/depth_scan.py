@@ -1,4 +1,4 @@
-"""A depth image as a scan: the points that a camera sees well, thinned out evenly over the image."""
+"""A depth image as a scan: reliable points, thinned out evenly over the image."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from hickory_stream.records import Frame
 
 _STRIDE_AT_640 = 3
+# A less certain return disturbs a registration more than it holds it.
 _MAX_SIGMA_M = 0.05
-"""A return that is less sure than this pulls a registration about more than it holds it."""
 
 
 def scan_of_depth(frame: Frame) -> Scan:
-    """Return every few pixels of a frame as points of the camera (optical axes); without what is too far to be sure."""
+    """Return every few pixels of a frame as points in optical axes, without uncertain depth."""
     stride = max(1, round(_STRIDE_AT_640 * frame.camera.width / 640))
     points = backproject(frame.depth_m, frame.camera)[::stride, ::stride]
     sigma_m = frame.sensor.sigma_m(np.ascontiguousarray(points[..., 2]))

@@ -1,13 +1,9 @@
-"""Keyframes that fit the map: each is registered to the surface of those before, within what odometry leaves open.
+"""Registration of keyframes to the surface of earlier ones, within the uncertainty of odometry.
 
-The pose of a keyframe is expected where the odometry has it, with a covariance that grows with the way and the turning
-since the last one that was registered. Its depth is aligned with patches of surface of earlier keyframes
-(`surface_alignment`): the last ones, and those that saw most of the same. From the result follows `map_from_odometry`,
-which is the identity as long as the surface agrees with the odometry: exact poses stay exact to the last bit. Once it
-was contradicted, every keyframe is registered.
-
-A keyframe of which too much is seen through the surface, or that would have to be moved farther than odometry errs,
-does not fit, and is kept out. After many of these in a row the robot is somewhere else, and the surface begins anew.
+The odometry gives the expected pose; its covariance grows with the path since the last registered keyframe. The depth
+is aligned with patches of the last keyframes and of those with the most common surface (`surface_alignment`).
+`map_from_odometry` stays the identity, to the last bit, until the surface contradicts the odometry. A keyframe that
+sees through the surface, or fits too far away, is kept out; after many in a row the surface starts again.
 """
 
 from __future__ import annotations
@@ -46,20 +42,20 @@ if TYPE_CHECKING:
     from hickory_stream.poses.registration_config import RegistrationConfig
     from hickory_stream.poses.surface_image import SurfaceImage
 
+# The sigma of the first keyframe's pose, in m and rad.
 _SURE = 1e-4
-"""The first keyframe lies where it lies, in m and rad."""
+# An information that is as good as none: of 30 m, or of half a turn.
 _NOTHING = 1e-3
-"""An information that is as good as none: of 30 m, or of half a turn."""
 _LEAST_SEEN = 0.3
 _SHARE_STEPS = 8
 _MOST_WIDENED = 8.0
 _TESTED_EVERY = 4
+# Of every sixteenth cell, at least so many must face a direction: a hundredth of a wall that fills the image.
 _STRONG_COSINE, _LEAST_STRONG = 0.6, 30.0
-"""Of every sixteenth cell, at least so many must face a direction: a hundredth of a wall that fills the image."""
 _EVERY_DIRECTION, _NO_DIRECTION = np.eye(6), no_directions()
 
+# How the pose of a keyframe was found: it fits the surface, or there is none to compare it with.
 Placing = Literal["first", "fits", "new ground", "begun anew"]
-"""How the pose of a keyframe was found: it fits the surface; or there is none to compare it with."""
 
 # The odometry's error that each keyframe adds, beside `drift_share` and `turn_share`.
 _STEP_M = 0.001
@@ -97,40 +93,36 @@ LOST_KEYFRAMES = 8
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Belief:
-    """What is known of the odometry after a keyframe.
-
-    `map_from_odometry` (4, 4); `covariance` (6, 6) of the camera's pose against the surface: rotation vector, then
-    translation, along the map's axes. `corrects`: the odometry was contradicted before. `num_against`: the keyframes in
-    a row that contradict it. `odometry_from_camera` (4, 4) is that of the keyframe.
-    """
+    """The state of the odometry after a keyframe."""
 
     map_from_odometry: NDArray[np.float64]
+    #: (6, 6) of the camera's pose: rotation vector, then translation, along the map's axes
     covariance: NDArray[np.float64]
+    #: the odometry was contradicted before
     corrects: bool
+    #: keyframes in a row that contradict the odometry
     num_against: int
     odometry_from_camera: NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Placed:
-    """Where a keyframe is mapped: `map_from_camera` (4, 4), and what is believed from then on.
-
-    `fit` is the share of the points to compare that lie on the surface, None where there are too few. Later keyframes
-    may be registered to an anchor. Along the unit directions `degenerate` (K, 6), of the map's axes, rotation first,
-    the surface said nothing.
-    """
+    """The place of a keyframe in the map, and the belief from then on."""
 
     how: Placing
     map_from_camera: NDArray[np.float64]
     belief: Belief
+    #: share of the compared points that lie on the surface, None if there are too few
     fit: float | None
+    #: later keyframes may be registered to it
     is_anchor: bool
+    #: (K, 6) unit directions, of the map's axes, rotation first, that the surface left open
     degenerate: NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Remembered:
-    """A keyframe to which later ones are registered; `number` counts those that were placed, from 0."""
+    """A keyframe to which later ones are registered; `number` counts the placed ones from 0."""
 
     image: SurfaceImage
     map_from_camera: NDArray[np.float64]
@@ -146,29 +138,26 @@ class KeptOut:
 
 
 class KeyframeRegistration:
-    """The surface of the keyframes so far, and where the odometry's world lies in the map's."""
+    """The surface of the keyframes so far, and the place of the odometry's world in the map's."""
 
     def __init__(self, config: RegistrationConfig) -> None:
         self._config = config
-        self._anchors: list[Patch] = []
-        self._recent: list[Patch] = []
+        self._anchors, self._recent = list[Patch](), list[Patch]()
         self._belief: Belief | None = None
-        self._widened = 1.0
-        self._has_jumped = False
-        self._num_kept_out = 0
-        self._num_placed = 0
+        self._widened, self._has_jumped = 1.0, False
+        self._num_kept_out = self._num_placed = 0
 
     @property
     def map_from_odometry(self) -> NDArray[np.float64]:
-        """Where the odometry's world lies in the map's, (4, 4)."""
+        """The pose of the odometry's world in the map's, (4, 4)."""
         return np.eye(4) if self._belief is None else self._belief.map_from_odometry
 
     def jumped(self) -> None:
-        """Take note that the odometry or the stamps jumped: the next keyframe may be off, or be elsewhere."""
+        """Expect the next keyframe to be off or elsewhere: the odometry or the stamps jumped."""
         self._has_jumped = self._belief is not None
 
     def began_again(self) -> None:
-        """Take note that the odometry is in its first world again: a log is played once more."""
+        """Return to the odometry's first world: a log is played once more."""
         if self._belief is not None:
             self._belief = _fresh(self._belief.odometry_from_camera)
             self._has_jumped = True
@@ -179,9 +168,9 @@ class KeyframeRegistration:
         odometry_from_camera: NDArray[np.float64],
         unseen: NDArray[np.float64] = _NO_DIRECTION,
     ) -> Placed | KeptOut:
-        """Return where a keyframe belongs that the odometry has at `odometry_from_camera` (4, 4), or why nowhere.
+        """Return the place of a keyframe that the odometry has at `odometry_from_camera` (4, 4), or why it has none.
 
-        The odometry's own scans said nothing along the directions `unseen` (K, 6) of the camera (`Frame.degenerate`).
+        The odometry's scans did not constrain the directions `unseen` (K, 6) of the camera (`Frame.degenerate`).
         """
         if self._belief is None:
             return self._accepted("first", image, _fresh(odometry_from_camera), None)
@@ -204,9 +193,9 @@ class KeyframeRegistration:
         return self._accepted("begun anew", image, expected, fit)
 
     def restore(self, belief: Belief, remembered: Sequence[Remembered], num_placed: int) -> None:
-        """Go on as after a keyframe: its belief, the keyframes that are remembered in their order, and how many came.
+        """Continue as after a keyframe, from its belief, the remembered keyframes, and the number of placed ones.
 
-        Those are the anchors since the surface began, and the last ones.
+        The remembered keyframes, in order, are the anchors since the surface began and the last keyframes.
         """
         self._belief, self._num_placed = belief, num_placed
         self._widened, self._has_jumped, self._num_kept_out = 1.0, False, 0
@@ -215,13 +204,8 @@ class KeyframeRegistration:
         self._anchors = anchors[-self._config.max_anchors :]
         self._recent = patches[-NUM_RECENT:]
 
-    # ---- what is expected --------------------------------------------------------------------------------------------
-
     def _prior(self, odometry_from_camera: NDArray[np.float64], unseen: NDArray[np.float64]) -> PosePrior:
-        """Return the pose that the odometry has, with its covariance since the last keyframe that was mapped.
-
-        Along what its scans did not see it is a guess, and errs by a share of all of the way.
-        """
+        # The covariance grows since the last mapped keyframe; along `unseen` by a share of the whole motion.
         config, belief = self._config, self._belief
         assert belief is not None
         before, now = belief.odometry_from_camera, odometry_from_camera
@@ -248,18 +232,12 @@ class KeyframeRegistration:
         )
 
     def _expected(self, prior: PosePrior, odometry_from_camera: NDArray[np.float64]) -> Belief:
-        """Return what is believed if the odometry is taken as it is."""
         assert self._belief is not None
-        return Belief(
-            map_from_odometry=self._belief.map_from_odometry,
-            covariance=inverse(prior.information),
-            corrects=self._belief.corrects,
-            num_against=0,
-            odometry_from_camera=odometry_from_camera,
-        )
+        expected = replace(self._belief, covariance=inverse(prior.information), num_against=0)
+        return replace(expected, odometry_from_camera=odometry_from_camera)
 
     def _patches(self, image: SurfaceImage, map_from_camera: NDArray[np.float64]) -> list[Patch]:
-        """Return the last keyframes, and of those before the ones that saw most of the same, the oldest first."""
+        # The last keyframes, and of those before the ones with most of the same surface, the oldest first.
         camera_from_map = invert(map_from_camera)
         recent = {id(patch) for patch in self._recent}
         others = [patch for patch in self._anchors if id(patch) not in recent]
@@ -269,27 +247,22 @@ class KeyframeRegistration:
         chosen = [others[i] for i in order[:wanted] if shares[i] >= _LEAST_SEEN]
         return [*chosen, *self._recent]
 
-    # ---- what is made of it ------------------------------------------------------------------------------------------
-
     def _why_not(self, found: Aligned, fit: float | None, prior: PosePrior) -> str | None:
-        """Return why a keyframe does not fit, None where it does, or where nothing speaks against it."""
+        # Why a keyframe does not fit, None where it does, or where nothing speaks against it.
         if fit is not None and not fit >= _MIN_FIT:
             return f"{fit:.0%} of what it should show of the map is there; expected {_MIN_FIT:.0%} and more"
         sigmas = _sigmas(found.off, prior.information)
         if fit is not None and not sigmas <= _BOUND_SIGMAS:
             moved_m, turned_deg = portable.norm(found.off[3:]), float(np.degrees(portable.norm(found.off[:3])))
-            return (
-                f"it fits {moved_m:.2f} m and {turned_deg:.1f} degrees from where the odometry has it, {sigmas:.0f} "
-                f"sigma of its drift; expected {_BOUND_SIGMAS:g} and less"
-            )
-        # Who does not know where he is does not learn it from new ground, nor from a floor.
+            where = f"{moved_m:.2f} m and {turned_deg:.1f} degrees from where the odometry has it"
+            return f"it fits {where}, {sigmas:.0f} sigma of its drift; expected {_BOUND_SIGMAS:g} and less"
+        # Neither new ground nor a floor locates a lost robot.
         is_lost = self._num_kept_out > 0 or self._has_jumped
         if is_lost and (fit is None or not self._tells_where(found)):
             return "too little of the map is in sight to say where it is after what did not fit"
         return None
 
     def _tells_where(self, found: Aligned) -> bool:
-        """Return whether the surface alone says where a keyframe is, in every direction."""
         variances = np.diag(inverse(found.information + _NOTHING * np.eye(6)))
         limits = np.array([*3 * [np.radians(_FOUND_DEG)], *3 * [_FOUND_M]])
         return bool((variances <= limits * limits).all())
@@ -297,7 +270,7 @@ class KeyframeRegistration:
     def _registered(
         self, found: Aligned, prior: PosePrior, expected: Belief, unknown: NDArray[np.float64], *, is_guess: bool
     ) -> Belief:
-        """Return what is believed after a keyframe that fits; its surface says nothing along `unknown` (K, 6)."""
+        # The surface says nothing along `unknown` (K, 6).
         belief = self._belief
         assert belief is not None
         off, information = _without(unknown, found.off), _information_without(unknown, found.information)
@@ -310,14 +283,8 @@ class KeyframeRegistration:
         corrects = belief.corrects or (num_against > 0 and is_enough)
         if not corrects:
             return replace(expected, covariance=covariance, num_against=num_against)
-        map_from_camera = moved_by(prior.map_from_camera, off)
-        return Belief(
-            map_from_odometry=compose(map_from_camera, invert(expected.odometry_from_camera)),
-            covariance=covariance,
-            corrects=True,
-            num_against=0,
-            odometry_from_camera=expected.odometry_from_camera,
-        )
+        map_from_odometry = compose(moved_by(prior.map_from_camera, off), invert(expected.odometry_from_camera))
+        return replace(expected, map_from_odometry=map_from_odometry, covariance=covariance, corrects=True)
 
     def _accepted(
         self,
@@ -327,36 +294,25 @@ class KeyframeRegistration:
         fit: float | None,
         degenerate: NDArray[np.float64] = _EVERY_DIRECTION,
     ) -> Placed:
-        """Return a keyframe's place, and remember its surface; nothing to compare it with says nothing at all."""
         config = self._config
         # Without a correction the pose is the odometry's to the last bit.
         is_identity = np.array_equal(belief.map_from_odometry, np.eye(4))
         odometry = belief.odometry_from_camera
         map_from_camera = odometry if is_identity else compose(belief.map_from_odometry, odometry)
         patch = patch_of(image, map_from_camera, odd=self._num_placed % 2 == 1)
-        covering = sum(
-            share_seen(patch, invert(anchor.map_from_camera), image.camera) > _ANCHOR_OVERLAP
-            for anchor in self._anchors
-        )
-        is_anchor = covering < _NUM_COVERING
+        shares = (share_seen(patch, invert(anchor.map_from_camera), image.camera) for anchor in self._anchors)
+        is_anchor = sum(share > _ANCHOR_OVERLAP for share in shares) < _NUM_COVERING
         if is_anchor:
             self._anchors = [*self._anchors, patch][-config.max_anchors :]
         self._recent = [*self._recent, patch][-NUM_RECENT:]
         self._num_placed += 1
         self._belief = belief
         self._widened, self._has_jumped, self._num_kept_out = 1.0, False, 0
-        return Placed(
-            how=how,
-            map_from_camera=map_from_camera,
-            belief=belief,
-            fit=fit,
-            is_anchor=is_anchor,
-            degenerate=degenerate,
-        )
+        poses = {"map_from_camera": map_from_camera, "degenerate": degenerate}
+        return Placed(how=how, belief=belief, fit=fit, is_anchor=is_anchor, **poses)
 
 
 def _fresh(odometry_from_camera: NDArray[np.float64]) -> Belief:
-    """Return what is believed at the start: the map's world is the odometry's."""
     return Belief(
         map_from_odometry=np.eye(4),
         covariance=np.diag(np.full(6, _SURE * _SURE)),
@@ -367,7 +323,7 @@ def _fresh(odometry_from_camera: NDArray[np.float64]) -> Belief:
 
 
 def _carried(covariance: NDArray[np.float64], lever: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a covariance (6, 6) about another point, `lever` (3,) away: what turns about the one moves the other."""
+    # A covariance (6, 6) about another point, `lever` (3,) away: a turn about the one moves the other.
     x, y, z = lever
     carry = np.eye(6)
     carry[3:, :3] = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
@@ -375,12 +331,11 @@ def _carried(covariance: NDArray[np.float64], lever: NDArray[np.float64]) -> NDA
 
 
 def _sigmas(off: NDArray[np.float64], information: NDArray[np.float64]) -> float:
-    """Return how many standard deviations something is off."""
     return float(np.sqrt(max(portable.dot(off, portable.matmul(information, off)), 0.0)))
 
 
 def _degenerate_in_map(image: SurfaceImage, map_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (K, 6) the directions that a keyframe's surface leaves open, rotation first, along the map's axes."""
+    # (K, 6) directions that a keyframe's surface leaves open, rotation first, along the map's axes.
     sampled = (slice(None, None, _TESTED_EVERY), slice(None, None, _TESTED_EVERY))
     has = ~np.isnan(image.sigma_m[sampled])
     surfels = Surfels(points=image.points[sampled][has], normals=image.normals[sampled][has], weight=1.0)

@@ -1,6 +1,6 @@
-"""Odometry by KISS-ICP (Vizzo et al., RA-L 2023), the library as it is, on one thread.
+"""Odometry by the library KISS-ICP (Vizzo et al., RA-L 2023), on one thread.
 
-It says neither how sure it is nor along what it is blind: in a corridor it stands still, and nothing shows it.
+It gives no uncertainty and no degenerate directions: in a corridor it stands still unnoticed.
 """
 
 from __future__ import annotations
@@ -24,23 +24,16 @@ if TYPE_CHECKING:
 
 
 class KissIcpOdometry:
-    """An `Odometry` that hands each scan to KISS-ICP; its own constant velocity predicts, and nobody else."""
+    """An `Odometry` that passes each scan to KISS-ICP, with its own prediction by constant velocity."""
 
-    def __init__(self, sensor: Sensor, config: OdometryConfig | None = None) -> None:
-        """Load the library.
-
-        Raises:
-            ModelError: it is not installed.
-        """
+    def __init__(self, sensor: Sensor) -> None:
+        """Load the library; raises `ModelError` if it is not installed."""
         try:
             import_module("kiss_icp.kiss_icp")
         except ImportError as error:
-            raise ModelError(
-                f"kiss-icp cannot be loaded ({error}); `pip install kiss-icp`, or choose --odometry small_gicp"
-            ) from error
-        self._sensor = sensor
-        self._given = config
-        self._config = config or OdometryConfig()
+            text = f"kiss-icp cannot be loaded ({error}); `pip install kiss-icp`, or choose --odometry small_gicp"
+            raise ModelError(text) from error
+        self._sensor, self._config = sensor, OdometryConfig()
         self._method: Any = None
 
     @property
@@ -49,23 +42,22 @@ class KissIcpOdometry:
         return "kiss-icp"
 
     def register(self, scan: Scan, last_from_scan: NDArray[np.float64] | None = None) -> Registered | NotRegistered:
-        """Return where KISS-ICP says that the scan was taken."""
+        """Return KISS-ICP's pose of the scan."""
         del last_from_scan
         if len(scan.points) < self._config.least_points:
             return NotRegistered(reason=f"{len(scan.points)} points; expected {self._config.least_points} and more")
         if self._method is None:
             self._method = self._made(scan)
-        points, times = _as_kiss_icp_has_them(scan)
-        self._method.register_frame(points, times)
+        times = scan.times_s if scan.times_s is not None else np.empty(0)
+        self._method.register_frame(scan.points.astype(np.float64), times.astype(np.float64))
         pose = np.asarray(self._method.last_pose, dtype=np.float64)
         return Registered(stamp_ns=scan.stamp_ns, start_from_sensor=pose, information=None, degenerate=np.empty((0, 6)))
 
     def _made(self, first: Scan) -> Any:
-        """Return a fresh KissICP; the first scan says how coarse."""
         from kiss_icp.config import KISSConfig
         from kiss_icp.kiss_icp import KissICP
 
-        own = self._config = self._given or config_of(self._sensor, typical_range_m(first))
+        own = self._config = config_of(self._sensor, typical_range_m(first))
         config = KISSConfig()
         config.data.max_range = own.max_range_m
         config.data.deskew = first.times_s is not None
@@ -73,9 +65,3 @@ class KissIcpOdometry:
         config.adaptive_threshold.initial_threshold = own.kiss_threshold_m
         config.registration.max_num_threads = 1
         return KissICP(config)
-
-
-def _as_kiss_icp_has_them(scan: Scan) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return points and times of a scan as `register_frame` takes them."""
-    times = scan.times_s if scan.times_s is not None else np.empty(0)
-    return scan.points.astype(np.float64), times.astype(np.float64)

@@ -1,4 +1,4 @@
-"""What odometry is configured by: sizes in metres, by the sensor whose clouds are registered."""
+"""Configuration of odometry: sizes in metres, by the sensor."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 Sensor = Literal["lidar", "depth"]
 MethodName = Literal["small_gicp", "kiss-icp"]
 
+# The better method on the data of `tools/bench poses`; the README of this package has the figures.
 DEFAULT_METHOD: dict[Sensor, MethodName] = {"lidar": "small_gicp", "depth": "small_gicp"}
-"""Whichever was better on the data of `tools/bench poses`; the README of this package has the figures."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,10 +59,8 @@ _DEPTH = OdometryConfig()
 
 
 def config_of(sensor: Sensor, typical_range_m: float) -> OdometryConfig:
-    """Return the configuration for a sensor; that of a LiDAR goes with how far it typically sees (its first scan).
-
-    A street is 10 m and more away and takes voxels of a metre, as KISS-ICP has them; the walls of a room are 3 m away.
-    """
+    """Return the configuration for a sensor; a LiDAR's sizes grow with its typical range (of the first scan)."""
+    # A street is 10 m and more away and takes voxels of a metre, as in KISS-ICP; the walls of a room are 3 m away.
     if sensor == "depth":
         return _DEPTH
     voxel_m = min(max(0.1 * typical_range_m, 0.1), 1.0)

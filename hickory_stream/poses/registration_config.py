@@ -1,4 +1,4 @@
-"""What the registration of keyframes is configured by: how the odometry may drift, and what fits."""
+"""Configuration of the registration of keyframes."""
 
 from __future__ import annotations
 

@@ -1,10 +1,8 @@
 """Alignment of a keyframe's surface with patches of surface from earlier keyframes, under a prior of its pose.
 
-Points of the patches are projected into the keyframe and compared with the surface element there (projective
-association: Blais and Levine 1995; Newcombe et al., KinectFusion, 2011), by the distance along the mean of both normals
-(symmetric point-to-plane: Rusinkiewicz 2019), with Geman and McClure's kernel, whose scale narrows from step to step:
-what moved, and people who pass by, have no say. Gauss-Newton steps; the prior is a Gaussian in the map's axes about the
-camera, so that along what the surface does not determine the pose stays the expected one.
+Projective association (Blais and Levine 1995; Newcombe et al., KinectFusion, 2011); distances along the mean of both
+normals (symmetric point-to-plane: Rusinkiewicz 2019); Geman and McClure's kernel with a narrowing scale against moving
+things; Gauss-Newton steps. A Gaussian prior keeps the expected pose along what the surface does not determine.
 """
 
 from __future__ import annotations
@@ -34,11 +32,11 @@ if TYPE_CHECKING:
     from hickory_stream.poses.surface_image import SurfaceImage
 
 _NEAREST_M = 0.2
+# A point this much nearer than the keyframe's surface is seen through.
 _THROUGH_M = 0.1
-"""A point that lies this much nearer than what the keyframe sees there is seen through."""
 _NUM_PROBES = 40
+# The least cosine to the vertical of a level surface's normal.
 _LEVEL = 0.9
-"""The cosine to the vertical from which on a normal is that of a level surface."""
 
 # Added to the noise of each point: surfaces are no smoother than this.
 _SURFACE_NOISE_M = 0.005
@@ -54,61 +52,55 @@ _MIN_COSINE = 0.85
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Patch:
-    """Surface elements of a keyframe: `points`, `normals` (N, 3) in its camera, `sigma_m` (N,), and its pose.
-
-    `probes` (K, 3) are a few of the points, by which is judged who sees them.
-    """
+    """Surface elements of a keyframe: `points`, `normals` (N, 3) in its camera, `sigma_m` (N,), and its pose."""
 
     map_from_camera: NDArray[np.float64]
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
+    #: (K, 3) a few of the points, to test which cameras see the patch
     probes: NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PosePrior:
-    """What is expected of a pose: `map_from_camera` (4, 4), and the information (6, 6) of its error.
-
-    The error is a rotation vector, then a translation, both along the map's axes, the rotation about the camera.
-    `tilt` (2,) is how far the pose is turned about the map's x and y against the odometry's vertical, in rad, which is
-    known with `tilt_information`.
-    """
+    """The expected pose and its certainty."""
 
     map_from_camera: NDArray[np.float64]
+    #: (6, 6) of a rotation vector about the camera, then a translation, along the map's axes
     information: NDArray[np.float64]
+    #: (2,) turn about the map's x and y against the odometry's vertical, rad
     tilt: NDArray[np.float64]
     tilt_information: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Aligned:
-    """The most likely pose; `off` (6,) is what it is from the expected one, `information` (6, 6) the surface's alone.
-
-    `num_on` points of patches lie on the keyframe's surface, and `num_through` are seen through; of these
-    `num_upright_on` and `num_upright_through` are of surfaces that are not level.
-    """
+    """The most likely pose."""
 
     map_from_camera: NDArray[np.float64]
+    #: (6,) its difference to the expected one
     off: NDArray[np.float64]
+    #: (6, 6) of the surface alone
     information: NDArray[np.float64]
+    #: points of patches on the keyframe's surface
     num_on: int
+    #: points of patches that are seen through
     num_through: int
+    #: the same of surfaces that are not level
     num_upright_on: int
     num_upright_through: int
 
     def fit(self, least_points: int) -> float | None:
-        """Return the share of points that are on the surface; None where fewer than `least_points` can be compared.
-
-        Level surfaces say less: wherever a robot is, it is on a floor. Without them the share must be as large.
-        """
+        """Return the share of points on the surface; None if fewer than `least_points` can be compared."""
+        # Upright surfaces alone must have as large a share: a robot is on a floor everywhere.
         pairs = ((self.num_on, self.num_through), (self.num_upright_on, self.num_upright_through))
         shares = [on / (on + through) for on, through in pairs if on + through >= least_points]
         return min(shares) if self.num_on + self.num_through >= least_points else None
 
 
 def patch_of(image: SurfaceImage, map_from_camera: NDArray[np.float64], *, odd: bool) -> Patch:
-    """Return a quarter of the surface elements of a keyframe, every second row and column; `odd`: the others."""
+    """Return a quarter of the surface elements of a keyframe: every second row and column, `odd` ones or even."""
     first = int(odd)
     has = ~np.isnan(image.sigma_m[first::2, first::2])
     points = image.points[first::2, first::2][has]
@@ -122,7 +114,7 @@ def patch_of(image: SurfaceImage, map_from_camera: NDArray[np.float64], *, odd: 
 
 
 def share_seen(patch: Patch, camera_from_map: NDArray[np.float64], camera: Camera) -> float:
-    """Return the share of a patch that lies in the field of view of a camera, whatever may hide it."""
+    """Return the share of a patch in the field of view of a camera, hidden or not."""
     if not len(patch.probes):
         return 0.0
     lens = camera.fx, camera.fy, camera.cx, camera.cy
@@ -131,35 +123,27 @@ def share_seen(patch: Patch, camera_from_map: NDArray[np.float64], camera: Camer
 
 
 def align(image: SurfaceImage, patches: Sequence[Patch], prior: PosePrior) -> Aligned:
-    """Return the most likely pose of a keyframe by its surface, the patches and what is expected."""
+    """Return the most likely pose of a keyframe from its surface, the patches and the prior."""
     lens = image.camera.fx, image.camera.fy, image.camera.cx, image.camera.cy
     pose, off = prior.map_from_camera, np.zeros(6)
-    counts = np.zeros(4, dtype=np.int64)
-    information = np.zeros((6, 6))
+    counts, information = np.zeros(4, dtype=np.int64), np.zeros((6, 6))
     for step in range(_NUM_ITERATIONS):
         hessian, slope = np.zeros((6, 6)), np.zeros(6)
         counts[:] = 0
-        camera_from_map = invert(pose)
+        camera_from_map, up = invert(pose), pose[2, :3].copy()
+        # The scale is halved with every step until the last one.
+        scale_m = float(max(_FIRST_SCALE_M / (1 << min(step, 30)), _LAST_SCALE_M))
+        limits = (scale_m, _MIN_COSINE, _SURFACE_NOISE_M * _SURFACE_NOISE_M)
         for patch in patches:
-            _accumulate(
-                patch.points,
-                patch.normals,
-                patch.sigma_m,
-                compose(camera_from_map, patch.map_from_camera),
-                image.points,
-                image.normals,
-                image.sigma_m,
-                lens,
-                pose[2, :3].copy(),
-                (_scale_m(step), _MIN_COSINE, _SURFACE_NOISE_M * _SURFACE_NOISE_M),
-                hessian,
-                slope,
-                counts,
-            )
+            own = (patch.points, patch.normals, patch.sigma_m, compose(camera_from_map, patch.map_from_camera))
+            seen = (image.points, image.normals, image.sigma_m, lens)
+            _accumulate(*own, *seen, up, limits, hessian, slope, counts)
         # Neighbouring points err alike, and each point of the keyframe was compared with several patches.
         share = min(1.0, _NUM_INDEPENDENT / max(int(counts[0]), 1))
-        turned = _in_map_axes(pose)
-        information = share * portable.matmul(portable.matmul(turned, _mirrored(hessian)), turned.T)
+        turned = np.zeros((6, 6))
+        turned[:3, :3] = turned[3:, 3:] = pose[:3, :3]
+        whole = np.asarray(hessian + np.triu(hessian, 1).T)
+        information = share * portable.matmul(portable.matmul(turned, whole), turned.T)
         slope = share * portable.matmul(turned, slope)
         total = information + prior.information
         slope = slope + portable.matmul(prior.information, off)
@@ -167,16 +151,11 @@ def align(image: SurfaceImage, patches: Sequence[Patch], prior: PosePrior) -> Al
             total[axis, axis] += prior.tilt_information
             slope[axis] += prior.tilt_information * (prior.tilt[axis] + off[axis])
         pose = moved_by(pose, solved(total, -slope))
-        off = _off(pose, prior.map_from_camera)
-    return Aligned(
-        map_from_camera=pose,
-        off=off,
-        information=information,
-        num_on=int(counts[0]),
-        num_through=int(counts[1]),
-        num_upright_on=int(counts[2]),
-        num_upright_through=int(counts[3]),
-    )
+        turn = portable.matmul(pose[:3, :3], prior.map_from_camera[:3, :3].T)
+        off = np.concatenate([rotation_vector(turn), pose[:3, 3] - prior.map_from_camera[:3, 3]])
+    names = ("num_on", "num_through", "num_upright_on", "num_upright_through")
+    numbers = dict(zip(names, counts.tolist(), strict=True))
+    return Aligned(map_from_camera=pose, off=off, information=information, **numbers)
 
 
 def solved(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -192,30 +171,10 @@ def inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(0.5 * (out + out.T))
 
 
-def _scale_m(step: int) -> float:
-    """Return the scale of the kernel: halved with every step until it is the last one."""
-    return float(max(_FIRST_SCALE_M / (1 << min(step, 30)), _LAST_SCALE_M))
-
-
-def _mirrored(upper: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(upper + np.triu(upper, 1).T)
-
-
-def _in_map_axes(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    out = np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = pose[:3, :3]
-    return out
-
-
 def moved_by(pose: NDArray[np.float64], step: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a pose (4, 4) turned by a rotation vector about itself, then shifted: both (6,) along the map's axes."""
     rotation = portable.matmul(rotation_of_vector(step[:3]), pose[:3, :3])
     return from_rotation_translation(rotation, pose[:3, 3] + step[3:])
-
-
-def _off(pose: NDArray[np.float64], expected: NDArray[np.float64]) -> NDArray[np.float64]:
-    turn = portable.matmul(pose[:3, :3], expected[:3, :3].T)
-    return np.concatenate([rotation_vector(turn), pose[:3, 3] - expected[:3, 3]])
 
 
 @kernel(error_model="numpy")
@@ -236,11 +195,9 @@ def _num_in_view(points, camera_from_patch, lens, width, height):
 
 @kernel(error_model="numpy")
 def _accumulate(points, normals, sigma, m, at, facing, at_sigma, lens, up, limits, hessian, slope, counts):
-    """Add what one patch says to the upper half of `hessian` (6, 6), to `slope` (6,), and to the four `counts`.
-
-    `m` is camera_from_patch, `up` (3,) the map's vertical in the camera; `limits` are the scale of the kernel, the
-    least cosine and the variance of surfaces.
-    """
+    # Adds one patch to the upper half of `hessian` (6, 6), to `slope` (6,), and to the four `counts`. `m` is
+    # camera_from_patch, `up` (3,) the map's vertical in the camera; `limits`: scale, least cosine, variance of
+    # surfaces.
     height, width = at_sigma.shape
     fx, fy, cx, cy = lens
     scale_m, least_cosine, noise2 = limits

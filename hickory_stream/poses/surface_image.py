@@ -1,7 +1,7 @@
-"""The surface that a keyframe's depth shows, at low resolution: a point, a normal and its noise for every cell.
+"""The surface of a keyframe's depth at low resolution: a point, a normal and its noise for every cell.
 
-Planes are linear in inverse depth, in which a triangulating camera has the same noise everywhere: each window of cells
-is fitted there, twice, the second time over the inliers of the first. Cells beside an edge have no surface.
+Planes are linear in inverse depth, where a triangulating camera has uniform noise: each window of cells is fitted there
+twice, the second time over the inliers. Cells beside an edge have no surface.
 """
 
 from __future__ import annotations
@@ -21,21 +21,20 @@ if TYPE_CHECKING:
 
 _RADIUS = 2
 _LEAST_CELLS = 12
+# A surface seen at a flatter angle has an uncertain place.
 _LEAST_COSINE = 0.2
-"""A surface that is seen at a flatter angle says little of where it is."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SurfaceImage:
-    """Surface elements by cell, in the camera's frame; NaN where there is none.
+    """Surface elements by cell, in the camera's frame; NaN if there is none."""
 
-    `points` and `normals` (h, w, 3) float64, normals face the camera; `sigma_m` (h, w) float64: the standard deviation
-    of the point along its normal. `camera` is that of the cells.
-    """
-
+    #: the camera of the cells
     camera: Camera
     points: NDArray[np.float64]
+    #: (h, w, 3) float64, facing the camera
     normals: NDArray[np.float64]
+    #: (h, w) standard deviation of the point along its normal
     sigma_m: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -48,15 +47,12 @@ class SurfaceImage:
 def surface_image(
     depth_mm: NDArray[np.uint16], camera: Camera, *, spread_per_m: float, max_sigma_m: float
 ) -> SurfaceImage:
-    """Return the surface of depth (h, w) in millimetres, 0 = no return, seen by the `camera` of these cells.
+    """Return the surface of depth (h, w) in millimetres, 0 = no return, from the `camera` of these cells.
 
-    `spread_per_m` is the standard deviation of inverse depth; returns that are less sure than `max_sigma_m` are left
-    out.
+    `spread_per_m`: standard deviation of inverse depth; returns with a sigma above `max_sigma_m` are left out.
     """
-    points = np.full((*depth_mm.shape, 3), np.nan)
-    normals = np.full((*depth_mm.shape, 3), np.nan)
-    sigma_m = np.full(depth_mm.shape, np.nan)
-    inverse = np.zeros(depth_mm.shape)
+    points, normals = (np.full((*depth_mm.shape, 3), np.nan) for _ in range(2))
+    sigma_m, inverse = np.full(depth_mm.shape, np.nan), np.zeros(depth_mm.shape)
     has = depth_mm > 0
     inverse[has] = 1000.0 / depth_mm[has]
     lens = camera.fx, camera.fy, camera.cx, camera.cy
@@ -66,7 +62,7 @@ def surface_image(
 
 @kernel(error_model="numpy")
 def _fit(inverse, lens, spread, max_sigma, points, normals, sigma):
-    """Fill in the surface elements, row by row: the sums of a row's windows are added cell by cell, vectorised."""
+    # The sums of a row's windows are added cell by cell, vectorised.
     height, width = inverse.shape
     fx, fy, cx, cy = lens
     least = np.sqrt(spread / max_sigma) if max_sigma > 0 else 0.0  # sigma = spread z^2, so that 1/z is at least this
@@ -106,7 +102,7 @@ def _fit(inverse, lens, spread, max_sigma, points, normals, sigma):
 
 @kernel(error_model="numpy")
 def _sum_windows(inverse, y, planes, gates, sums):
-    """Fill the nine sums of a row's windows: n, u, v, d, uu, uv, vv, ud, vd over the cells within the gates."""
+    # n, u, v, d, uu, uv, vv, ud, vd over the cells within the gates.
     sums[:] = 0.0
     inner = sums.shape[1]
     for dy in range(-_RADIUS, _RADIUS + 1):
@@ -130,7 +126,7 @@ def _sum_windows(inverse, y, planes, gates, sums):
 
 @kernel(error_model="numpy")
 def _solve(sums, planes, counts):
-    """Fit the planes of a row's windows; `counts` becomes 0 where there is none, now or in the fit before."""
+    # `counts` becomes 0 without a plane, now or in the fit before.
     for i in range(sums.shape[1]):
         n, su, sv, sd = sums[0, i], sums[1, i], sums[2, i], sums[3, i]
         cuu, cuv, cvv = sums[4, i] - su * su / n, sums[5, i] - su * sv / n, sums[6, i] - sv * sv / n

@@ -1,6 +1,6 @@
-"""Which way is up in a room, from one scan: floors and tables face up, walls stand upright.
+"""The vertical of a room from one scan: floors and tables face up, walls stand upright.
 
-For the world of an odometry that begins at a camera held by anybody; a better answer, where there is one, is gravity.
+For the world of a hand-held camera's odometry; gravity is better if it is known.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _ROUNDS = 3
 def up_in(scan: Scan, rough_up: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Return the unit vector up (3,) in the frame of a scan of a room, within 50 degrees of `rough_up` (3,).
 
-    Of the normals near it, that which most surfaces are level or upright to; then their mean. None where too few are,
-    or none is level: walls alone leave one tilt open.
+    The normal to which most surfaces are level or upright, refined by the mean. None if too few are, or none is level:
+    walls alone leave one tilt open.
     """
     import small_gicp
 

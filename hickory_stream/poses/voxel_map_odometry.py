@@ -1,9 +1,7 @@
 """Odometry by registration against a local voxel map: generalised ICP of the library small_gicp.
 
-Segal, Haehnel and Thrun, Generalized-ICP (RSS 2009), against Gaussian voxels (Koide et al., ICRA 2021), on one thread:
-the order of sums is then fixed. Both are the library's; what is here is what it does not say: whether to believe it.
-
-Where a sensor is expected: motion goes on as it was, unless somebody knows better.
+Segal, Haehnel and Thrun, Generalized-ICP (RSS 2009), against Gaussian voxels (Koide et al., ICRA 2021), on one thread,
+which fixes the order of sums. This module adds the prediction, and the tests whether to believe a result.
 """
 
 from __future__ import annotations
@@ -37,12 +35,12 @@ if TYPE_CHECKING:
 
 Matrix = NDArray[np.float64]
 
+# After a longer gap the motion before it is no prediction.
 MAX_STEP_NS = 1_000_000_000
-"""After a gap that is longer than this the motion before it says nothing."""
 
 
 class ConstantVelocity:
-    """The last two poses of a sensor, and where it would be if it went on."""
+    """The last two poses of a sensor, and their extrapolation."""
 
     def __init__(self) -> None:
         self._last: tuple[int, Matrix] | None = None
@@ -54,7 +52,7 @@ class ConstantVelocity:
         return None if self._last is None else self._last[1]
 
     def since(self, stamp_ns: int) -> int | None:
-        """Return how long before a stamp the newest pose is; None where there is none, or the motion not one step."""
+        """Return the time from the newest pose to a stamp; None without a pose, or over more than one step."""
         if self._last is None or not 0 < stamp_ns - self._last[0] <= MAX_STEP_NS:
             return None
         return stamp_ns - self._last[0]
@@ -67,13 +65,13 @@ class ConstantVelocity:
         self._last = (stamp_ns, start_from_sensor)
 
     def motion(self, duration_ns: int) -> Matrix:
-        """Return the motion (4, 4) within a duration, `before_from_after`; none where nothing is known."""
+        """Return the motion (4, 4) within a duration, `before_from_after`; the identity if it is unknown."""
         if self._step is None or not 0 < duration_ns <= MAX_STEP_NS:
             return np.eye(4)
         return scaled_motion(self._step[1], duration_ns / self._step[0])
 
     def predicted(self, stamp_ns: int) -> Matrix:
-        """Return the pose (4, 4) expected at a stamp, the start where there was none before."""
+        """Return the pose (4, 4) expected at a stamp; the start if there is no earlier one."""
         return np.eye(4) if self._last is None else compose(self._last[1], self.motion(stamp_ns - self._last[0]))
 
 
@@ -84,10 +82,9 @@ def scaled_motion(before_from_after: Matrix, share: float) -> Matrix:
 
 
 def deskewed(points: NDArray[np.float32], times_s: NDArray[np.float32], velocity: Matrix) -> NDArray[np.float32]:
-    """Return points (N, 3) of a sweep as the sensor would have seen them at its stamp.
+    """Return points (N, 3) of a sweep as seen at its stamp.
 
-    `times_s` (N,) since the stamp; `velocity` (4, 4) is the motion within a second. Of each point, the rotation about
-    the motion's axis by Rodrigues' formula, and its share of the translation.
+    `times_s` (N,) since the stamp; `velocity` (4, 4): motion within a second. Rodrigues' formula rotates each point.
     """
     vector = rotation_vector(velocity[:3, :3])
     rate = portable.norm(vector)
@@ -102,22 +99,18 @@ def deskewed(points: NDArray[np.float32], times_s: NDArray[np.float32], velocity
     return np.asarray(moved + times[:, None] * velocity[:3, 3], dtype=np.float32)
 
 
+# So many neighbouring points err alike: the share of the Hessian that counts as independent evidence.
 _CORRELATED = 50.0
-"""So many neighbouring points err alike: the share of the Hessian that counts as independent evidence."""
-
 _CLEAR_EVERY = 10
-
+# One of so many points is tested for degenerate directions, with so many around it.
 _TESTED_EVERY, _TESTED_NEIGHBORS = 8, 25
-"""Of so many points one is looked at for what it says of the motion, with so many around it."""
 
 
 class VoxelMapOdometry:
     """An `Odometry` that keeps the distributions of points in voxels, and registers each scan to them."""
 
-    def __init__(self, sensor: Sensor, config: OdometryConfig | None = None) -> None:
-        self._sensor = sensor
-        self._given = config
-        self._config = config or OdometryConfig()
+    def __init__(self, sensor: Sensor) -> None:
+        self._sensor, self._config = sensor, OdometryConfig()
         self._map: Any = None
         self._motion = ConstantVelocity()
 
@@ -127,7 +120,7 @@ class VoxelMapOdometry:
         return "small_gicp"
 
     def register(self, scan: Scan, last_from_scan: NDArray[np.float64] | None = None) -> Registered | NotRegistered:
-        """Return where the scan was taken, or why that cannot be said; then the map is left as it was."""
+        """Return the pose of the scan, or the reason why it has none; then the map does not change."""
         predicted = self._predicted(scan, last_from_scan)
         if len(scan.points) < self._config.least_points:
             return NotRegistered(reason=f"{len(scan.points)} points; expected {self._config.least_points} and more")
@@ -138,18 +131,14 @@ class VoxelMapOdometry:
         reason = self._why_not(cloud, found, predicted)
         if reason is not None:
             return NotRegistered(reason=reason)
-        degenerate = degenerate_directions(
-            surfels, strong_cosine=self._config.strong_cosine, least_strong=self._config.least_strong
-        )
+        limits = {"strong_cosine": self._config.strong_cosine, "least_strong": self._config.least_strong}
+        degenerate = degenerate_directions(surfels, **limits)
         start_from_sensor = without_degenerate(_rigid(found.T_target_source), predicted, degenerate)
         self._map.insert(cloud, start_from_sensor)
         self._motion.add(scan.stamp_ns, start_from_sensor)
-        return Registered(
-            stamp_ns=scan.stamp_ns,
-            start_from_sensor=start_from_sensor,
-            information=_information(found, degenerate),
-            degenerate=degenerate,
-        )
+        information = _information(found, degenerate)
+        result = {"start_from_sensor": start_from_sensor, "information": information, "degenerate": degenerate}
+        return Registered(stamp_ns=scan.stamp_ns, **result)
 
     def _predicted(self, scan: Scan, last_from_scan: NDArray[np.float64] | None) -> NDArray[np.float64]:
         last = self._motion.last
@@ -158,29 +147,24 @@ class VoxelMapOdometry:
         return compose(last, last_from_scan)
 
     def _begin(self, scan: Scan) -> Registered:
-        """Return the start, with a map of this scan: its range says how coarse."""
+        # The range of the first scan sets the sizes.
         import small_gicp
 
-        self._config = self._given or config_of(self._sensor, typical_range_m(scan))
+        self._config = config_of(self._sensor, typical_range_m(scan))
         self._map = small_gicp.GaussianVoxelMap(self._config.voxel_m)
         self._map.set_lru(horizon=self._config.kept_scans, clear_cycle=_CLEAR_EVERY)
         self._map.insert(self._cloud(scan, np.eye(4))[0], np.eye(4))
         self._motion.add(scan.stamp_ns, np.eye(4))
-        return Registered(
-            stamp_ns=scan.stamp_ns,
-            start_from_sensor=np.eye(4),
-            information=np.zeros((6, 6)),
-            degenerate=np.empty((0, 6)),
-        )
+        start = {"start_from_sensor": np.eye(4), "information": np.zeros((6, 6)), "degenerate": np.empty((0, 6))}
+        return Registered(stamp_ns=scan.stamp_ns, **start)
 
     def _cloud(self, scan: Scan, pose: NDArray[np.float64]) -> tuple[Any, Surfels]:
-        """Return the scan thinned out, with surfaces, as if taken at once; and what is known of its normals."""
+        # The scan, deskewed and thinned out, and its surfels.
         import small_gicp
 
         points = scan.points
         if scan.times_s is not None and len(points) and float(np.ptp(scan.times_s)) > 0:
-            last = self._motion.last
-            duration_ns = self._motion.since(scan.stamp_ns)
+            last, duration_ns = self._motion.last, self._motion.since(scan.stamp_ns)
             if last is not None and duration_ns is not None:
                 velocity = scaled_motion(compose(invert(last), pose), 1e9 / duration_ns)
                 points = deskewed(points, scan.times_s, velocity)
@@ -205,7 +189,7 @@ class VoxelMapOdometry:
         )
 
     def _why_not(self, cloud: Any, found: Any, predicted: NDArray[np.float64]) -> str | None:
-        """Return why a result is not to be believed, None where it is."""
+        # Why a result is not to be believed, None where it is.
         config = self._config
         if cloud.size() < config.least_points:
             return f"{cloud.size()} points after thinning out; expected {config.least_points} and more"
@@ -221,13 +205,13 @@ class VoxelMapOdometry:
 
 
 def _rigid(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a transform with an exact rotation: products of thousands of steps drift from it."""
+    # With an exact rotation: products of thousands of steps drift from it.
     rotation = rotation_from_quaternion(*quaternion_from_rotation(matrix[:3, :3]).tolist())
     return from_rotation_translation(rotation, matrix[:3, 3])
 
 
 def _information(found: Any, degenerate: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the information (6, 6) of a result: its Hessian in units of its residuals, none where degenerate."""
+    # (6, 6) the Hessian in units of its residuals, none along degenerate directions.
     variance = max(2.0 * found.error / max(3 * found.num_inliers - 6, 1), 1e-12)
     information = np.asarray(found.H, dtype=np.float64) / (variance * _CORRELATED)
     information = 0.5 * (information + information.T)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
-from hickory_stream.mapping.floor_notes import tilt_note
+from hickory_stream.mapping.floor_warnings import tilt_warning
 from hickory_stream.perception.structure.detection import StructureConfig
 from hickory_stream.perception.structure.room_structure import room_structure_of
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
@@ -57,5 +57,5 @@ def gravity_notes(seen: Sequence[SeenFloor]) -> list[str]:
         structure=sorted_unique(np.concatenate([floor.keys for floor in seen])),
         floor_z_m=float(np.median(heights)),
     )
-    note = tilt_note(space)
+    note = tilt_warning(space)
     return [] if note is None else [note]

@@ -16,7 +16,7 @@ from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.voxels import centers_of_keys
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
-from hickory_stream.mapping.floor_notes import floor_notes
+from hickory_stream.mapping.floor_warnings import floor_warnings
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive
@@ -138,7 +138,7 @@ def over_the_table() -> Played:
 
 def test_where_only_a_table_is_in_view_the_map_says_that_its_floor_may_be_one(over_the_table: Played) -> None:
     assert all(over_the_table.has(box) for box in ON_TABLE)
-    (note,) = floor_notes(over_the_table.snapshot)
+    (note,) = floor_warnings(over_the_table.snapshot)
     assert "may be a table" in note
     assert "z = 0.72 m" in note
     assert over_the_table.floor_decisions() == []
@@ -158,7 +158,7 @@ def test_a_table_is_no_floor_once_a_floor_is_seen_below_it_and_becomes_an_object
     low, high = np.array(TABLE.low), np.array(TABLE.high)
     tables = [(a, b) for a, b in found.boxes() if (b - a)[:2].min() > 1.6]
     assert any(np.abs((a + b)[:2] / 2 - (low + high)[:2] / 2).max() < 0.15 for a, b in tables)
-    assert floor_notes(found.snapshot) == ()
+    assert floor_warnings(found.snapshot) == ()
 
 
 @pytest.mark.parametrize("degrees", [2.0, -2.0])
@@ -167,13 +167,13 @@ def test_a_log_whose_gravity_is_two_degrees_off_has_the_same_objects_and_says_so
     found = played(SCENE_BOXES, CIRCLE, [tilt @ pose for pose in CIRCLE])
     assert all(found.has(box, tilt) for box in SCENE_BOXES)
     assert len(found.boxes()) == len(SCENE_BOXES)
-    (note,) = floor_notes(found.snapshot)
+    (note,) = floor_warnings(found.snapshot)
     assert "tilted by 2.0 degrees" in note
 
 
 def test_a_level_floor_is_nothing_to_speak_of() -> None:
     found = played(SCENE_BOXES, CIRCLE)
-    assert floor_notes(found.snapshot) == ()
+    assert floor_warnings(found.snapshot) == ()
     assert found.floor_decisions() == []
     assert len(found.boxes()) == len(SCENE_BOXES)
 
@@ -188,7 +188,7 @@ def test_a_camera_that_hangs_upside_down_maps_the_same_objects() -> None:
 def test_of_poses_with_z_downwards_the_map_says_that_no_floor_was_seen() -> None:
     flip = about(0, 180.0)
     found = played(SCENE_BOXES, CIRCLE, [flip @ pose for pose in CIRCLE])
-    (note,) = floor_notes(found.snapshot)
+    (note,) = floor_warnings(found.snapshot)
     assert "no floor was seen" in note
     assert "z upwards" in note
 
@@ -196,7 +196,7 @@ def test_of_poses_with_z_downwards_the_map_says_that_no_floor_was_seen() -> None
 def test_a_log_that_begins_where_nothing_is_in_range_maps_what_comes_into_it() -> None:
     above = [looking((2.0, 0.0, 9.0 - 0.2 * i), (0.0, 0.0, 8.0)) for i in range(4)]
     found = played(SCENE_BOXES, [*above, *CIRCLE])
-    assert floor_notes(found.midway[3]) == ()
+    assert floor_warnings(found.midway[3]) == ()
     assert all(found.has(box) for box in SCENE_BOXES)
     assert found.snapshot.submaps[0].observed_space.floor_z_m == pytest.approx(0.0, abs=0.02)
 
@@ -212,4 +212,4 @@ def test_a_robot_that_takes_a_lift_has_a_submap_with_a_floor_for_each_storey() -
     assert floors[-1] == pytest.approx(3.0, abs=0.02)
     lifted = raised(np.eye(4), 3.0)
     assert all(found.has(box) and found.has(box, lifted) for box in SCENE_BOXES)
-    assert any("levels, at z = 0.00 m, 3.00 m" in note for note in floor_notes(found.snapshot))
+    assert any("levels, at z = 0.00 m, 3.00 m" in note for note in floor_warnings(found.snapshot))

@@ -483,7 +483,7 @@ def test_features_that_were_not_asked_for_are_refused() -> None:
 def test_a_keyframe_is_refused_while_features_are_pending() -> None:
     core = MapperCore(CONFIG)
     core.handle(frame(0, observation(0, A)))
-    with pytest.raises(ValueError, match="frame 1 came while features of 0 are pending"):
+    with pytest.raises(ValueError, match="frame 1 came before the features of frame 0"):
         core.handle(frame(1))
 
 

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from hickory_stream.mapping.entities.existence import (
     Existence,
     ExistenceConfig,
-    doubted,
     no_evidence,
     sighted,
     united,
+    with_evidence_against,
 )
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from tests.mapping.mapping_fixtures import box_surface, observation
@@ -56,8 +56,8 @@ def test_what_is_far_or_has_little_sure_depth_is_a_weaker_witness() -> None:
 
 def test_a_keyframe_that_looks_through_the_place_takes_one_sighting_away() -> None:
     known = seen_from((1.5, 0.0), (0.0, 1.5))
-    assert doubted(known).evidence == known.evidence - 1
-    assert doubted(doubted(no_evidence())).evidence == 0
+    assert with_evidence_against(known).evidence == known.evidence - 1
+    assert with_evidence_against(with_evidence_against(no_evidence())).evidence == 0
 
 
 def test_two_that_are_one_are_as_sure_as_the_surer() -> None:

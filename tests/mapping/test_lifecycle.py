@@ -34,7 +34,7 @@ from hickory_stream.mapping.rules.lifecycle import (
 )
 from hickory_stream.mapping.rules.merging import merge
 from hickory_stream.mapping.rules.structure_checks import is_structure
-from hickory_stream.mapping.steps.ageing import EFFECTS, GUARDS, Case, end_tracks
+from hickory_stream.mapping.steps.ageing import EFFECTS, GUARDS, TrackTransition, end_tracks
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, space, track
 
@@ -123,8 +123,8 @@ def with_wall(state: MapState) -> MapState:
     return state
 
 
-def case_of(state: MapState) -> Case:
-    return Case(state, 1, CONFIG, free_keys=FREE, merges=True)
+def case_of(state: MapState) -> TrackTransition:
+    return TrackTransition(state, 1, CONFIG, free_keys=FREE, merges=True)
 
 
 @dataclass(frozen=True, kw_only=True)

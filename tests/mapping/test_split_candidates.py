@@ -14,7 +14,7 @@ from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.cloud import cloud_of
 from hickory_stream.mapping.entities.observed_space import add, empty_space, is_edge, is_flush, with_room
-from hickory_stream.mapping.rules.association import AssociateConfig, is_swollen
+from hickory_stream.mapping.rules.association import AssociateConfig, is_oversized
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.splitting import TrackSplitConfig, reassigned, with_keyframe
 from hickory_stream.mapping.rules.structure_checks import is_structure
@@ -109,10 +109,10 @@ def test_a_settled_track_is_not_made_twice_as_large_by_one_observation() -> None
     config = AssociateConfig()
     mug = track(1, box_surface((0.0, 0.0, 0.05), (0.1, 0.1, 0.1)), sightings=8)
     with_bowl = observation(0, box_surface((0.1, 0.0, 0.06), (0.32, 0.2, 0.12)))
-    assert is_swollen(with_bowl, mug, config)
-    assert not is_swollen(with_bowl, replace(mug, sightings=2), config)
-    assert not is_swollen(with_bowl, replace(mug, doubts=4), config)  # it has been said often enough
-    assert not is_swollen(observation(0, box_surface((0.0, 0.0, 0.05), (0.11, 0.1, 0.11))), mug, config)
+    assert is_oversized(with_bowl, mug, config)
+    assert not is_oversized(with_bowl, replace(mug, sightings=2), config)
+    assert not is_oversized(with_bowl, replace(mug, doubts=4), config)  # it has been said often enough
+    assert not is_oversized(observation(0, box_surface((0.0, 0.0, 0.05), (0.11, 0.1, 0.11))), mug, config)
 
 
 # ---- walls ----------------------------------------------------------------------------------------------------------

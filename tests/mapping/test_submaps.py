@@ -32,10 +32,10 @@ from hickory_stream.mapping.entities.observed_space import add, as_record
 from hickory_stream.mapping.entities.submaps import (
     SubmapConfig,
     Submaps,
+    after_pose_jump,
     first_submap,
     interrupted,
     record_of,
-    torn,
     travelled,
     with_keyframe,
     with_registration,
@@ -348,7 +348,7 @@ def test_an_addition_to_space_follows_the_floor_of_the_open_submap_only() -> Non
     two = with_seen(travelled(one, camera_at(20.0), 0, SubmapConfig()), step)
     assert [state.space.floor_z_m for state in two.states] == [0.0, two.space.floor_z_m]
     assert add(one.space, step).floor_z_m == two.space.floor_z_m
-    assert torn(two).space.floor_z_m is None
+    assert after_pose_jump(two).space.floor_z_m is None
 
 
 def test_a_floor_that_turns_out_to_be_a_table_is_none_in_the_submaps_before_either() -> None:

@@ -19,9 +19,9 @@ from hickory_stream.mapping.rules.merging import (
     VoteBook,
     Votes,
     find_pair,
-    foreign_points,
     merge,
     pairs_that_meet,
+    points_on_others,
 )
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, graph_of, shape, track, view
@@ -162,7 +162,7 @@ def test_only_pairs_with_a_changed_track_are_looked_at() -> None:
 def test_points_on_another_track_are_foreign_and_a_track_that_is_covered_is_named() -> None:
     left, right = box_surface((0, 0, 0.1)), box_surface((0.24, 0, 0.1))
     seen = cloud(np.concatenate([left, right]))
-    foreign, covered = foreign_points(seen, track(1, left), [track(2, right)])
+    foreign, covered = points_on_others(seen, track(1, left), [track(2, right)])
     assert covered == [2]
     assert (seen.points[foreign][:, 0] > 0.12).all()
     assert foreign.sum() > 0.8 * (seen.points[:, 0] > 0.14).sum()
@@ -170,21 +170,21 @@ def test_points_on_another_track_are_foreign_and_a_track_that_is_covered_is_name
 
 def test_points_that_lie_on_the_own_track_too_stay() -> None:
     points = box_surface((0, 0, 0.1))
-    foreign, covered = foreign_points(cloud(points), track(1, points), [track(2, points)])
+    foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, points)])
     assert not foreign.any()
     assert covered == [2]
 
 
 def test_a_track_that_is_only_brushed_is_not_covered() -> None:
     vase, table = box_surface((0, 0, 0.2), (0.08, 0.08, 0.4)), box_surface((0, 0, -0.02), (1.2, 0.8, 0.04))
-    _, covered = foreign_points(cloud(vase), track(1, vase), [track(2, table)])
+    _, covered = points_on_others(cloud(vase), track(1, vase), [track(2, table)])
     # The vase's lowest cells are beside the table's: less than a third of it.
     assert covered == []
 
 
 def test_nothing_is_foreign_where_no_other_track_is() -> None:
     points = box_surface((0, 0, 0.1))
-    foreign, covered = foreign_points(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))])
+    foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))])
     assert not foreign.any()
     assert covered == []
 

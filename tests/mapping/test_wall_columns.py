@@ -16,7 +16,7 @@ from hickory_stream.mapping.entities.observed_space import (
     false_floor,
     is_wall_column,
 )
-from hickory_stream.mapping.floor_notes import tilt_note
+from hickory_stream.mapping.floor_warnings import tilt_warning
 from tests.mapping.mapping_fixtures import space
 
 VOXEL_M = 0.05
@@ -61,4 +61,4 @@ def test_the_core_and_what_is_told_of_a_map_leave_out_the_same_columns(height: i
     tilted = empty_space(VOXEL_M)
     for _ in range(2):
         tilted = add(tilted, space(structure=np.sort(keys_of_cells(rising)), floor_z_m=0.1))
-    assert (tilt_note(as_record(tilted)) is None) == is_wall
+    assert (tilt_warning(as_record(tilted)) is None) == is_wall

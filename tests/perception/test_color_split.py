@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hickory_stream.perception.cielab import lab_of
 from hickory_stream.perception.fragments.color_split import (
     _histogram,
     split_by_color,
 )
 from hickory_stream.perception.masks import label_boxes
+from hickory_stream.perception.surface import lab_of
 from tests.strategies import seeds
 
 ORANGE, RED, WHITE = (230, 150, 60), (215, 40, 40), (240, 240, 235)

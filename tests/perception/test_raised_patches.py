@@ -5,9 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
-from hickory_stream.perception.cielab import lab_of
 from hickory_stream.perception.structure.raised_patches import NearPlane, raised_patches
-from hickory_stream.perception.surface import Surface
+from hickory_stream.perception.surface import Surface, lab_of
 
 SHAPE = (60, 80)
 # The back of a shelf, and the board beside it, the one over it.

@@ -26,14 +26,14 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     from hickory_stream.inspection.graph_summary import summary_of, told
     from hickory_stream.map_folder.history.registration_history import registration_summary
     from hickory_stream.map_folder.manifest import read_json
-    from hickory_stream.mapping.floor_notes import floor_notes
+    from hickory_stream.mapping.floor_warnings import floor_warnings
 
     objects = played.snapshot.objects if played.snapshot is not None else ()
     num_shaped = sum(tracked.shape is not None for tracked in objects)
     failures = failed_shapes(out, [tracked.id for tracked in objects if tracked.shape is None])
     ledger = read_json(out, "ledger.json")
     registration = registration_summary(out, ledger)
-    notes = floor_notes(played.snapshot) if played.snapshot is not None else ()
+    notes = floor_warnings(played.snapshot) if played.snapshot is not None else ()
     if options.json:
         said = {
             "event": "finished",

@@ -1,1 +1,1 @@
-"""What a map consists of: tracks, clouds, views, submaps and the observed space."""
+"""The parts of a map: tracks, clouds, views, submaps and the observed space."""

@@ -1,11 +1,7 @@
 """The layer-1 cloud of a track: one mean point per voxel of the world's lattice, with the number of its sightings.
 
-The lattice is anchored at the world's origin, so that two clouds of one surface fall into the same cells whichever
-track saw it first, and a cloud is bounded by its surface, not by the number of frames.
-
-Clouds that nobody looks at are kept compressed: a fifth to a half of their memory, and the same to the byte.
-
-A cloud whose arrays were packed stays the same object; whoever reads one of its arrays gets it as it was.
+One lattice for all: clouds of one surface fall into the same cells, and surface alone bounds a cloud's size. Clouds
+that were not seen recently are compressed, to a fifth to a half, and read back to the byte; the object stays the same.
 """
 
 from __future__ import annotations
@@ -40,14 +36,13 @@ _cold: WeakKeyDictionary[Any, _Packed] = WeakKeyDictionary()
 
 @dataclass(frozen=True, slots=True)
 class _Packed:
-    """How many points a cloud has (None: its keys say), and what gives each of its arrays back."""
-
+    # `count` None: the number of keys. `array` restores an array by its name.
     count: int | None
     array: Callable[[str], NDArray[Any]]
 
 
 def pack(cloud: Any, keep: Keep = in_memory) -> None:
-    """Compress the arrays of a cloud, and have them kept; those of one that was packed before are let go again."""
+    """Compress the arrays of a cloud into `keep`; arrays that were restored from an earlier packing are released."""
     with _lock:
         if cloud in _cold:
             _let_go(cloud)
@@ -57,10 +52,7 @@ def pack(cloud: Any, keep: Keep = in_memory) -> None:
 
 
 def pack_part(part: Any, whole: Any, keep: Keep = in_memory) -> None:
-    """Let go of the arrays of a cloud that are some of another one's, which is packed as well.
-
-    Where they are not some of those the part is compressed by itself.
-    """
+    """Compress a cloud, as a selection of `whole`'s voxels where it is one, and `whole`."""
     with _lock:
         if part in _cold or part is whole:
             pack(part, keep)
@@ -81,20 +73,13 @@ def pack_part(part: Any, whole: Any, keep: Keep = in_memory) -> None:
 
 
 def leave_unread(cloud: Any, count: int | None, array: Callable[[str], NDArray[Any]]) -> None:
-    """Make a cloud of `count` points of which nothing is there.
-
-    `array` gives each of its arrays by its name, when one is looked at.
-    """
+    """Make a cloud of `count` points whose arrays `array` reads by name when they are first used."""
     with _lock:
         _cold[cloud] = _Packed(count, array)
 
 
 def unpacked(cloud: Any, name: str) -> NDArray[Any]:
-    """Return an array of a cloud that was packed, which has all of them again.
-
-    Raises:
-        AttributeError: it is no array of a cloud.
-    """
+    """Return an array of a packed cloud, after restoring all of them; raises `AttributeError` for another name."""
     if name not in NAMES:
         raise AttributeError(name)
     with _lock:
@@ -106,19 +91,19 @@ def unpacked(cloud: Any, name: str) -> NDArray[Any]:
     return there
 
 
-def count_of(cloud: Any) -> int:
+def _count_of(cloud: Any) -> int:
     """Return the number of points of a cloud, without unpacking it."""
     packed = _cold.get(cloud)
     return len(cloud.keys) if packed is None or packed.count is None else packed.count
 
 
 def is_packed(cloud: Any) -> bool:
-    """Return whether arrays of a cloud are compressed, and not at hand."""
+    """Return whether some arrays of a cloud are only there compressed."""
     return cloud in _cold and not all(_is_at_hand(cloud, name) for name in NAMES)
 
 
 def array_of(cloud: Any, name: str) -> NDArray[Any]:
-    """Return an array of a cloud, which stays packed if it is."""
+    """Return an array of a cloud without unpacking the cloud."""
     packed = _cold.get(cloud)
     return getattr(cloud, name) if packed is None or _is_at_hand(cloud, name) else packed.array(name)
 
@@ -150,12 +135,7 @@ _MOST_TAIL, _MUCH_SMALLER = 0.35, 0.4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class Cloud:
-    """Sorted voxel `keys` (N,), mean `points` and `colors` (N, 3) as float32, and `hits` (N,): frames per voxel.
-
-    Points are at multiples of the step of `geometry.lattice` where those that they are the means of are.
-
-    Of a cloud that nobody looks at the arrays may be kept compressed (`cold_clouds`), until one is read again.
-    """
+    """Sorted voxel `keys` (N,), mean `points` on lattice steps and `colors` (N, 3), and frames per voxel `hits`."""
 
     keys: NDArray[np.int64]
     points: NDArray[np.float32]
@@ -163,10 +143,10 @@ class Cloud:
     hits: NDArray[np.int32]
 
     def __len__(self) -> int:
-        return count_of(self)
+        return _count_of(self)
 
     def __getattr__(self, name: str) -> Any:
-        # Python asks here only for what is not at hand.
+        # Python asks here only for missing attributes.
         return unpacked(self, name)
 
 
@@ -210,7 +190,7 @@ def moved_cloud(cloud: Cloud, new_from_old: NDArray[np.float64], voxel_m: float)
 
 
 def grown_since(now: Cloud, then: Cloud, voxel_m: float) -> Cloud:
-    """Return what a cloud has more than it had `then`: voxels that were hit since, with the means of these hits."""
+    """Return the voxels of a cloud that were hit since `then`, with the means of these hits."""
     known = contains(then.keys, now.keys)
     at = places(then.keys, now.keys[known])
     before = np.zeros(len(now.keys), dtype=np.int64)
@@ -243,9 +223,8 @@ def without(cloud: Cloud, drop: NDArray[np.bool_]) -> Cloud:
 def solid_part(cloud: Cloud, sightings: int) -> Cloud:
     """Return the voxels that were seen in more than one frame: a voxel seen only once is likely to be noise.
 
-    Where this would remove more than half of the voxels, the cloud is new or far away, and few voxels are hit twice.
-    Then only an outlying tail is removed, e.g. a piece of a neighbour that one frame included by mistake: cells of
-    eight voxels of which none was seen again, if the cloud is much smaller without them.
+    Where this would remove more than half of the voxels, the cloud is new or far away. Then only an outlying tail is
+    removed: cells of eight voxels without one that was seen again, if the cloud is much smaller without them.
     """
     if sightings < 4:
         return cloud
@@ -269,16 +248,13 @@ def is_near(keys: NDArray[np.int64], cloud: Cloud) -> NDArray[np.bool_]:
     return are_near(cloud.keys, keys)
 
 
-def share_near(keys: NDArray[np.int64], cloud: Cloud, sample: int = 400) -> float:
-    """Return the share of voxels that lie on a cloud, estimated from an even sample of about `sample` voxels."""
-    if len(keys) == 0:
-        return 0.0
-    return float(is_near(keys[:: max(1, len(keys) // sample)], cloud).mean())
+def share_near(keys: NDArray[np.int64], cloud: Cloud) -> float:
+    """Return the share of voxels that lie on a cloud, from an even sample of about 400 voxels."""
+    return float(is_near(keys[:: max(1, len(keys) // 400)], cloud).mean()) if len(keys) else 0.0
 
 
 @kernel
 def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hits):
-    """Merge two clouds with sorted keys in one pass."""
     size = len(a_keys) + len(b_keys)
     keys = np.empty(size, dtype=np.int64)
     points = np.empty((size, 3), dtype=np.float32)
@@ -312,7 +288,6 @@ def _fused(a_keys, a_points, a_colors, a_hits, b_keys, b_points, b_colors, b_hit
 
 @kernel
 def _without(keys, points, colors, hits, drop):
-    """Copy the voxels that are kept, in one pass over all four arrays."""
     count = 0
     for i in range(len(drop)):
         count += not drop[i]

@@ -1,9 +1,7 @@
 """Evidence for the existence of an object; the unit is one more sighting from the same viewpoint.
 
-Errors of a segmenter are correlated between nearby viewpoints, so that sightings from there add little; a sighting
-from a new viewpoint is independent evidence. A small or incomplete mask is weaker evidence, and a keyframe that sees
-through the place is evidence against the object. Independent evidence adds up as log-odds do
-(as in occupancy grids: Moravec and Elfes, ICRA 1985).
+Errors of a segmenter are correlated between nearby viewpoints, so only a new viewpoint gives independent evidence. It
+adds up as log-odds do (occupancy grids: Moravec and Elfes, ICRA 1985).
 """
 
 from __future__ import annotations
@@ -58,35 +56,33 @@ def no_evidence() -> Existence:
 
 def sighted(known: Existence, seen: Observation, camera: NDArray[np.float64], config: ExistenceConfig) -> Existence:
     """Return the existence after one more sighting from a camera at (3,), in the world."""
-    way = seen.box.center - camera
     novelty = _novelty(known.places, seen.box.center, camera)
-    worth = config.same_view_gain + (config.new_view_gain - config.same_view_gain) * novelty
+    weight = config.same_view_gain + (config.new_view_gain - config.same_view_gain) * novelty
+    sharpness = _sharpness(seen, portable.norm(seen.box.center - camera), config)
     is_place = novelty >= 1.0 and len(known.places) < _MOST_PLACES
-    return Existence(
-        evidence=known.evidence + worth * _sharpness(seen, portable.norm(way), config),
-        places=np.concatenate([known.places, camera[None]]) if is_place else known.places,
-    )
+    places = np.concatenate([known.places, camera[None]]) if is_place else known.places
+    return Existence(evidence=known.evidence + weight * sharpness, places=places)
 
 
 def united(a: Existence, b: Existence) -> Existence:
-    """Return the existence of a merged track: that of the two with more evidence."""
+    """Return the existence of a merged track: the one with more evidence."""
     return a if a.evidence >= b.evidence else b
 
 
 def plus_since(known: Existence, now: Existence, then: Existence) -> Existence:
-    """Return the existence of a track with what another one, that had `then`, has gained since."""
+    """Return the existence of a track, plus the gain of another one from `then` to `now`."""
     gained = max(now.evidence - then.evidence, 0.0)
     places = np.concatenate([known.places, now.places[len(then.places) :]])[:_MOST_PLACES]
     return Existence(evidence=known.evidence + gained, places=places)
 
 
-def doubted(known: Existence) -> Existence:
+def with_evidence_against(known: Existence) -> Existence:
     """Return the existence after a keyframe saw through the place."""
     return Existence(evidence=max(known.evidence - 1.0, 0.0), places=known.places)
 
 
 def _novelty(places: NDArray[np.float64], middle: NDArray[np.float64], camera: NDArray[np.float64]) -> float:
-    """Return how independent a viewpoint is of the stored ones: 0 for the same, 1 for an independent one."""
+    # 0: the same viewpoint as a stored one, 1: an independent one.
     way = middle - camera
     reach_m = max(portable.norm(way), 1e-6)
     novelty = 1.0
@@ -102,7 +98,6 @@ def _novelty(places: NDArray[np.float64], middle: NDArray[np.float64], camera: N
 
 
 def _sharpness(seen: Observation, distance_m: float, config: ExistenceConfig) -> float:
-    """Return the weight of a sighting: by the object's solid angle and the share of its mask with reliable depth."""
     x, y, z = (float(side) for side in 2 * seen.box.half_extents_m)
     # The visible area is approximated by the mean area of the faces of the observed box.
     solid_angle = (x * y + y * z + z * x) / 3 / max(distance_m * distance_m, 1e-6)

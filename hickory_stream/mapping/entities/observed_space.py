@@ -1,10 +1,4 @@
-"""The observed space: free voxels and voxels of structure, as sorted keys.
-
-Columns of voxels, and which of them belong to walls: a wall continues above the height of the floor.
-
-The floor model of the core (`observed_space`) and the notes on a map's floor (`floor_notes`) both exclude the columns
-of walls by this rule.
-"""
+"""The observed space: free voxels and voxels of structure, as sorted keys, and the rule that finds columns of walls."""
 
 from __future__ import annotations
 
@@ -43,10 +37,9 @@ if TYPE_CHECKING:
     from hickory_stream.records import SpaceObservation
 
 
+# The height above a level up to which a column is examined, and the minimum share of it along which a column of a wall
+# has structure: the rest may be unobserved.
 WALL_M = 0.6
-"""The height above a level up to which a column is examined."""
-
-# Minimum share of that height along which a column of a wall has structure: the rest may be unobserved.
 _WALL_SHARE = 0.5
 
 
@@ -99,7 +92,7 @@ _EDGE_SHARE = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A part of the world, of all heights: the cells of voxels from `low` to below `high`, along x and y."""
+    """A part of the world of all heights: the cells of voxels from `low` to below `high`, along x and y."""
 
     low: tuple[int, int]
     high: tuple[int, int]
@@ -118,42 +111,39 @@ class Window:
         return Window((x0 - cells, y0 - cells), (x1 + cells, y1 + cells))
 
     def part_of(self, keys: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return where in sorted keys those lie that are within the window."""
+        """Return the indices of the sorted keys within the window."""
         columns = _columns_between(keys, self.low[0], self.high[0])
         y = rows_of_keys(keys[columns])
         return columns.start + np.flatnonzero((y >= self.low[1]) & (y < self.high[1]))
 
 
 def window_of(*sorted_keys: NDArray[np.int64]) -> Window | None:
-    """Return the least window that holds all voxels of these sorted keys; None where there are none."""
+    """Return the least window that holds all voxels of these sorted keys; None if there are none."""
     some = [keys for keys in sorted_keys if len(keys)]
     if not some:
         return None
     ends = np.concatenate([cells_of_keys(keys[[0, -1]])[:, 0] for keys in some])
-    rows = np.concatenate([_ends(rows_of_keys(keys)) for keys in some])
+    rows = np.concatenate([[rows.min(), rows.max()] for rows in map(rows_of_keys, some)])
     return Window((int(ends.min()), int(rows.min())), (int(ends.max()) + 1, int(rows.max()) + 1))
-
-
-def _ends(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.array([values.min(), values.max()])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class SpaceState(GivesUpArrays):
-    """The voxels with an observed surface, and the free voxels, as sorted keys; far away they are kept compressed.
+    """The voxels with an observed surface, and the free voxels, as sorted keys; compressed when far away.
 
-    `hits` counts the keyframes that showed a voxel of `surface` as structure (without the map prior), `misses` those
-    that showed it as something else. A voxel is structure if it has at least two hits, and more hits than misses.
-    Structure voxels are never in `free`; those that rays had also traversed are in `hidden_free`. `room` are the voxels
-    of tracks that are part of the room: queries treat them as structure, but they do not count as votes of keyframes.
+    A voxel of `surface` is structure if it has at least two hits, and more hits than misses.
     """
 
     voxel_m: float
     free: NDArray[np.int64]
+    #: free voxels that have become structure; structure is never in `free`
     hidden_free: NDArray[np.int64]
     surface: NDArray[np.int64]
+    #: keyframes that showed the voxel as structure, without the map prior
     hits: NDArray[np.uint8]
+    #: keyframes that showed the voxel as something else
     misses: NDArray[np.uint8]
+    #: voxels of tracks of the room: structure for queries, but no votes
     room: NDArray[np.int64]
     floor_z_m: float | None = None
 
@@ -166,7 +156,7 @@ class SpaceState(GivesUpArrays):
 
     @property
     def is_structure(self) -> NDArray[np.bool_]:
-        """Return which voxels of `surface` are structure."""
+        """Which voxels of `surface` are structure."""
         return _is_structure(self.hits, self.misses)
 
 
@@ -176,30 +166,24 @@ def _is_structure(hits: NDArray[np.uint8], misses: NDArray[np.uint8]) -> NDArray
 
 def empty_space(voxel_m: float) -> SpaceState:
     """Return an empty observed space."""
-    none, no_votes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
-    return SpaceState(
-        voxel_m=voxel_m, free=none, hidden_free=none, surface=none, hits=no_votes, misses=no_votes, room=none
-    )
+    none, votes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
+    return SpaceState(voxel_m=voxel_m, free=none, hidden_free=none, surface=none, hits=votes, misses=votes, room=none)
 
 
 def add(state: SpaceState, seen: SpaceObservation) -> SpaceState:
-    """Return the space after one more keyframe, if it is all that is known.
-
-    The floor height is filtered over keyframes, but a drop, or a change of storey, takes effect at once. If a floor
-    appears below the presumed one, structure at the presumed height is withdrawn (`false_floor`).
-    """
+    """Return the whole space after one more keyframe; its floor is filtered, but a drop takes effect at once."""
     return added(state, seen, false_floor(state, seen.floor_z_m))
 
 
 def added(state: SpaceState, seen: SpaceObservation, false_m: float | None) -> SpaceState:
-    """Return the space, a part of what is known, after one more keyframe; `false_m`: a floor that turned out false."""
+    """Return a part of the space after one more keyframe; `false_m`: the height of a refuted floor."""
     if false_m is not None:
-        state = without_level(state, false_m)
+        state = _without_level(state, false_m)
     voters = union(seen.structure_keys, seen.surface_keys)
     surface, hits, misses, change = _voted(state.surface, state.hits, state.misses, voters, seen.structure_keys)
     gained, lost = voters[change > 0], voters[change < 0]
     state = replace(state, surface=surface, hits=hits, misses=misses, floor_z_m=_floor(state.floor_z_m, seen.floor_z_m))
-    is_hidden = _structure_at(state, seen.free_keys)
+    is_hidden = _votes_at(state, seen.free_keys) >= _SURE_HITS
     # Voxels that have just become structure are no longer free, and rays that graze structure do not make it free.
     bared = lost[contains(state.hidden_free, lost)]
     hidden = union(gained[contains(state.free, gained)], seen.free_keys[is_hidden])
@@ -210,7 +194,7 @@ def added(state: SpaceState, seen: SpaceObservation, false_m: float | None) -> S
 
 
 def joined(spaces: Sequence[SpaceState]) -> SpaceState:
-    """Return the union of spaces (at least one) on one lattice: votes add up, the floor is that of the last one."""
+    """Return the union of spaces (at least one) on one lattice: votes add up, and the last one gives the floor."""
     if len(spaces) == 1:
         return spaces[0]
     keys, at = np.unique(np.concatenate([space.surface for space in spaces]), return_inverse=True)
@@ -237,7 +221,7 @@ def joined(spaces: Sequence[SpaceState]) -> SpaceState:
 
 
 def extent(state: SpaceState) -> Window | None:
-    """Return the least window that holds a space, None if it is empty; remembered, since old spaces stay the same."""
+    """Return the least window that holds a space, None if it is empty; cached, since old spaces do not change."""
     if state not in _EXTENTS:
         with read_briefly(state):
             _EXTENTS[state] = window_of(state.free, state.surface, state.room)
@@ -262,11 +246,8 @@ def cut(state: SpaceState, window: Window) -> SpaceState:
 
 
 def false_floor(state: SpaceState, seen_m: float | None) -> float | None:
-    """Return the height of the presumed floor if the floor now seen refutes it, else None.
-
-    It is refuted if a floor `seen_m` is seen too far below it for a step, but not as far as another storey, and its
-    area is no larger than a table's: a second floor level of a room is larger.
-    """
+    """Return the height of the presumed floor if a floor seen at `seen_m` refutes it, else None."""
+    # It is refuted if the new floor is too far below it for a step, but not a storey, and it is no larger than a table.
     known_m = state.floor_z_m
     if known_m is None or seen_m is None or not _NO_STEP_M < known_m - seen_m < _STOREY_M:
         return None
@@ -276,10 +257,7 @@ def false_floor(state: SpaceState, seen_m: float | None) -> float | None:
 
 
 def floor_change(state: SpaceState, seen_m: float | None, false_m: float | None) -> str | None:
-    """Return a message if a floor seen at `seen_m` replaces the known floor, None if the floor stays the same.
-
-    `false_m` is the height of the known floor if it is none (`false_floor`).
-    """
+    """Return a message if a floor seen at `seen_m` replaces the known one, else None; `false_m`: see `false_floor`."""
     known_m = state.floor_z_m
     if known_m is None or seen_m is None:
         return None
@@ -294,19 +272,18 @@ def floor_change(state: SpaceState, seen_m: float | None, false_m: float | None)
 
 
 def is_another_storey(state: SpaceState, seen_m: float | None) -> bool:
-    """Return whether the floor seen at `seen_m` is that of another storey."""
+    """Return whether the floor seen at `seen_m` belongs to another storey."""
     known_m = state.floor_z_m
     return known_m is not None and seen_m is not None and abs(seen_m - known_m) > _STOREY_M / 2
 
 
 def without_floor(state: SpaceState, false_m: float, seen_m: float | None) -> SpaceState:
-    """Return the space without a floor that turned out to be a table; the one seen below it takes its place."""
+    """Return the space without a false floor, a table; the floor seen below replaces it."""
     was_taken = state.floor_z_m is not None and abs(state.floor_z_m - false_m) < _NO_STEP_M
-    return replace(without_level(state, false_m), floor_z_m=seen_m if was_taken else state.floor_z_m)
+    return replace(_without_level(state, false_m), floor_z_m=seen_m if was_taken else state.floor_z_m)
 
 
-def without_level(state: SpaceState, z_m: float) -> SpaceState:
-    """Return the space without structure votes for horizontal surfaces at a height, to be decided again."""
+def _without_level(state: SpaceState, z_m: float) -> SpaceState:
     at = _is_level_at(state, z_m)
     lost = state.surface[at & state.is_structure]
     bared = lost[contains(state.hidden_free, lost)]
@@ -320,7 +297,7 @@ def without_level(state: SpaceState, z_m: float) -> SpaceState:
 
 
 def _is_level_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
-    """Return which voxels of `surface` are within one voxel of a height, except in columns of walls."""
+    # Voxels of `surface` within one voxel of a height, except in columns of walls.
     cells = cells_of_keys(state.surface)
     above_m = (cells[:, 2] + 0.5) * state.voxel_m - z_m
     near = np.flatnonzero((above_m > -1.5 * state.voxel_m) & (above_m < WALL_M))
@@ -336,11 +313,8 @@ def _is_level_at(state: SpaceState, z_m: float) -> NDArray[np.bool_]:
 
 @kernel
 def _voted(surface, hits, misses, voters, structure):
-    """Return surface, hits and misses with one vote more for each of the voters, all sorted, in one walk.
-
-    Those that are in `structure` are hit, the others missed; new voxels have no votes yet. Also returned: 1 for each
-    voter that has become structure, -1 for one that is it no more.
-    """
+    # Surface, hits and misses with one vote more for each voter, all sorted, in one walk; voters in `structure` are
+    # hits. `change`: 1 for each voter that has become structure, -1 for one that no longer is.
     most = len(surface) + len(voters)
     keys, change = np.empty(most, dtype=np.int64), np.zeros(len(voters), dtype=np.int8)
     all_hits, all_misses = np.empty(most, dtype=np.uint8), np.empty(most, dtype=np.uint8)
@@ -373,26 +347,13 @@ def _voted(surface, hits, misses, voters, structure):
 
 
 def with_room(state: SpaceState, keys: NDArray[np.int64]) -> SpaceState:
-    """Return the space in which exactly these sorted voxels are those of tracks that are part of the room."""
+    """Return the space whose voxels of the room's tracks are exactly these sorted ones."""
     return state if np.array_equal(state.room, keys) else replace(state, room=keys)
 
 
-def without_room(state: SpaceState) -> SpaceState:
-    """Return the space from keyframes alone, without the tracks that were set aside as part of the room."""
-    return with_room(state, np.zeros(0, dtype=np.int64))
-
-
 def structure_hits(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return (N,) how many keyframes saw each voxel as structure; 0 where the misses outnumber the hits.
-
-    Voxels of tracks that are part of the room have 255.
-    """
+    """Return (N,) the keyframes that saw each voxel as structure; 0 if misses outnumber hits, 255 in the room."""
     return np.where(contains(state.room, keys), np.uint8(_HELD), _votes_at(state, keys))
-
-
-def _structure_at(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return (N,) which voxels are structure by the votes of keyframes."""
-    return _votes_at(state, keys) >= _SURE_HITS
 
 
 def _votes_at(state: SpaceState, keys: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -418,7 +379,6 @@ def share_in(keys: NDArray[np.int64], points: NDArray[np.float32], voxel_m: floa
 
 @kernel
 def _share_in(sorted_keys, points, step, voxel_m):
-    """Return the share of (N, 3) points, N >= 1, in voxels of sorted keys, from every `step`-th point."""
     count, num_in, at = 0, 0, 0
     for i in range(0, len(points), step):
         key = key_of_point(points[i, 0], points[i, 1], points[i, 2], voxel_m)
@@ -441,9 +401,8 @@ def is_flush(state: SpaceState, box: OrientedBox) -> bool:
     local = apply(invert(box.world_from_box), centers)
     offset, in_plane = local[:, thin], np.delete(local, thin, axis=1)
     beyond = (np.abs(in_plane) - wide).max(axis=1)
-    around = (
-        (beyond > _FLUSH_REACH_M / 2) & (beyond < _FLUSH_REACH_M) & (np.abs(offset) < half[thin] + state.voxel_m / 2)
-    )
+    is_beside = (beyond > _FLUSH_REACH_M / 2) & (beyond < _FLUSH_REACH_M)
+    around = is_beside & (np.abs(offset) < half[thin] + state.voxel_m / 2)
     if not around.any() or abs(float(np.median(offset[around]))) > _FLUSH_OFFSET * half[thin] + state.voxel_m / 4:
         return False
     # Each cell of the border counts once, however many structure voxels lie behind it.
@@ -473,10 +432,7 @@ def sees_structure(state: SpaceState, box: OrientedBox, points: NDArray[np.float
 
 
 def _structure_around(state: SpaceState, box: OrientedBox, reach_m: float) -> NDArray[np.float32]:
-    """Return the (N, 3) centres of structure voxels around a box.
-
-    Only votes of keyframes count: a track that was set aside as part of the room must not cause its neighbour to be.
-    """
+    # Only votes of keyframes: a track that was set aside as part of the room must not pull in its neighbour.
     x = box.corners_world()[:, 0]
     low = int(np.floor((x.min() - reach_m) / state.voxel_m))
     high = int(np.floor((x.max() + reach_m) / state.voxel_m)) + 1
@@ -486,14 +442,13 @@ def _structure_around(state: SpaceState, box: OrientedBox, reach_m: float) -> ND
 
 
 def _columns_between(keys: NDArray[np.int64], low: int, high: int) -> slice:
-    """Return where the sorted keys lie whose cells have an x from `low` to below `high`: they are ordered by x."""
     ends = np.array([[low, -_FAR, -_FAR], [high, -_FAR, -_FAR]])
     first, last = np.searchsorted(keys, keys_of_cells(np.clip(ends, -_FAR, _FAR - 1)))
     return slice(int(first), int(last))
 
 
 def as_record(state: SpaceState) -> ObservedSpace:
-    """Return the public record: structure, including tracks that are part of the room, and free space outside it."""
+    """Return the public record: structure with the tracks of the room, and free space outside it."""
     return ObservedSpace(
         voxel_m=state.voxel_m,
         free=difference(state.free, state.room) if len(state.room) else state.free,
@@ -503,13 +458,13 @@ def as_record(state: SpaceState) -> ObservedSpace:
 
 
 def structure_of(state: SpaceState) -> NDArray[np.int64]:
-    """Return the sorted voxels of structure, including those of tracks that are part of the room."""
+    """Return the sorted voxels of structure, with the tracks of the room."""
     structure = state.surface[state.is_structure]
     return union(structure, state.room) if len(state.room) else structure
 
 
 def known_space(record: ObservedSpace) -> SpaceState:
-    """Return the space of a public record; it has no votes, so that its structure counts as certain."""
+    """Return the space of a public record; its structure counts as certain, since records have no votes."""
     structure = record.structure
     return replace(
         empty_space(record.voxel_m),

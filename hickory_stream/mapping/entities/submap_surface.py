@@ -1,7 +1,7 @@
-"""The surface of a submap: mean points and normals of voxels; what loops are searched in and refined on.
+"""The surface of a submap, in which loops are searched: mean points and normals of voxels.
 
-It is made of the low-resolution depth that the journal keeps of each keyframe, so that a run that is resumed has it.
-Normals look at the camera: a wall between two rooms has two sides, which are never taken for one another.
+It is made of the low-resolution depth that the journal keeps of each keyframe, so a resumed run has it. Normals look at
+the camera: the two sides of a wall are never confused.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 _NEAREST_M = 0.2
 _MOST_HITS = 255
 _STEP_CELLS = 2
+# A greater change of depth, as a share, between cells two apart is an edge, not a surface.
 _MAX_SLOPE = 0.15
-"""Where depth changes by more than this share from a cell to one two cells away there is an edge, not a surface."""
 
+# A surface seen at a more grazing angle has no certain normal.
 _LEAST_COSINE = 0.15
-"""A surface that is seen at a more grazing angle has no certain normal."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SurfacePoints:
-    """Points (N, 3) on surfaces, and the `normals` (N, 3) of these, unit, on the side of the camera."""
+    """Points (N, 3) on surfaces, and their unit `normals` (N, 3) on the side of the camera."""
 
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
@@ -45,7 +45,7 @@ class SurfacePoints:
 class SubmapSurface(GivesUpArrays):
     """Sorted voxel `keys` (N,), mean `points` and `normals` (N, 3) in the odometry's frame, and `hits` (N,): keyframes.
 
-    A mean of normals is shorter than 1 the more these differ: where both sides of a board are in one voxel, near 0.
+    A mean normal is shorter the more the normals differ: near 0 where one voxel holds both sides of a board.
     """
 
     keys: NDArray[np.int64]
@@ -70,7 +70,7 @@ def no_surface() -> SubmapSurface:
 
 
 def with_points(surface: SubmapSurface, seen: SurfacePoints, voxel_m: float) -> SubmapSurface:
-    """Return the surface with one keyframe's points: each voxel's mean is that of the means of keyframes."""
+    """Return the surface with one keyframe's points: each voxel holds the mean of the keyframes' means."""
     seen_keys, means = _voxel_means(seen, voxel_m)
     keys, points, normals, hits = _with_means(
         surface.keys, surface.points, surface.normals, surface.hits, seen_keys, means
@@ -82,7 +82,6 @@ def with_points(surface: SubmapSurface, seen: SurfacePoints, voxel_m: float) -> 
 
 @kernel
 def _with_means(keys, points, normals, hits, seen_keys, means):
-    """Merge the sorted voxels of a surface and of a keyframe in one pass; `means` (M, 6) are the keyframe's."""
     most = len(keys) + len(seen_keys)
     out_keys, out_hits = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.uint8)
     out_points, out_normals = np.empty((most, 3), dtype=np.float32), np.empty((most, 3), dtype=np.float32)
@@ -113,8 +112,8 @@ def _with_means(keys, points, normals, hits, seen_keys, means):
 def surface_points(coarse: CoarseFrame, world_from_camera: NDArray[np.float64], range_m: float) -> SurfacePoints:
     """Return the surfaces of a keyframe's low-resolution depth up to a range, in the odometry's frame.
 
-    A normal is that of the triangle of a cell and those two to the right and two below; without one there is no point.
-    None are returned for keyframes of older journals, which do not have their camera.
+    A normal comes from the triangle of a cell and the cells two to the right and two below; a point without one is left
+    out. Keyframes of older journals, without a camera, have no points.
     """
     camera = coarse.camera
     if camera is None:
@@ -135,7 +134,7 @@ def surface_points(coarse: CoarseFrame, world_from_camera: NDArray[np.float64], 
 
 @kernel(error_model="numpy")
 def _facets(depth_mm, cells, lens, range_m):
-    """Return (N, 3) points and (N, 3) unit normals in the camera; `cells`: their stride, and the pixel of the first."""
+    # (N, 3) points and unit normals in the camera; `cells`: their stride, and the pixel of the first.
     (stride, left, top), (fx, fy, cx, cy) = cells, lens
     height, width = depth_mm.shape
     places = np.empty((height, width, 3))
@@ -170,7 +169,6 @@ def _facets(depth_mm, cells, lens, range_m):
 
 
 def _voxel_means(seen: SurfacePoints, voxel_m: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Return the voxels of points, and the mean point and normal (M, 6) in each."""
     groups, keys = groups_of(keys_of_points(seen.points, voxel_m))
     if len(keys) == 0:
         return keys, np.empty((0, 6), np.float32)
@@ -182,7 +180,6 @@ def _voxel_means(seen: SurfacePoints, voxel_m: float) -> tuple[NDArray[np.int64]
 
 @kernel
 def _by_group(groups, by_key, points, normals):
-    """Return points and normals (N, 6), group by group in an order of groups, and where each of these starts."""
     counts = np.zeros(len(by_key), dtype=np.int64)
     for i in range(len(groups)):
         counts[groups[i]] += 1

@@ -1,21 +1,8 @@
 """Submaps: parts of the map that can be moved rigidly, each with its share of the observed space.
 
-An object, like a voxel, belongs to the submap in which it was first seen. All data stay in the odometry frame: a
-correction only sets the pose of each submap, which is applied when the map is published. So no shape is recomputed,
-and without corrections the published data are the original ones, to the byte.
-
-A submap ends when the odometry may have drifted by a few centimetres in it, when the floor becomes that of another
-storey, or when the odometry jumps. An end by drift only changes which submap owns new objects and voxels: checks
-against the observed space use everything seen since the last jump, as far as it was not moved against the open submap.
-
-All frames of submaps are the frame of the odometry, that of the open one as well: frames go on in it, whatever is
-corrected. A submap is *rigid with the open one* if both have the same pose; what belongs to others does not lie where
-the odometry has it any more.
-
-How far a camera went, and turned, along directions in which nothing was seen that could tell: in a corridor, say.
-
-The lengths of a way add up to a matrix (6, 6), turns (rad) first, then shifts (m), along the axes of the map: for each
-step that of its unit directions, times how far it went. Its product with a direction is the length along that.
+All data stay in the frame of the odometry: a correction only sets the pose of each submap, applied when the map is
+published. A submap ends when the odometry may have drifted by a few centimetres, jumped, or changed storey. Checks use
+everything seen since the last jump in submaps *rigid with the open one*, i.e. with the same corrected pose.
 """
 
 from __future__ import annotations
@@ -55,7 +42,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.events import FrameObserved, KeyframeRegistered
     from hickory_stream.geometry.lazy_arrays import Keep
-    from hickory_stream.mapping.entities.submap_surface import SurfacePoints
 
 
 def longer(
@@ -64,9 +50,10 @@ def longer(
     before: NDArray[np.float64] | None,
     now: NDArray[np.float64],
 ) -> NDArray[np.float64] | None:
-    """Return the lengths after a step from one pose of the camera (4, 4) to the next, blind along (K, 6) directions.
+    """Return a path's unobserved lengths (6, 6) after a step between camera poses (4, 4), blind along (K, 6).
 
-    None is a way of no length; so is a step from no pose, and one that was seen in every direction.
+    Lengths are sums over steps of (direction x direction) x length: turns (rad), then shifts (m), along the map's axes.
+    Their product with a direction is the length along it. None: no length.
     """
     if before is None or not len(directions):
         return lengths
@@ -107,35 +94,30 @@ class SubmapConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class SubmapState:
-    """A submap: `space` is the part of the observed space that it owns; `world_from_submap` is its corrected pose.
-
-    A voxel belongs to the submap that saw it first, also when others see it again. That is so only while odometry is
-    believed: `seen` is what was seen in this submap itself, and what it shows once a correction has moved any, without
-    `outdated`: the sorted voxels of which a later submap says otherwise (`space_agreement`); None without a correction.
-
-    The frame of a submap is the odometry frame: `world_from_submap` is the identity until it is corrected. `began_ns`
-    and `anchor` (4, 4) are the stamp and the camera's pose, in that frame, of its first keyframe; None before it.
-    `way_m` and `turn_rad` are how far the camera moved and turned in it, `after_jump` whether the odometry jumped
-    before it. `surface` is all surface that was seen in it. `registered` (6, 6) is the covariance of the least sure of
-    its keyframes, along the axes of the odometry's frame; None where `is_loose`: one lies where the odometry has it.
-    `blind` and `unfixed` (6, 6) are the lengths of its way (`blind_ways`) along which the odometry, and the
-    registration of keyframes, saw nothing.
-    """
+    """A submap; all its data are in the odometry frame, which `world_from_submap` places in the world."""
 
     id: int
     world_from_submap: NDArray[np.float64]
+    #: voxels that this submap saw first: its share while no correction has moved any submap
     space: SpaceState
+    #: all voxels that were seen in this submap: its share once a correction has moved any
     seen: SpaceState
     began_ns: int | None = None
+    #: camera pose (4, 4) of its first keyframe
     anchor: NDArray[np.float64] | None = None
     way_m: float = 0.0
     turn_rad: float = 0.0
     after_jump: bool = False
+    #: covariance (6, 6) of its least certain keyframe; None if `is_loose`
     registered: NDArray[np.float64] | None = None
+    #: one of its keyframes is not registered: the odometry alone places it
     is_loose: bool = False
+    #: lengths (6, 6) along which the odometry saw nothing (`longer`)
     blind: NDArray[np.float64] | None = None
+    #: lengths (6, 6) along which registration saw nothing
     unfixed: NDArray[np.float64] | None = None
     surface: SubmapSurface = field(default_factory=no_surface)
+    #: sorted voxels that a later submap contradicts (`space_agreement`); None without a correction
     outdated: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
@@ -148,22 +130,22 @@ class SubmapState:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Submaps:
-    """All submaps, the last of which is open, and the `space` against which tracks are checked.
-
-    That is the space of the submaps from `first` on: of those since the last jump of the odometry, which came before
-    submap `since_jump`, the last ones that are rigid with the open one. `owned` (N,) are the sorted keys of the voxels
-    of the closed ones of them, `owners` (N,) the id of the submap that owns each. Of all this it is what lies within
-    the `window` around what is seen now; None: everything. `last_pose` (4, 4) is the camera's at the last keyframe;
-    None before the first one and after a jump.
-    """
+    """All submaps, the last of which is open, and the `space` against which tracks are checked."""
 
     states: tuple[SubmapState, ...]
+    #: the space of the submaps from `first` on, within `window`
     space: SpaceState
+    #: the first submap of the last ones that are rigid with the open one
     first: int = 0
+    #: the first submap after the last jump of the odometry
     since_jump: int = 0
+    #: sorted keys (N,) of the voxels of the closed ones of them
     owned: NDArray[np.int64]
+    #: id (N,) of the submap that owns each
     owners: NDArray[np.int32]
+    #: the surroundings of the present view; None: everything
     window: Window | None = None
+    #: camera pose (4, 4) of the last keyframe; None before it and after a jump
     last_pose: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
@@ -174,7 +156,7 @@ class Submaps:
 
     @property
     def open_id(self) -> int:
-        """The id of the open submap, which owns new objects."""
+        """The id of the open submap."""
         return len(self.states) - 1
 
     def world_from(self, submap_id: int) -> NDArray[np.float64]:
@@ -182,15 +164,15 @@ class Submaps:
         return self.states[submap_id].world_from_submap
 
     def is_rigid_with_open(self, submap_id: int) -> bool:
-        """Return whether a submap has the pose of the open one: its data lie where the odometry has them."""
+        """Return whether a submap has the pose of the open one, so that its data lie where the odometry has them."""
         return _is_same_place(self.states[submap_id], self.states[-1])
 
     def open_from(self, submap_id: int) -> NDArray[np.float64]:
-        """Return where a submap lies in the frame of the open one, which is that of the frames to come: (4, 4)."""
+        """Return the pose of a submap in the frame of the open one, the frame of new keyframes: (4, 4)."""
         return self.between(self.open_id, submap_id)
 
     def between(self, a: int, b: int) -> NDArray[np.float64]:
-        """Return where a submap lies in the frame of another one, as both are placed: a_from_b (4, 4)."""
+        """Return the pose of a submap b in the frame of another one: a_from_b (4, 4)."""
         a_place, b_place = self.states[a].world_from_submap, self.states[b].world_from_submap
         return np.eye(4) if a_place is b_place else compose(invert(a_place), b_place)
 
@@ -203,13 +185,14 @@ def first_submap(voxel_m: float) -> Submaps:
 
 
 def with_keyframe(submaps: Submaps, event: FrameObserved, config: SubmapConfig) -> Submaps:
-    """Return the submaps after the camera has moved to a keyframe, with its surface on that of the open one."""
+    """Return the submaps after a keyframe, with its surface added to the open one."""
     pose = event.world_from_camera
     blind = longer(submaps.states[-1].blind, turned_directions(pose, event.degenerate), submaps.last_pose, pose)
     submaps = travelled(_with_open(submaps, blind=blind), pose, event.stamp_ns, config)
     if event.coarse is None:
         return submaps
-    return with_surface(submaps, surface_points(event.coarse, pose, _SURFACE_RANGE_M))
+    seen = surface_points(event.coarse, pose, _SURFACE_RANGE_M)
+    return _with_open(submaps, surface=with_points(submaps.states[-1].surface, seen, _SURFACE_M))
 
 
 def travelled(submaps: Submaps, pose: NDArray[np.float64], stamp_ns: int, config: SubmapConfig) -> Submaps:
@@ -218,26 +201,17 @@ def travelled(submaps: Submaps, pose: NDArray[np.float64], stamp_ns: int, config
     if last is not None:
         way_m = current.way_m + portable.norm(pose[:3, 3] - last[:3, 3])
         turn_rad = current.turn_rad + rotation_angle_rad(portable.matmul(last[:3, :3].T, pose[:3, :3]))
-        current = replace(current, way_m=way_m, turn_rad=turn_rad)
-        submaps = replace(submaps, states=(*submaps.states[:-1], current), last_pose=pose)
+        submaps = _with_open(submaps, way_m=way_m, turn_rad=turn_rad)
         drift_m = _DRIFT_SHARE * way_m + _DRIFT_PER_RAD_M * turn_rad
         if way_m >= config.travel_m or drift_m >= config.drift_m:
             submaps = _opened(_closed(submaps))
-    current = submaps.states[-1]
-    if current.anchor is None:
-        current = replace(current, anchor=pose, began_ns=stamp_ns)
-    return replace(submaps, states=(*submaps.states[:-1], current), last_pose=pose)
-
-
-def with_surface(submaps: Submaps, seen: SurfacePoints) -> Submaps:
-    """Return the submaps with a keyframe's surfaces, in the odometry's frame, on the open one's."""
-    current = submaps.states[-1]
-    current = replace(current, surface=with_points(current.surface, seen, _SURFACE_M))
-    return replace(submaps, states=(*submaps.states[:-1], current))
+    if submaps.states[-1].anchor is None:
+        submaps = _with_open(submaps, anchor=pose, began_ns=stamp_ns)
+    return replace(submaps, last_pose=pose)
 
 
 def with_registration(submaps: Submaps, event: KeyframeRegistered) -> Submaps:
-    """Return the submaps after a keyframe was registered, or has been left where odometry has it."""
+    """Return the submaps after the registration of a keyframe, successful or not."""
     current = submaps.states[-1]
     if current.is_loose:
         return submaps
@@ -251,38 +225,22 @@ def with_registration(submaps: Submaps, event: KeyframeRegistered) -> Submaps:
 
 
 def interrupted(submaps: Submaps) -> Submaps:
-    """Return the submaps after a jump of the stamps: the way to the next camera position does not count as path."""
+    """Return the submaps after a jump of the stamps: the step across it does not count as path."""
     return replace(submaps, last_pose=None)
 
 
-def torn(submaps: Submaps) -> Submaps:
-    """Return the submaps after a jump of the odometry: a new one is opened, and the observed space starts empty.
-
-    If the open submap has no keyframe yet, it stays open instead.
-    """
+def after_pose_jump(submaps: Submaps) -> Submaps:
+    """Return the submaps after a jump of the odometry: with a new one, unless the open one has no keyframe."""
     if submaps.states[-1].anchor is None:
         return submaps
-    empty = empty_space(submaps.space.voxel_m)
-    after = submaps.open_id + 1
-    alone = replace(
-        submaps,
-        space=empty,
-        window=None,
-        first=after,
-        since_jump=after,
-        owned=np.empty(0, np.int64),
-        owners=np.empty(0, np.int32),
-        last_pose=None,
-    )
-    opened = _opened(alone)
-    return replace(opened, states=(*opened.states[:-1], replace(opened.states[-1], after_jump=True)))
+    space, after = empty_space(submaps.space.voxel_m), submaps.open_id + 1
+    submaps = replace(submaps, space=space, window=None, first=after, since_jump=after, last_pose=None)
+    submaps = replace(submaps, owned=_NO_KEYS, owners=np.empty(0, np.int32))
+    return _with_open(_opened(submaps), after_jump=True)
 
 
 def looking_at(submaps: Submaps, seen: SpaceObservation, keep: Keep = in_memory) -> Submaps:
-    """Return the submaps with their space, and the owners of its voxels, of a window around what a keyframe sees.
-
-    Where the window moves, what lies outside is compressed, and `keep` has it.
-    """
+    """Return the submaps with the space of a window around a view; `keep` gets the compressed rest."""
     sight = window_of(seen.free_keys, seen.structure_keys, seen.surface_keys)
     if submaps.first == submaps.open_id or sight is None:
         return submaps
@@ -291,12 +249,12 @@ def looking_at(submaps: Submaps, seen: SpaceObservation, keep: Keep = in_memory)
     if submaps.window is not None and submaps.window.holds(least):
         return submaps
     moved = _within(submaps, least.wider(round(_MOST_BESIDE_M / voxel_m)))
-    put_far_away(moved, keep)
+    compress_unused(moved, keep)
     return moved
 
 
 def space_around(submaps: Submaps, bounds: NDArray[np.float32], reach_m: float) -> SpaceState:
-    """Return a space that has everything within `reach_m` of bounds (2, 3), be they in the window or far away."""
+    """Return a space that has everything within `reach_m` of bounds (2, 3), in the window or not."""
     if submaps.window is None:
         return submaps.space
     voxel_m = submaps.space.voxel_m
@@ -306,7 +264,7 @@ def space_around(submaps: Submaps, bounds: NDArray[np.float32], reach_m: float) 
 
 
 def false_floor(submaps: Submaps, seen_m: float | None) -> float | None:
-    """Return the height of the presumed floor if the floor now seen refutes it, else None, wherever it was seen."""
+    """Return the height of the presumed floor if a floor at `seen_m` refutes it, else None; in the window or not."""
     false_m = observed_space.false_floor(submaps.space, seen_m)
     if false_m is None or submaps.window is None:
         return false_m
@@ -316,7 +274,7 @@ def false_floor(submaps: Submaps, seen_m: float | None) -> float | None:
 
 
 def with_seen(submaps: Submaps, seen: SpaceObservation, keep: Keep = in_memory) -> Submaps:
-    """Return the submaps after one more keyframe; a new one is opened on another storey, since each has one floor."""
+    """Return the submaps after one more keyframe; another storey opens a new one, since each has one floor."""
     false_m = false_floor(submaps, seen.floor_z_m)
     if false_m is None and is_another_storey(submaps.space, seen.floor_z_m):
         submaps = looking_at(_opened(_closed(submaps)), seen, keep)
@@ -327,41 +285,25 @@ def with_seen(submaps: Submaps, seen: SpaceObservation, keep: Keep = in_memory) 
         return _alone(submaps, space, own)
     if false_m is not None:
         # What was concluded from the false floor is withdrawn in all submaps that are judged together.
-        kept, judged = submaps.states[: submaps.first], submaps.states[submaps.first :]
-        without = tuple(
-            replace(
-                state,
-                space=without_floor(state.space, false_m, seen.floor_z_m),
-                seen=without_floor(state.seen, false_m, seen.floor_z_m),
-            )
-            for state in judged
-        )
-        submaps = replace(submaps, states=(*kept, *without))
+        states = list(submaps.states)
+        for state in states[submaps.first :]:
+            own, all_seen = (without_floor(space, false_m, seen.floor_z_m) for space in (state.space, state.seen))
+            states[state.id] = replace(state, space=own, seen=all_seen)
+        submaps = replace(submaps, states=tuple(states))
     space = added(submaps.space, seen, false_m)
-    free, structure = _by_owner(submaps, seen.free_keys), _by_owner(submaps, seen.structure_keys)
-    surface = _by_owner(submaps, seen.surface_keys)
-    none = np.empty(0, np.int64)
-    changed = {
-        i: added(
-            submaps.states[i].space,
-            SpaceObservation(
-                free_keys=free.get(i, none),
-                structure_keys=structure.get(i, none),
-                surface_keys=surface.get(i, none),
-                floor_z_m=None,
-            ),
-            None,
-        )
-        for i in sorted(free.keys() | structure.keys() | surface.keys())
-    }
+    names = ("free_keys", "structure_keys", "surface_keys")
+    parts = {name: _by_owner(submaps, getattr(seen, name)) for name in names}
+    changed = {}
+    for i in sorted({owner for part in parts.values() for owner in part}):
+        own_seen = {name: part.get(i, _NO_KEYS) for name, part in parts.items()}
+        changed[i] = added(submaps.states[i].space, SpaceObservation(**own_seen, floor_z_m=None), None)
     submaps = _with_spaces(submaps, space, changed)
-    last = submaps.states[-1]
-    own = replace(added(last.seen, replace(seen, floor_z_m=None), None), floor_z_m=space.floor_z_m)
-    return replace(submaps, states=(*submaps.states[:-1], replace(last, seen=own)))
+    own = added(submaps.states[-1].seen, replace(seen, floor_z_m=None), None)
+    return _with_open(submaps, seen=replace(own, floor_z_m=space.floor_z_m))
 
 
 def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
-    """Return the submaps where these sorted voxels belong to tracks that are part of the room (since the last jump)."""
+    """Return the submaps with these sorted voxels as the tracks of the room (since the last jump)."""
     if submaps.window is None and np.array_equal(submaps.space.room, keys):
         return submaps
     shown = keys if submaps.window is None else keys[submaps.window.part_of(keys)]
@@ -370,19 +312,16 @@ def with_room(submaps: Submaps, keys: NDArray[np.int64]) -> Submaps:
         last = submaps.states[-1]
         own = space if last.space is last.seen else observed_space.with_room(last.space, keys)
         return _alone(submaps, space, own)
-    owners = _owners(submaps, keys)
-    spaces = {
-        i: observed_space.with_room(submaps.states[i].space, keys[owners == i])
-        for i in range(submaps.first, submaps.open_id + 1)
-    }
-    return _with_spaces(submaps, space, {i: own for i, own in spaces.items() if own is not submaps.states[i].space})
+    owners, changed = _owners(submaps, keys), {}
+    for state in submaps.states[submaps.first :]:
+        own = observed_space.with_room(state.space, keys[owners == state.id])
+        if own is not state.space:
+            changed[state.id] = own
+    return _with_spaces(submaps, space, changed)
 
 
 def with_room_changed(submaps: Submaps, gone: NDArray[np.int64], new: NDArray[np.int64]) -> Submaps:
-    """Return the submaps where sorted voxels `gone` are no longer those of tracks that are part of the room, `new` are.
-
-    They may lie outside the window.
-    """
+    """Return the submaps with sorted voxels `gone` taken from and `new` added to the room, in the window or not."""
     if len(gone) + len(new) == 0:
         return submaps
     window = submaps.window
@@ -393,37 +332,37 @@ def with_room_changed(submaps: Submaps, gone: NDArray[np.int64], new: NDArray[np
         own = space if last.space is last.seen else observed_space.with_room(last.space, space.room)
         return _alone(submaps, space, own)
     gone_of, new_of = _by_owner(submaps, gone), _by_owner(submaps, new)
-    none = np.empty(0, np.int64)
     changed = {}
     for i in sorted(gone_of.keys() | new_of.keys()):
         own = submaps.states[i].space
-        changed[i] = observed_space.with_room(own, exchanged(own.room, gone_of.get(i, none), new_of.get(i, none)))
+        room = exchanged(own.room, gone_of.get(i, _NO_KEYS), new_of.get(i, _NO_KEYS))
+        changed[i] = observed_space.with_room(own, room)
     return _with_spaces(submaps, space, changed)
 
 
 def placed_at(submaps: Submaps, world_from_submap: Mapping[int, NDArray[np.float64]]) -> Submaps:
-    """Return the submaps with some of their poses corrected, and the space of those that are now rigid with the open.
-
-    Raises:
-        ValueError: there is no such submap.
-    """
+    """Return the submaps at corrected poses; raises `ValueError` for an unknown id."""
+    # The submaps that are rigid with the open one now make up the judged space.
     unknown = sorted(world_from_submap.keys() - {state.id for state in submaps.states})
     if unknown:
         raise ValueError(f"there is no submap {unknown[0]}; the map has 0 to {submaps.open_id}")
-    states = tuple(
-        replace(state, world_from_submap=world_from_submap[state.id]) if state.id in world_from_submap else state
+    states = [
+        replace(state, world_from_submap=world_from_submap.get(state.id, state.world_from_submap))
         for state in submaps.states
-    )
+    ]
     is_corrected = any(not _is_same_place(state, states[-1]) for state in states)
     outdated = np.empty(0, np.int64) if is_corrected else None
-    states = tuple(replace(state, outdated=outdated) for state in states)
-    return _judged_by_rigid_ones(replace(submaps, states=states))
+    submaps = replace(submaps, states=tuple(replace(state, outdated=outdated) for state in states))
+    first = submaps.open_id
+    while first > submaps.since_jump and submaps.is_rigid_with_open(first - 1):
+        first -= 1
+    return submaps if first == submaps.first else _within(replace(submaps, first=first), submaps.window)
 
 
 def surveyed(state: SubmapState) -> SurveyedSubmap:
-    """Return a submap as a search for loops has it: surface that was seen twice, with a normal that is certain.
+    """Return a submap for the search of loops: surface that was seen twice, with a certain normal.
 
-    It is the same record while the submap is, and its arrays are made when they are read: few are candidates.
+    Equal submaps give the same record; its arrays are made when they are read, since few are candidates.
     """
     if state not in _SURVEYED:
         assert state.anchor is not None
@@ -456,13 +395,11 @@ def _survey(surface: SubmapSurface, space: SpaceState, name: str) -> NDArray[Any
     normals = surface.normals
     length = np.sqrt((normals * normals).sum(axis=1))
     is_sure = (surface.hits >= _SURE_HITS) & (length > _SURE_NORMAL)
-    array: NDArray[Any]
-    array = surface.points[is_sure] if name == "points" else normals[is_sure] / length[is_sure][:, None]
-    return array
+    return surface.points[is_sure] if name == "points" else normals[is_sure] / length[is_sure][:, None]
 
 
-def put_far_away(submaps: Submaps, keep: Keep) -> None:
-    """Compress the spaces and surfaces of the submaps that are not judged, or that the window does not reach."""
+def compress_unused(submaps: Submaps, keep: Keep) -> None:
+    """Compress the submaps that are not judged, or outside the window."""
     window = submaps.window
     for state in submaps.states[:-1]:
         reach = extent(state.space)
@@ -473,12 +410,11 @@ def put_far_away(submaps: Submaps, keep: Keep) -> None:
 
 
 def own_space(state: SubmapState) -> SpaceState:
-    """Return the space that was seen in a submap itself, with the tracks there that are part of the room."""
+    """Return the space that was seen in a submap itself, with its tracks of the room."""
     return observed_space.with_room(state.seen, state.space.room)
 
 
 def _shown_space(state: SubmapState) -> SpaceState:
-    """Return the space that counts: what a submap owns, or, once a correction has moved any, what was seen in it."""
     return state.space if state.outdated is None else own_space(state)
 
 
@@ -492,26 +428,12 @@ def record_of(state: SubmapState) -> Submap:
 
 
 def _is_same_place(a: SubmapState, b: SubmapState) -> bool:
-    """Return whether two submaps have the same pose."""
     place = a.world_from_submap
     return place is b.world_from_submap or np.array_equal(place, b.world_from_submap)
 
 
-# ---- the steps ------------------------------------------------------------------------------------------------------
-
-
-def _judged_by_rigid_ones(submaps: Submaps) -> Submaps:
-    """Return the submaps with the space of the last ones that are rigid with the open one."""
-    first = submaps.open_id
-    while first > submaps.since_jump and submaps.is_rigid_with_open(first - 1):
-        first -= 1
-    return submaps if first == submaps.first else _within(replace(submaps, first=first), submaps.window)
-
-
 def _within(submaps: Submaps, window: Window | None) -> Submaps:
-    """Return the submaps with the space, and the owners of its voxels, of another window; None: of everything."""
-    keys = [np.empty(0, np.int64)]
-    ids = [np.empty(0, np.int32)]
+    keys, ids = [_NO_KEYS], [np.empty(0, np.int32)]
     for state in _reaching(submaps, window):
         if state.id != submaps.open_id:
             with read_briefly(state.space):
@@ -525,7 +447,6 @@ def _within(submaps: Submaps, window: Window | None) -> Submaps:
 
 
 def _space_within(submaps: Submaps, window: Window | None) -> SpaceState:
-    """Return the space of a window; None: of everything."""
     last = submaps.states[-1].space
     some = []
     for state in _reaching(submaps, window):
@@ -536,9 +457,9 @@ def _space_within(submaps: Submaps, window: Window | None) -> SpaceState:
 
 
 def _reaching(submaps: Submaps, window: Window | None) -> Iterator[SubmapState]:
-    """Yield the submaps that are judged together and reach into a window."""
+    # The judged submaps that reach into a window.
     for state in submaps.states[submaps.first :]:
-        # Each space remembers its extent; that of what is shown lies within these.
+        # Extents are cached by space; the shown space lies within these.
         spaces = [state.space] if state.outdated is None else [state.space, state.seen]
         reaches = [extent(space) for space in spaces]
         if any(reach is not None and (window is None or window.meets(reach)) for reach in reaches):
@@ -546,7 +467,6 @@ def _reaching(submaps: Submaps, window: Window | None) -> Iterator[SubmapState]:
 
 
 def _closed(submaps: Submaps) -> Submaps:
-    """Return the submaps with the voxels of the open one assigned to it permanently."""
     own = submaps.states[-1].space
     keys = _voxels(own if submaps.window is None else cut(own, submaps.window))
     owned = np.concatenate([submaps.owned, keys])
@@ -556,28 +476,20 @@ def _closed(submaps: Submaps) -> Submaps:
 
 
 def _opened(submaps: Submaps) -> Submaps:
-    """Return the submaps with a new open one at the pose of the last one."""
-    last = submaps.states[-1]
+    last, outdated = submaps.states[-1], None if submaps.states[-1].outdated is None else _NO_KEYS
     space = replace(empty_space(submaps.space.voxel_m), floor_z_m=submaps.space.floor_z_m)
-    state = SubmapState(
-        id=last.id + 1,
-        world_from_submap=last.world_from_submap,
-        space=space,
-        seen=space,
-        outdated=None if last.outdated is None else np.empty(0, np.int64),
-    )
+    place = last.world_from_submap
+    state = SubmapState(id=last.id + 1, world_from_submap=place, space=space, seen=space, outdated=outdated)
     return replace(submaps, states=(*submaps.states, state))
 
 
 def _with_open(submaps: Submaps, **changes: Any) -> Submaps:
-    """Return the submaps with fields of the open one changed."""
     return replace(submaps, states=(*submaps.states[:-1], replace(submaps.states[-1], **changes)))
 
 
 def _alone(submaps: Submaps, space: SpaceState, owned: SpaceState) -> Submaps:
-    """Return the submaps if the open one alone is judged: what it has seen is the space; `owned` is its part of it."""
-    last = replace(submaps.states[-1], space=owned, seen=space)
-    return replace(submaps, space=space, states=(*submaps.states[:-1], last))
+    # Only the open submap is judged: it saw the whole space, and owns the part `owned`.
+    return replace(_with_open(submaps, space=owned, seen=space), space=space)
 
 
 def _with_spaces(submaps: Submaps, space: SpaceState, changed: Mapping[int, SpaceState]) -> Submaps:
@@ -598,7 +510,7 @@ def _voxels(space: SpaceState) -> NDArray[np.int64]:
 
 
 def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Return (N,) the id of the submap that owns each voxel; new voxels belong to the open one."""
+    # (N,) the id of the submap that owns each voxel; new voxels belong to the open one.
     owners = np.full(len(keys), submaps.open_id, dtype=np.int32)
     sight = window_of(keys)
     if submaps.window is not None and sight is not None and not submaps.window.holds(sight):
@@ -610,9 +522,4 @@ def _owners(submaps: Submaps, keys: NDArray[np.int64]) -> NDArray[np.int32]:
 
 def _by_owner(submaps: Submaps, keys: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:
     owners = _owners(submaps, keys)
-    return {i: keys[owners == i] for i in _named(owners)}
-
-
-def _named(owners: NDArray[np.int32]) -> list[int]:
-    """Return the distinct ids of the owners, ascending."""
-    return list(np.flatnonzero(np.bincount(owners)).tolist())
+    return {i: keys[owners == i] for i in np.flatnonzero(np.bincount(owners)).tolist()}

@@ -1,7 +1,4 @@
-"""A track: the state of one object in the core. Immutable; each update makes a new one.
-
-A sighting: one observation of a keyframe, and the track that it was assigned to.
-"""
+"""A track: the immutable state of one object in the core; and a sighting: one observation of a track."""
 
 from __future__ import annotations
 
@@ -38,58 +35,56 @@ _SKETCH_GROWTH = 0.3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShapeState:
-    """The state of a track's shape jobs: the open ticket, and the inputs of the last request.
-
-    `is_replacement`: the last request replaced an open job.
-    """
+    """The state of a track's shape jobs: the open ticket, and the inputs of the last request."""
 
     open_ticket: int | None = None
     asked_clock_ns: int = 0
     asked_points: int = 0
     asked_views: tuple[str, ...] = ()
     asked_score: float = 0.0
+    #: the last request replaced an open job
     is_replacement: bool = False
     failures: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Track:
-    """One object as the core holds it.
-
-    `seen_clock_ns` is a time of the core's own clock, which a jump of the stamps does not change. `solid` is the cloud
-    without voxels that are likely to be noise; the box and the `bounds` are made from it. `bounds` (2, 3): least and
-    greatest coordinates, for a fast test whether two objects can touch. `coverage` holds the kept views by viewing
-    sector. `seen_through` counts keyframes that saw through the object's place, `doubts` consecutive keyframes that
-    under-segmented it with its surroundings. `is_promoted`: it was split off another track and must not be merged back
-    as a part of it. `submap_id` is the submap in which it was first seen, `seen_in` the one in which it was last seen.
-    `existence` is the evidence that the object exists, `aside_evidence` that evidence when the track was last set aside
-    as part of the room. `sketch` is a superquadric fitted to `sketched_points` points, None while the track is
-    tentative and once it has a shape.
-    """
+    """One object as the core holds it."""
 
     id: int
     phase: Phase
     sightings: int
     first_seen_ns: int
     last_seen_ns: int
+    #: time of the core's own clock, which a jump of the stamps does not change
     seen_clock_ns: int
     cloud: Cloud
+    #: the cloud without voxels that are likely to be noise; it gives `box` and `bounds`
     solid: Cloud
     box: OrientedBox
+    #: least and greatest coordinates (2, 3), for a fast test whether two objects can touch
     bounds: NDArray[np.float32]
+    #: the kept views by viewing sector
     coverage: tuple[tuple[int, View], ...] = ()
     best_view: View | None = None
     shape: ObjectShape | None = None
     shape_state: ShapeState = ShapeState()
     merged_ids: tuple[int, ...] = ()
+    #: keyframes that saw through the object's place
     seen_through: int = 0
+    #: consecutive keyframes that under-segmented it with its surroundings
     doubts: int = 0
+    #: it was split off another track, and must not be merged back as a part
     is_promoted: bool = False
+    #: the submap in which it was first seen
     submap_id: int = 0
+    #: the submap in which it was last seen
     seen_in: int = 0
+    #: superquadric fitted to `sketched_points` points; None while tentative and once it has a shape
     sketch: Superquadrics | None = None
     sketched_points: int = 0
     existence: Existence = field(default_factory=no_evidence)
+    #: its evidence when it was last set aside as part of the room
     aside_evidence: float = 0.0
 
     @property
@@ -121,7 +116,7 @@ def new_track(
     existence: Existence,
     voxel_m: float,
 ) -> Track:
-    """Return a new track with a cloud that was first seen at a stamp, in a submap."""
+    """Return a new track of a cloud."""
     return Track(
         id=track_id,
         phase=phase,
@@ -140,12 +135,12 @@ def new_track(
 
 
 def grown(track: Track, seen: Cloud, sightings: int, voxel_m: float) -> Track:
-    """Return the track with a cloud fused into its own and the box updated; `sightings` is the new total."""
+    """Return the track with a cloud fused into its own; `sightings` is the new total."""
     return with_cloud(track, fuse(track.cloud, seen), sightings, voxel_m)
 
 
 def with_cloud(track: Track, cloud: Cloud, sightings: int, voxel_m: float) -> Track:
-    """Return the track with another cloud, and the box and bounds updated; `sightings` is the new total."""
+    """Return the track with another cloud; `sightings` is the new total."""
     sure = solid_part(cloud, sightings)
     return replace(
         track,
@@ -199,7 +194,7 @@ def box_of(points: NDArray[np.float32], voxel_m: float) -> OrientedBox:
 
 
 def as_object(track: Track) -> TrackedObject:
-    """Return the public record of a track; its arrays are made of the track's, which may be compressed, when read."""
+    """Return the public record of a track; its arrays are read from the track, perhaps compressed, on first use."""
     solid = track.solid
     item = TrackedObject(
         id=track.id,
@@ -223,7 +218,7 @@ def as_object(track: Track) -> TrackedObject:
 
 
 def _shown(solid: Cloud, name: str) -> NDArray[Any]:
-    """Return an array of the public record of a cloud: the same points, not a copy; nobody writes to the view."""
+    # The same points, not a copy: nobody writes to the view.
     if name == "points_world":
         return array_of(solid, "points").view()
     return np.round(array_of(solid, "colors")).astype(np.uint8)
@@ -240,16 +235,14 @@ def _mean_feature(views: tuple[View, ...]) -> NDArray[np.float32] | None:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Sighting:
-    """An observation, its cloud and the track that it was assigned to.
-
-    `is_part`: it shows only a part of the track, and another observation of the keyframe is the match of the track.
-    `lies_on`: the share of its points on the track if it was matched by points, else 0. `covered`: other tracks that it
-    covers, which means that the keyframe segments them together with the track.
-    """
+    """An observation, its cloud and its track."""
 
     observation: Observation
     cloud: Cloud
     track_id: int
+    #: it shows only a part of the track, which another observation of the keyframe matches
     is_part: bool
+    #: share of its points on the track if it was matched by points, else 0
     lies_on: float
+    #: other tracks that it covers: the keyframe segments them together with the track
     covered: tuple[int, ...]

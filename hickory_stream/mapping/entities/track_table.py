@@ -1,8 +1,7 @@
 """A table of tracks that knows where each one lies, when it was seen, and which ones have changed.
 
-What a keyframe costs must depend on what it sees, not on how many tracks there are. So nobody goes through all tracks
-every keyframe: a grid finds those around a place, the times of sightings are sorted, and whoever keeps something that
-follows from the tracks asks only for those that have changed since it last did.
+A keyframe must cost by what it sees, not by the number of tracks: a grid finds tracks around a place, sighting times
+are sorted, and derived values ask only for changes.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ if TYPE_CHECKING:
 
     from hickory_stream.mapping.entities.track import Track
 
+# The side of a cell of the grid: about a large object, so that most tracks lie in one to four.
 _CELL_M = 2.0
-"""The side of a cell of the grid: about the size of a large object, so that most tracks lie in one to four."""
 
+# Further than any check of a track looks around it.
 REACH_M = 0.5
-"""Further than any check of a track looks around it."""
 
 # Bounds and slacks are compared in single precision, cells are found in double precision.
 _ROUNDING_M = 0.01
@@ -36,7 +35,7 @@ _Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A moment of a table: what changed after it can be asked for."""
+    """A moment of a table, for asking what changed after it."""
 
     table: TrackTable
     serial: int
@@ -103,13 +102,13 @@ class TrackTable(MutableMapping[int, "Track"]):
         return touching(bounds, [self._tracks[i] for i in sorted(near)], slack_m)
 
     def last_seen(self, after_ns: int, until_ns: int) -> list[int]:
-        """Return the ids of the tracks that were last seen after a time of the core's clock, until another one."""
+        """Return the ids of the tracks that were last seen after one time of the core's clock, until another."""
         first = bisect_right(self._seen, (after_ns, 1 << 62))
         last = bisect_right(self._seen, (until_ns, 1 << 62))
         return [track_id for _, track_id in self._seen[first:last]]
 
     def host_of(self, track_id: int) -> int | None:
-        """Return the id of the track that another one was merged into; None if it was merged into none of these."""
+        """Return the id of the track here into which a track was merged; None if there is none."""
         return self._host_of.get(track_id)
 
     @property
@@ -118,10 +117,7 @@ class TrackTable(MutableMapping[int, "Track"]):
         return Mark(self, self._serial)
 
     def changed_since(self, mark: Mark | None) -> list[int]:
-        """Return the ids of tracks that were made, changed or removed since a moment, ascending.
-
-        None, or the mark of another table: of all tracks.
-        """
+        """Return the ids of tracks that were made, changed or removed since a moment, ascending; None: all tracks."""
         if mark is None or mark.table is not self:
             return sorted(self._tracks)
         changed = []
@@ -161,7 +157,7 @@ _NONE: frozenset[int] = frozenset()
 
 
 def _box_of(bounds: NDArray[np.float32], slack_m: float = 0.0) -> _Box:
-    """Return the least and the greatest cell along x and y of bounds (2, 3)."""
+    # The least and the greatest cell of bounds (2, 3), along x and y.
     low, high = bounds[0], bounds[1]
     return (
         int((float(low[0]) - slack_m) // _CELL_M),

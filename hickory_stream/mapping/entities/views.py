@@ -2,10 +2,8 @@
 
     S = ln(1 + n^2 sigma^2) * R_area^alpha * R_depth^beta                    (paper, Eq. of the S-score)
 
-Patch features have unit norm, so that sigma^2, the trace of their covariance, is at most 1. The factor n^2 scales it to
-the norm of the paper's features, so that S <= ln(1 + n^2) * R_area^alpha * R_depth^beta. Features of a mask are
-computed only if this bound beats the object's best view. A view that the image border cuts scores less, since a part of
-the object is missing, however large the mask.
+Patch features have unit norm, so sigma^2, the trace of their covariance, is at most 1; n^2 scales it to the paper's
+features. Features are computed only if the bound with sigma^2 = 1 beats the best view. A cut view scores less.
 """
 
 from __future__ import annotations
@@ -55,7 +53,7 @@ def s_score(variance: float, r_area: float, r_depth: float, config: ViewConfig) 
 
 
 def score_bound(view: View, config: ViewConfig) -> float:
-    """Return the upper bound of a view's score, without features; other strategies than `s_score` need no features."""
+    """Return the upper bound of a view's score, without features."""
     return score(view, 1.0, config)
 
 
@@ -64,8 +62,8 @@ def score(view: View, variance: float, config: ViewConfig) -> float:
     x0, y0, x1, y1 = view.box_px
     match config.strategy:
         case "s_score":
-            worth = CUT_FACTOR if view.is_cut else 1.0
-            return worth * s_score(variance, view.r_area, view.r_depth, config)
+            weight = CUT_FACTOR if view.is_cut else 1.0
+            return weight * s_score(variance, view.r_area, view.r_depth, config)
         case "initial":
             return -float(view.frame_index)
         case "max_area":
@@ -89,7 +87,7 @@ def better(a: View | None, b: View | None) -> View | None:
 
 
 def sector_of(view: View, center: np.ndarray[tuple[int], np.dtype[np.float64]]) -> int:
-    """Return the index of the sector, one of eight around the object, from which a view looks at it."""
+    """Return the index of the sector, one of eight around the object, of a view."""
     dx, dy = view.world_from_camera[:2, 3] - center[:2]
     return math.floor((arctan2(float(dy), float(dx)) + math.pi) / (2 * math.pi) * _SECTORS) % _SECTORS
 
@@ -105,14 +103,9 @@ def covers_better(view: View, incumbent: View | None) -> bool:
 
 
 def view_of(
-    observation: Observation,
-    track_id: int,
-    *,
-    frame_index: int,
-    stamp_ns: int,
-    world_from_camera: NDArray[np.float64],
+    observation: Observation, track_id: int, *, frame_index: int, stamp_ns: int, world_from_camera: NDArray[np.float64]
 ) -> View:
-    """Return an observation of a track as a view that has no score yet; the rest says of which keyframe it is."""
+    """Return an observation of a track as a view without a score."""
     return View(
         object_id=track_id,
         frame_index=frame_index,

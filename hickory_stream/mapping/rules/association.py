@@ -1,9 +1,6 @@
 """Data association: one-to-one by the exact IoU of oriented boxes, then partial views by their points.
 
-An object that the image border cuts has a small box inside the track's large one: where IoU is inconclusive, an
-observation is matched with the track on whose points it lies.
-
-Pairs of which each member is in one alone, the best first.
+The box of an object that the image border cuts is small inside the track's large one, so its IoU is inconclusive.
 """
 
 from __future__ import annotations
@@ -33,10 +30,7 @@ B = TypeVar("B")
 
 
 def one_to_one(ranked: Iterable[tuple[A, B]], *, of_one_kind: bool) -> list[tuple[A, B]]:
-    """Return the pairs, best first, without those that have a member of an earlier one.
-
-    `of_one_kind`: a first and a second member may be the same thing, as where tracks are paired with tracks.
-    """
+    """Return the pairs, best first, without members of earlier pairs; `of_one_kind`: both members are of one set."""
     firsts: set[A | B] = set()
     seconds: set[A | B] = firsts if of_one_kind else set()
     pairs = []
@@ -50,8 +44,7 @@ def one_to_one(ranked: Iterable[tuple[A, B]], *, of_one_kind: bool) -> list[tupl
 
 # Shares that differ by less than this count as equal: they are quotients of the same counts.
 _TIE = 1e-12
-# Tolerance for rounding: a product this close to a whole number counts as that number.
-_ROUNDING = 1e-9
+_ROUNDING = 1e-9  # a product this close to a whole number counts as that number
 # A track is settled, so that observations can be oversized, from this many sightings on.
 _SETTLED_SIGHTINGS = 5
 # Minimum share of the track's box inside the box of an oversized observation.
@@ -77,17 +70,15 @@ class AssociateConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Match:
-    """An observation and the track that it matches.
-
-    `is_part`: the observation shows a part of a track that another observation of the frame matches already.
-    `candidates` are the tracks with overlapping boxes and their IoU, best first, for the log of decisions.
-    """
+    """An observation and the track that it matches."""
 
     observation_index: int
     track_id: int | None
     iou: float
     lies_on: float
+    #: it shows a part of a track that another observation of the frame matches
     is_part: bool
+    #: the tracks with overlapping boxes and their IoU, best first, for the log
     candidates: tuple[tuple[int, float], ...]
 
 
@@ -97,27 +88,27 @@ def associate(
     """Return one match per observation, in order; `track_id` None: it is a new object.
 
     First by boxes, greedily: pairs in order of decreasing IoU, ties by track id, then by observation. Then by points:
-    each unmatched observation goes to the track on which most of its points lie. Where several go to one track, the
-    one with the most points on it is the match, and the others are parts of the track.
+    each unmatched observation goes to the track with most of its points; of several on one track, the one with most is
+    the match, and the others are parts.
     """
     ious: dict[int, dict[int, float]] = {}
-    swollen: dict[int, set[int]] = {}
+    oversized: dict[int, set[int]] = {}
     for observation in observations:
         near = tracks.touching(bounds_of(observation.points_world))
         row = {track.id: box_iou(observation.box, track.box) for track in near}
         ious[observation.index] = {track_id: iou for track_id, iou in row.items() if iou > 0}
-        swollen[observation.index] = {track.id for track in near if is_swollen(observation, track, config)}
+        oversized[observation.index] = {track.id for track in near if is_oversized(observation, track, config)}
     ranked = sorted(
         (-iou, track_id, index)
         for index, row in ious.items()
         for track_id, iou in row.items()
-        if iou >= config.min_iou and track_id not in swollen[index]
+        if iou >= config.min_iou and track_id not in oversized[index]
     )
     by_observation = dict(one_to_one(((index, track_id) for _, track_id, index in ranked), of_one_kind=False))
     taken = set(by_observation.values())
     lying: dict[int, tuple[int | None, float]] = {}
     for observation in observations:
-        near_ids = [i for i in sorted(ious[observation.index]) if i not in swollen[observation.index]]
+        near_ids = [i for i in sorted(ious[observation.index]) if i not in oversized[observation.index]]
         if observation.index not in by_observation and near_ids:
             track_id, share = _lies_on_most(observation, [tracks[i] for i in near_ids], voxel_m)
             lying[observation.index] = (track_id if share >= config.min_lies_on else None, share)
@@ -125,33 +116,25 @@ def associate(
     parts: set[int] = set()
     for index in sorted(lying, key=lambda index: (-lying[index][1] * num_points[index], index)):
         track_id, _ = lying[index]
-        if track_id is None:
-            continue
-        by_observation[index] = track_id
-        if track_id in taken:
-            parts.add(index)
-        taken.add(track_id)
-    matches = []
-    for observation in observations:
-        row, found = ious[observation.index], by_observation.get(observation.index)
-        matches.append(
-            Match(
-                observation_index=observation.index,
-                track_id=found,
-                iou=0.0 if found is None else row.get(found, 0.0),
-                lies_on=lying.get(observation.index, (None, 0.0))[1],
-                is_part=observation.index in parts,
-                candidates=tuple(sorted(row.items(), key=lambda pair: (-pair[1], pair[0]))),
-            )
+        if track_id is not None:
+            by_observation[index] = track_id
+            parts |= {index} if track_id in taken else set()
+            taken.add(track_id)
+    return [
+        Match(
+            observation_index=index,
+            track_id=(found := by_observation.get(index)),
+            iou=0.0 if found is None else ious[index].get(found, 0.0),
+            lies_on=lying.get(index, (None, 0.0))[1],
+            is_part=index in parts,
+            candidates=tuple(sorted(ious[index].items(), key=lambda pair: (-pair[1], pair[0]))),
         )
-    return matches
+        for index in (observation.index for observation in observations)
+    ]
 
 
-def is_swollen(observation: Observation, track: Track, config: AssociateConfig) -> bool:
-    """Return whether an observation is under-segmented: it contains an established track and something beside it.
-
-    The size of a track with many sightings is well known. Each such observation counts as a doubt about that size.
-    """
+def is_oversized(observation: Observation, track: Track, config: AssociateConfig) -> bool:
+    """Return whether an observation is under-segmented: it contains an established track and something beside it."""
     return (
         track.sightings >= _SETTLED_SIGHTINGS
         and track.doubts < _OVERSIZE_PATIENCE + math.floor(_OVERSIZE_PATIENCE_SHARE * track.sightings + _ROUNDING)
@@ -161,7 +144,6 @@ def is_swollen(observation: Observation, track: Track, config: AssociateConfig) 
 
 
 def _lies_on_most(observation: Observation, tracks: Sequence[Track], voxel_m: float) -> tuple[int | None, float]:
-    """Return the track on which most of an observation's points lie, and their share; ties go to the lower id."""
     keys = keys_of_points(observation.points_world, voxel_m)
     best_id, best_share = None, 0.0
     for track in tracks:

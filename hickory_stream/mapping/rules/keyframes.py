@@ -40,7 +40,7 @@ class Keyframe:
 def is_keyframe(
     last: Keyframe | None, stamp_ns: int, world_from_camera: NDArray[np.float64], config: KeyframeConfig
 ) -> bool:
-    """Return whether a frame is the next keyframe; the first frame is one, and so is the first after a jump back."""
+    """Return whether a frame is the next keyframe; the first frame is one, and the first after a jump back."""
     if last is None or stamp_ns < last.stamp_ns:
         return True
     elapsed_ns = stamp_ns - last.stamp_ns

@@ -1,9 +1,7 @@
-"""The life cycle of a track, as a table: `LIFE_CYCLE` is what the core executes, and what the documentation prints.
+"""The life cycle of a track, as a table that the core executes and the documentation prints.
 
-A row says: in these phases, if this event occurs and all guards hold, the track changes to that phase, or ends, and
-these effects are carried out. The first row of a phase and an event whose guards hold applies; if there is none,
-nothing changes. The guards and effects are implemented in `track_ageing`. Times are measured by the core's own clock,
-which a jump of the stamps does not change.
+A row says: in these phases, if this event occurs and all guards hold, the track changes to that phase, or ends, with
+these effects. The first matching row applies. `steps.ageing` implements guards and effects, by the core's own clock.
 """
 
 from __future__ import annotations
@@ -108,78 +106,53 @@ ANY = tuple(Phase)
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """A row of the table.
+    """A row of the table."""
 
-    `phases` None: the track does not exist yet. `to` None: the phase does not change. `cause`: why a track is dropped.
-    """
-
+    #: None: the track does not exist yet
     phases: tuple[Phase, ...] | None
     event: LifeEvent
     guards: tuple[Guard, ...]
+    #: None: the phase does not change
     to: Phase | End | Other | None
     effects: tuple[TrackEffect, ...] = ()
     cause: DropCause | None = None
 
 
-LIFE_CYCLE = (
-    Transition(None, LifeEvent.BORN, (), Phase.TENTATIVE),
-    Transition(None, LifeEvent.SPLIT_OFF, (), Phase.TENTATIVE),
-    Transition(MAYBE_OBJECT, LifeEvent.TAKES_IN, (Guard.OTHER_MAYBE_OBJECT, Guard.OTHER_SEEN_MORE), Other.ITS_PHASE),
-    Transition((Phase.ROOM,), LifeEvent.TAKES_IN, (Guard.OTHER_MAYBE_OBJECT,), Other.ITS_PHASE),
-    Transition(MAYBE_OBJECT, LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.IS_ROOM), Phase.ROOM, (TrackEffect.SET_ASIDE,)),
-    Transition(
-        MAYBE_OBJECT,
-        LifeEvent.JUDGED,
-        (Guard.KNOWN_HERE, Guard.IN_ROOM),
-        End.DROPPED,
-        (TrackEffect.DROP,),
-        "in structure",
-    ),
-    Transition((Phase.ROOM,), LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.REVISED), Phase.TENTATIVE),
-    Transition(ANY, LifeEvent.JUDGED, (Guard.KNOWN_HERE, Guard.SEEN_THROUGH), None, (TrackEffect.DOUBT,)),
-    Transition(ANY, LifeEvent.AGED, (Guard.PHANTOM,), End.DROPPED, (TrackEffect.DROP,), "looked through"),
-    Transition((Phase.TENTATIVE,), LifeEvent.AGED, (Guard.SURE,), Phase.ACTIVE),
-    Transition(
-        (Phase.TENTATIVE,),
-        LifeEvent.AGED,
-        (Guard.UNCONFIRMED, Guard.DOUBTED),
-        End.DROPPED,
-        (TrackEffect.DROP,),
-        "looked through",
-    ),
-    Transition(
-        (Phase.TENTATIVE,), LifeEvent.AGED, (Guard.UNCONFIRMED,), End.DROPPED, (TrackEffect.DROP,), "never confirmed"
-    ),
-    Transition(CONFIRMED, LifeEvent.AGED, (Guard.LONG_UNSEEN,), Phase.ARCHIVED),
-    Transition(
-        (Phase.ACTIVE,),
-        LifeEvent.AGED,
-        (Guard.UNSEEN, Guard.KNOWN_HERE, Guard.UNSUPPORTED),
-        End.MERGED,
-        (TrackEffect.MERGE,),
-    ),
-    Transition((Phase.ACTIVE,), LifeEvent.AGED, (Guard.UNSEEN, Guard.KNOWN_HERE), Phase.DORMANT, (TrackEffect.TRIM,)),
-    Transition(CONFIRMED, LifeEvent.AGED, (Guard.UNSEEN,), Phase.DORMANT),
-    Transition(CONFIRMED, LifeEvent.AGED, (), Phase.ACTIVE),
-    Transition(MAYBE_OBJECT, LifeEvent.SPACE_FORGOTTEN, (Guard.KNOWN_HERE,), None, (TrackEffect.TRIM,)),
-    Transition((Phase.ROOM,), LifeEvent.SOURCE_ENDED, (), End.DROPPED, (TrackEffect.DROP,), "structure"),
-    Transition((Phase.TENTATIVE,), LifeEvent.SOURCE_ENDED, (), End.DROPPED, (TrackEffect.DROP,), "never confirmed"),
-    Transition(
-        CONFIRMED, LifeEvent.SOURCE_ENDED, (Guard.KNOWN_HERE, Guard.UNSUPPORTED), End.MERGED, (TrackEffect.MERGE,)
-    ),
-)
-"""The rows of the life cycle, in order of precedence."""
+def _life_cycle() -> tuple[Transition, ...]:
+    e, g, room, tentative, active = LifeEvent, Guard, (Phase.ROOM,), (Phase.TENTATIVE,), (Phase.ACTIVE,)
+    drop, merge, trim = (TrackEffect.DROP,), (TrackEffect.MERGE,), (TrackEffect.TRIM,)
+    return (
+        Transition(None, e.BORN, (), Phase.TENTATIVE),
+        Transition(None, e.SPLIT_OFF, (), Phase.TENTATIVE),
+        Transition(MAYBE_OBJECT, e.TAKES_IN, (g.OTHER_MAYBE_OBJECT, g.OTHER_SEEN_MORE), Other.ITS_PHASE),
+        Transition(room, e.TAKES_IN, (g.OTHER_MAYBE_OBJECT,), Other.ITS_PHASE),
+        Transition(MAYBE_OBJECT, e.JUDGED, (g.KNOWN_HERE, g.IS_ROOM), Phase.ROOM, (TrackEffect.SET_ASIDE,)),
+        Transition(MAYBE_OBJECT, e.JUDGED, (g.KNOWN_HERE, g.IN_ROOM), End.DROPPED, drop, "in structure"),
+        Transition(room, e.JUDGED, (g.KNOWN_HERE, g.REVISED), Phase.TENTATIVE),
+        Transition(ANY, e.JUDGED, (g.KNOWN_HERE, g.SEEN_THROUGH), None, (TrackEffect.DOUBT,)),
+        Transition(ANY, e.AGED, (g.PHANTOM,), End.DROPPED, drop, "looked through"),
+        Transition(tentative, e.AGED, (g.SURE,), Phase.ACTIVE),
+        Transition(tentative, e.AGED, (g.UNCONFIRMED, g.DOUBTED), End.DROPPED, drop, "looked through"),
+        Transition(tentative, e.AGED, (g.UNCONFIRMED,), End.DROPPED, drop, "never confirmed"),
+        Transition(CONFIRMED, e.AGED, (g.LONG_UNSEEN,), Phase.ARCHIVED),
+        Transition(active, e.AGED, (g.UNSEEN, g.KNOWN_HERE, g.UNSUPPORTED), End.MERGED, merge),
+        Transition(active, e.AGED, (g.UNSEEN, g.KNOWN_HERE), Phase.DORMANT, trim),
+        Transition(CONFIRMED, e.AGED, (g.UNSEEN,), Phase.DORMANT),
+        Transition(CONFIRMED, e.AGED, (), Phase.ACTIVE),
+        Transition(MAYBE_OBJECT, e.SPACE_FORGOTTEN, (g.KNOWN_HERE,), None, trim),
+        Transition(room, e.SOURCE_ENDED, (), End.DROPPED, drop, "structure"),
+        Transition(tentative, e.SOURCE_ENDED, (), End.DROPPED, drop, "never confirmed"),
+        Transition(CONFIRMED, e.SOURCE_ENDED, (g.KNOWN_HERE, g.UNSUPPORTED), End.MERGED, merge),
+    )
+
+
+# In order of precedence.
+LIFE_CYCLE = _life_cycle()
 
 
 def transition(phase: Phase | None, event: LifeEvent, holds: Callable[[Guard], bool]) -> Transition | None:
-    """Return the row that applies to a track in a phase, None if nothing changes; guards are evaluated in order.
-
-    `phase` None: the track does not exist yet.
-    """
-    for row in _ROWS[phase, event]:
-        if all(holds(guard) for guard in row.guards):
-            return row
-    return None
+    """Return the row that applies to a track in a phase (None: a new track); None if nothing changes."""
+    return next((row for row in _ROWS[phase, event] if all(holds(guard) for guard in row.guards)), None)
 
 
 def first_phase(event: LifeEvent) -> Phase:
@@ -199,21 +172,11 @@ def life_cycle_table() -> str:
     """Return the table as Markdown."""
     lines = ["| phase | event | guard | next phase | effects |", "|---|---|---|---|---|"]
     for row in LIFE_CYCLE:
-        cells = (
-            _phases_text(row.phases),
-            row.event,
-            "; ".join(row.guards) or "-",
-            f"{row.to or '(the same)'}{f': {row.cause}' if row.cause else ''}",
-            "; ".join(row.effects) or "-",
-        )
+        phases = "any" if row.phases == ANY else ", ".join(row.phases or ("(new)",))
+        to = f"{row.to or '(the same)'}{f': {row.cause}' if row.cause else ''}"
+        cells = (phases, row.event, "; ".join(row.guards) or "-", to, "; ".join(row.effects) or "-")
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
-
-
-def _phases_text(phases: tuple[Phase, ...] | None) -> str:
-    if phases is None:
-        return "(new)"
-    return "any" if phases == ANY else ", ".join(phases)
 
 
 _ROWS = {

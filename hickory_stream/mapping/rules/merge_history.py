@@ -1,11 +1,7 @@
-"""Joins: tracks that a correction of the poses brought together, kept so that a later one can part them again.
+"""Merged tracks, kept so that a later split or correction of the poses can restore them.
 
-Pure functions of joins; `parting` applies them to the map.
-
-Absorbed tracks: those that were merged into another track, kept so that a later split can restore their history.
-
-A merge may be wrong, and later keyframes may segment the two objects apart again. The history of an absorbed track
-(when and from where it was seen, its views) is kept for as long as the track that absorbed it exists.
+`Absorbed` tracks were merged by keyframes: a split restores their history. `Join`s were made by a correction of the
+poses: another one can take them back.
 """
 
 from __future__ import annotations
@@ -30,17 +26,13 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.rules.merging import Votes
 
 
+# Joins deeper within joins are final: each holds the clouds of its tracks.
 _DEEPEST = 3
-"""Of joins within joins those further in are final: each holds the clouds of its tracks."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Past:
-    """What referred to a track before it was joined to another one.
-
-    `votes` are those of its pairs, by the other one's id, `absorbed` the tracks that it had absorbed, and `joins` those
-    of which it was the host.
-    """
+    """The references to a track before a join: its votes by the other id, the tracks it had absorbed, and its joins."""
 
     votes: dict[int, Votes]
     absorbed: tuple[Track, ...]
@@ -49,18 +41,16 @@ class Past:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Join:
-    """A track that was brought into a host from a submap that lies elsewhere.
+    """A track that was brought into a host from a submap that lies elsewhere."""
 
-    `far` is that track as it was, in the frame of its own submap, with its `past`; `at` (3,) is where its box's centre
-    came to lie, in the host's frame. `near` is the host without it, `united` the host with it, both right at the join,
-    at `stamp_ns`, and in the host's frame; `near` is None where a keyframe recognised the far track, and no other one
-    lay there.
-    """
-
+    #: that track as it was, in the frame of its own submap
     far: Track
     past: Past
+    #: the centre (3,) of its box at the join, in the host's frame
     at: NDArray[np.float64]
+    #: the host without it; None if a keyframe recognised the far track and none lay there
     near: Track | None
+    #: the host with it, right at the join
     united: Track
     stamp_ns: int
 
@@ -69,12 +59,12 @@ class Join:
 
     @property
     def far_ids(self) -> frozenset[int]:
-        """The ids of the far track, and of those that had been merged into it."""
+        """The ids of the far track, and of all tracks merged into it."""
         return frozenset({self.far.id, *self.far.merged_ids})
 
 
+# By the id of the host, in their order.
 Joins = dict[int, tuple[Join, ...]]
-"""The joins of each track by the id of the host, in their order."""
 
 
 def with_join(joins: Mapping[int, tuple[Join, ...]], host_id: int, join: Join) -> Joins:
@@ -83,24 +73,22 @@ def with_join(joins: Mapping[int, tuple[Join, ...]], host_id: int, join: Join) -
 
 
 def after_union(joins: Mapping[int, tuple[Join, ...]], kept_id: int, gone_id: int) -> Joins:
-    """Return the joins after a track was merged into another one of its frame, which is now the host of all."""
+    """Return the joins after a merge of two tracks of one frame: the kept one is the host of all."""
     both = (*joins.get(kept_id, ()), *joins.get(gone_id, ()))
     rest = {host: own for host, own in joins.items() if host not in (kept_id, gone_id)}
     return {**rest, kept_id: both} if both else rest
 
 
 def without_far(joins: Mapping[int, tuple[Join, ...]], host_id: int, far_id: int) -> Joins:
-    """Return the joins without that of a far track, which was split off its host."""
+    """Return the joins without one far track, which was split off its host."""
     left = tuple(join for join in joins.get(host_id, ()) if join.far.id != far_id)
     rest = {host: own for host, own in joins.items() if host != host_id}
     return {**rest, host_id: left} if left else rest
 
 
 def views_in(joins: Iterable[Join]) -> Iterator[str]:
-    """Yield the names of the views that tracks need once they are parted."""
-    for track, is_parted in _tracks_of(joins):
-        if is_parted:
-            yield from (view.name for view in track.views)
+    """Yield the names of the views that tracks need once their joins are taken back."""
+    return (view.name for track, needs_views in _tracks_of(joins) if needs_views for view in track.views)
 
 
 def joins_without(joins: Mapping[int, tuple[Join, ...]], names: Collection[str]) -> Joins:
@@ -109,19 +97,17 @@ def joins_without(joins: Mapping[int, tuple[Join, ...]], names: Collection[str])
 
 
 def tracks_in(joins: Iterable[Join]) -> Iterator[Track]:
-    """Yield the tracks that joins hold, of which some may be the same."""
-    for track, _ in _tracks_of(joins):
-        yield track
+    """Yield the tracks that joins hold; some may be the same."""
+    return (track for track, _ in _tracks_of(joins))
 
 
 def _tracks_of(joins: Iterable[Join]) -> Iterator[tuple[Track, bool]]:
-    """Yield the tracks of joins, and whether a track that is parted needs its views."""
+    # True: an unmerge of this track needs its views.
     waiting = list(joins)
     while waiting:
         join = waiting.pop()
         waiting += join.past.joins
-        for track in (join.far, *join.past.absorbed, *(() if join.near is None else (join.near,))):
-            yield track, True
+        yield from ((track, True) for track in (join.far, *join.past.absorbed, join.near) if track is not None)
         yield join.united, False
 
 
@@ -141,18 +127,17 @@ def _without_views(join: Join, names: Collection[str]) -> Join:
 
 
 def _to_depth(joins: tuple[Join, ...], depth: int) -> tuple[Join, ...]:
-    """Return joins without those within them that are further in than so many."""
     if depth == 0:
         return ()
     return tuple(replace(j, past=replace(j.past, joins=_to_depth(j.past.joins, depth - 1))) for j in joins)
 
 
+# The confirmed tracks that each host has absorbed, by its id.
 Absorbed = dict[int, tuple["Track", ...]]
-"""The confirmed tracks that each track has absorbed, by the id of the absorbing track (the host)."""
 
 
 def after_merge(absorbed: Mapping[int, tuple[Track, ...]], kept_id: int, gone: Track) -> Absorbed:
-    """Return the absorbed tracks after `gone` was merged into `kept_id`, which inherits those absorbed by `gone`."""
+    """Return the absorbed tracks after `gone` was merged into `kept_id`, with those that `gone` had absorbed."""
     updated = {host: tracks for host, tracks in absorbed.items() if host != gone.id}
     own = () if gone.phase is Phase.TENTATIVE else (gone,)
     if taken := (*absorbed.get(kept_id, ()), *absorbed.get(gone.id, ()), *own):
@@ -161,10 +146,8 @@ def after_merge(absorbed: Mapping[int, tuple[Track, ...]], kept_id: int, gone: T
 
 
 def recalled(absorbed: Mapping[int, tuple[Track, ...]], host_id: int, cloud: Cloud, same_share: float) -> Track | None:
-    """Return the absorbed track that a cloud split off a host matches; None if it matches none of the host's.
-
-    Two clouds match if at least `same_share` of each lies on the other; of several matches, the best is returned.
-    """
+    """Return the host's absorbed track that best matches a split-off cloud, or None."""
+    # Two clouds match if at least `same_share` of each lies on the other.
     best, most = None, same_share
     for track in absorbed.get(host_id, ()):
         share = min(share_near(cloud.keys, track.solid), share_near(track.solid.keys, cloud))
@@ -174,7 +157,7 @@ def recalled(absorbed: Mapping[int, tuple[Track, ...]], host_id: int, cloud: Clo
 
 
 def restored(new: Track, before: Track) -> Track:
-    """Return a split-off track with the history that it had before the merge: times, viewpoints and views."""
+    """Return a split-off track with its history from before the merge: times, viewpoints and views."""
     return replace(
         new,
         sightings=max(new.sightings, before.sightings),
@@ -186,7 +169,7 @@ def restored(new: Track, before: Track) -> Track:
 
 
 def without_views_of(host: Track, before: Track) -> Track:
-    """Return a host without the views inherited from a track that was split off again, unless it has no other views."""
+    """Return a host without the views of a track that was split off, unless it has no other views."""
     left = without_views(host, {view.name for view in before.views})
     return left if left.views else host
 
@@ -198,10 +181,10 @@ def after_split(absorbed: Mapping[int, tuple[Track, ...]], host_id: int, before:
     return {**updated, host_id: rest} if rest else updated
 
 
-def after_parting(
+def after_unmerge(
     absorbed: Mapping[int, tuple[Track, ...]], host_id: int, far_ids: Collection[int], rest_id: int | None
 ) -> Absorbed:
-    """Return the absorbed tracks after a join was parted: `rest_id` is the host without those of `far_ids`."""
+    """Return the absorbed tracks after a join was taken back: `rest_id` is the host without `far_ids`."""
     left = tuple(t for t in absorbed.get(host_id, ()) if t.id not in far_ids and t.id != rest_id)
     updated = {host: tracks for host, tracks in absorbed.items() if host != host_id}
     return {**updated, rest_id: left} if left and rest_id is not None else updated
@@ -210,8 +193,3 @@ def after_parting(
 def without_lost_views(absorbed: Mapping[int, tuple[Track, ...]], names: Collection[str]) -> Absorbed:
     """Return the absorbed tracks without the views of these names."""
     return {host: tuple(without_views(track, names) for track in tracks) for host, tracks in absorbed.items()}
-
-
-def views_of(absorbed: Mapping[int, tuple[Track, ...]]) -> Iterator[str]:
-    """Yield the names of the views that the absorbed tracks need."""
-    return (view.name for tracks in absorbed.values() for track in tracks for view in track.views)

@@ -1,7 +1,6 @@
 """Merging of tracks: duplicates, whose points coincide, and fragments, which frames mostly segment as one object.
 
-Single frames may be under- or over-segmented. One frame that segments two objects as one must not merge them for ever:
-points that lie on another track are not fused; they count as a vote for a merge.
+One under-segmented frame must not merge two objects: points on another track are not fused, but count as a vote.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from hickory_stream.mapping.entities.existence import united
 from hickory_stream.mapping.entities.track import Track, with_cloud
 from hickory_stream.mapping.entities.views import better, covers_better
 from hickory_stream.mapping.rules.lifecycle import Guard, LifeEvent, transition
-from hickory_stream.records import Phase
+from hickory_stream.records import Phase, View
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -57,7 +56,7 @@ class MergeConfig(Ranged):
 
 @dataclass(frozen=True, slots=True)
 class Votes:
-    """In how many keyframes a pair of tracks was segmented `together`, and `apart` while close to each other."""
+    """The number of keyframes that segmented a pair of tracks `together`, and `apart` while close to each other."""
 
     together: int = 0
     apart: int = 0
@@ -65,17 +64,14 @@ class Votes:
 
 @dataclass(frozen=True, slots=True)
 class VoteRow:
-    """The votes of one track with others, by their ids. It never changes."""
+    """The votes of one track with others, by their ids; immutable."""
 
     votes: Mapping[int, Votes]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VoteBook:
-    """The votes of pairs of tracks: those of a and b are in the rows of both; pairs without votes are in none.
-
-    A book shares the rows of its predecessor that an update did not touch.
-    """
+    """The votes of pairs of tracks, in the rows of both. A book shares rows with its predecessor."""
 
     rows: Mapping[int, VoteRow] = field(default_factory=dict)
 
@@ -104,8 +100,8 @@ class VoteBook:
         """Return the votes of a track with others, by their ids."""
         return self.rows.get(track_id, _NO_ROW).votes
 
-    def parted(self, host: int, rest: int, far: int, votes: Mapping[int, Votes]) -> VoteBook:
-        """Return the book after `far` was parted from a host, which is `rest` without it; `votes` are those of far."""
+    def unmerged(self, host: int, rest: int, far: int, votes: Mapping[int, Votes]) -> VoteBook:
+        """Return the book after `far`, with its `votes`, was taken out of a host, which is `rest` without it."""
         added = {(far, other): own for other, own in votes.items()}
         for other, vote in self.all_of(host).items():
             own = votes.get(other, _NO_VOTES)
@@ -115,11 +111,10 @@ class VoteBook:
         return self._changed([host] if host in self.rows else [], added)
 
     def without(self, gone: int) -> VoteBook:
-        """Return the book without a track that was dropped."""
+        """Return the book without a dropped track."""
         return self._changed([gone], {}) if gone in self.rows else self
 
     def _changed(self, gone: Iterable[int], added: Mapping[tuple[int, int], Votes]) -> VoteBook:
-        """Return the book without the rows of some tracks, and with votes added to pairs."""
         rows = dict(self.rows)
         new: dict[int, dict[int, Votes]] = {}
         for track_id in gone:
@@ -142,14 +137,13 @@ _NO_VOTES = Votes()
 
 
 def _own(new: dict[int, dict[int, Votes]], rows: Mapping[int, VoteRow], track_id: int) -> dict[int, Votes]:
-    """Return the row of a track that an update may change: a copy of the one it had."""
     if track_id not in new:
         new[track_id] = dict(rows.get(track_id, _NO_ROW).votes)
     return new[track_id]
 
 
 def pair_of(a: int, b: int) -> tuple[int, int]:
-    """Return the key of a pair of tracks, the lower id first."""
+    """Return a pair of tracks, the lower id first."""
     return min(a, b), max(a, b)
 
 
@@ -170,21 +164,20 @@ def pairs_that_meet(bounds: Sequence[NDArray[np.float32]], track_ids: Sequence[i
     return {pair_of(track_ids[i], track_ids[j]) for i, j in zip(*np.nonzero(np.triu(meet, 1)), strict=True)}
 
 
-def foreign_points(cloud: Cloud, own: Track, others: Iterable[Track]) -> tuple[NDArray[np.bool_], list[int]]:
-    """Return which voxels (N,) of an observation are on other tracks but not its own, and the tracks that it covers."""
-    foreign = np.zeros(len(cloud.keys), dtype=bool)
+def points_on_others(cloud: Cloud, own: Track, others: Iterable[Track]) -> tuple[NDArray[np.bool_], list[int]]:
+    """Return which voxels (N,) of an observation are on other tracks but not its own, and the ids of covered tracks."""
+    on_others = np.zeros(len(cloud.keys), dtype=bool)
     covered: list[int] = []
-    on_own: NDArray[np.bool_] | None = None
     for other in others:
         on_other = is_near(cloud.keys, other.cloud)
-        if not on_other.any():
-            continue
+        if on_other.any():
+            on_others |= on_other
+            if on_other.sum() >= _COVERS_SHARE * min(len(other.solid.keys), len(cloud.keys)):
+                covered.append(other.id)
+    if on_others.any():
         # Exactly the same voxel: if neighbours counted, a track would grow into another one, keyframe by keyframe.
-        on_own = contains(own.cloud.keys, cloud.keys) if on_own is None else on_own
-        foreign |= on_other & ~on_own
-        if on_other.sum() >= _COVERS_SHARE * min(len(other.solid.keys), len(cloud.keys)):
-            covered.append(other.id)
-    return foreign, covered
+        on_others &= ~contains(own.cloud.keys, cloud.keys)
+    return on_others, covered
 
 
 def find_pair(
@@ -203,22 +196,14 @@ def find_pair(
 
 def merge(kept: Track, gone: Track, voxel_m: float) -> Track:
     """Return the merged track, with the id of `kept` and the histories of both."""
-    cloud = fuse(kept.cloud, gone.cloud)
     sightings = max(kept.sightings, gone.sightings)
-    coverage = dict(kept.coverage)
-    for sector, view in gone.coverage:
-        mine = replace(view, object_id=kept.id)
-        if covers_better(mine, coverage.get(sector)):
-            coverage[sector] = mine
-    theirs = replace(gone.best_view, object_id=kept.id) if gone.best_view is not None else None
+    merged = with_cloud(kept, fuse(kept.cloud, gone.cloud), sightings, voxel_m)
     return replace(
-        with_cloud(kept, cloud, sightings, voxel_m),
+        with_better_views(merged, gone),
         phase=_phase_after(kept, gone),
         first_seen_ns=min(kept.first_seen_ns, gone.first_seen_ns),
         last_seen_ns=max(kept.last_seen_ns, gone.last_seen_ns),
         seen_clock_ns=max(kept.seen_clock_ns, gone.seen_clock_ns),
-        coverage=tuple(sorted(coverage.items())),
-        best_view=better(kept.best_view, theirs),
         shape=kept.shape or gone.shape,
         merged_ids=tuple(sorted({*kept.merged_ids, *gone.merged_ids, gone.id})),
         seen_through=min(kept.seen_through, gone.seen_through),
@@ -227,14 +212,25 @@ def merge(kept: Track, gone: Track, voxel_m: float) -> Track:
     )
 
 
+def with_better_views(track: Track, other: Track) -> Track:
+    """Return a track with its own views and better ones of another track, all under its own id."""
+
+    def own(view: View) -> View:
+        return view if view.object_id == track.id else replace(view, object_id=track.id)
+
+    coverage = {sector: own(view) for sector, view in track.coverage}
+    best = None if track.best_view is None else own(track.best_view)
+    for sector, view in other.coverage:
+        if covers_better(own(view), coverage.get(sector)):
+            coverage[sector] = own(view)
+    theirs = None if other.best_view is None else own(other.best_view)
+    return replace(track, coverage=tuple(sorted(coverage.items())), best_view=better(best, theirs))
+
+
 def _phase_after(kept: Track, gone: Track) -> Phase:
-    """Return the phase of a track after another one was merged into it."""
-    asked = {
-        Guard.OTHER_SEEN_MORE: gone.sightings > kept.sightings,
-        Guard.OTHER_MAYBE_OBJECT: gone.phase is not Phase.ROOM,
-    }
-    row = transition(kept.phase, LifeEvent.TAKES_IN, asked.__getitem__)
-    return kept.phase if row is None else gone.phase
+    is_more, is_object = gone.sightings > kept.sightings, gone.phase is not Phase.ROOM
+    holds = {Guard.OTHER_SEEN_MORE: is_more, Guard.OTHER_MAYBE_OBJECT: is_object}
+    return kept.phase if transition(kept.phase, LifeEvent.TAKES_IN, holds.__getitem__) is None else gone.phase
 
 
 def why_one(
@@ -254,8 +250,7 @@ def why_one(
     often = votes.together >= _SURE_VOTES and votes.together >= _SURE_RATIO * votes.apart
     if often or (votes.together >= config.min_votes and votes.together > votes.apart):
         return f"seen as one in {votes.together} keyframes, apart in {votes.apart}"
-    cloud_a, cloud_b = a.solid, b.solid
-    small, large = (cloud_a, cloud_b) if len(cloud_a.keys) <= len(cloud_b.keys) else (cloud_b, cloud_a)
+    small, large = (a.solid, b.solid) if len(a.solid.keys) <= len(b.solid.keys) else (b.solid, a.solid)
     share = share_near(small.keys, large)
     limit = SURE_SHARE if votes.apart > votes.together else DUPLICATE_SHARE
     if share >= limit:
@@ -267,14 +262,10 @@ def why_one(
 
 
 def _why_no_room(room: Track, thing: Track) -> str | None:
-    """Return why a track that was set aside as part of the room belongs to an object, None if it does not.
-
-    It does if it turned out to be a side of a larger object, e.g. the front of a wardrobe. A picture does not own the
-    wall behind it: the object must be larger than the track that was set aside.
-    """
+    # The room's track is a side of the object, e.g. the front of a wardrobe; the object must be larger, since a picture
+    # does not own the wall behind it.
     if len(room.solid.keys) > len(thing.solid.keys) or intersection_volume_m3(room.box, thing.box, 0.03) <= 0.0:
         return None
     share = share_near(room.solid.keys, thing.solid)
-    if share < SURE_SHARE:
-        return None
-    return f"{share:.0%} of it, which was taken for a part of the room, lies on this larger thing"
+    reason = f"{share:.0%} of it, which was taken for a part of the room, lies on this larger thing"
+    return None if share < SURE_SHARE else reason

@@ -1,7 +1,7 @@
 """Scheduling of shape jobs: new objects first, then by expected gain per predicted second.
 
-The gain is the increase in S since the last request (since 0 for a new object). Durations are predicted from the
-configuration, never measured, so that the map does not depend on the speed of the machine.
+The gain is the increase in S since the last request. Durations are predicted from the configuration, never measured, so
+that the map does not depend on the speed of the machine.
 """
 
 from __future__ import annotations
@@ -68,12 +68,12 @@ def next_requests(
 
 
 def next_replacements(tracks: Mapping[int, Track], clock_ns: int, config: RequestConfig) -> list[int]:
-    """Return the ids of the objects whose open job should be replaced, since a much better view has come."""
+    """Return the ids of the objects whose open job a much better view should replace."""
     return [i for i in sorted(tracks) if _is_outdated(tracks[i], clock_ns, config)]
 
 
 def increase_in_score(track: Track) -> float:
-    """Return the increase in the best view's score since the last shape request (since 0 if there was none)."""
+    """Return the increase in the best view's score since the last shape request (since 0 before the first)."""
     return max(0.0, best_score(track) - track.shape_state.asked_score)
 
 
@@ -88,10 +88,8 @@ def predicted_s(track: Track, config: RequestConfig) -> float:
 
 
 def gain_of(track: Track) -> float:
-    """Return the gain of a new shape: the share of new views plus the share of new surface; 10 for a first shape.
-
-    Surface that was removed, given to another object or a wall, counts twice: the present shape is wrong there.
-    """
+    """Return the gain of a new shape: the share of new views plus the share of new surface; 10 for a first shape."""
+    # Removed surface counts twice: the present shape is wrong there.
     state = track.shape_state
     if _is_new(track):
         return 10.0
@@ -117,7 +115,7 @@ def shape_request(track: Track, *, ticket: int, support_z_m: float | None, due_n
 
 
 def state_of_request(track: Track, ticket: int, clock_ns: int, *, is_replacement: bool) -> ShapeState:
-    """Return the state that a track records for a job that is requested now."""
+    """Return the state of a track for a job that is requested now."""
     return ShapeState(
         open_ticket=ticket,
         asked_clock_ns=clock_ns,
@@ -139,7 +137,7 @@ def rank_of(track: Track, config: RequestConfig) -> Rank:
 
 
 def may_be_wanted(track: Track, config: RequestConfig) -> bool:
-    """Return whether a shape of a track is wanted now, or once enough time has passed, if nothing of it changes."""
+    """Return whether an unchanged track wants a shape now or later."""
     return is_wanted(track, _NEVER_NS, is_final=False, config=config)
 
 

@@ -1,9 +1,7 @@
 """Split candidates: parts of a track that keyframes segment apart, to repair under-segmentation by an early view.
 
-An example is a bowl that an early view segmented together with its table. An observation that lies on a track which
-another observation of the same keyframe matches already is a part of that track, its host. A part that recurs at the
-same place, and is segmented apart far more often than together with the host, becomes a track of its own, and its
-points are removed from the host.
+E.g. a bowl that an early view segmented with its table. An observation on a track that another observation of the
+keyframe matches is a part of that track, its host. A part that recurs, mostly apart, becomes a track of its own.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ class TrackSplitConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SplitCandidate:
-    """A part of a host: its points, the `frames` that segmented it apart, and how many segmented both `together`."""
+    """A part of a host, the `frames` that segmented it apart, and the number that segmented both `together`."""
 
     cloud: Cloud
     frames: tuple[int, ...]
@@ -52,8 +50,8 @@ class SplitCandidate:
         return apart >= config.min_apart and apart >= _APART_RATIO * self.together
 
 
+# By the id of their host.
 SplitCandidates = dict[int, tuple[SplitCandidate, ...]]
-"""The candidates by the id of their host."""
 
 
 def with_keyframe(
@@ -69,7 +67,7 @@ def with_keyframe(
             updated[host_id] = _with_candidate(updated.get(host_id, ()), frame_index, cloud)
     for host_id, cloud in whole:
         if host_id in updated:
-            updated[host_id] = tuple(_seen_with(candidate, frame_index, cloud) for candidate in updated[host_id])
+            updated[host_id] = tuple(_seen_with(own, frame_index, cloud) for own in updated[host_id])
     return updated
 
 

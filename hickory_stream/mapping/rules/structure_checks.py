@@ -71,10 +71,7 @@ def is_seen_through(track: Track, free_keys: NDArray[np.int64], config: MappingC
 
 
 def _is_more_wall(track: Track, space: SpaceState, clock_ns: int, config: MappingConfig) -> bool:
-    """Return whether a track is flush with structure or an edge of it.
-
-    Checked only for tracks that are confirmed or at rest, and for those that were already set aside as structure.
-    """
+    # Only for tracks that are confirmed, at rest, or already set aside as structure.
     is_settling = track.phase is Phase.TENTATIVE and is_sure(track, config.lifecycle)
     is_resting = track.phase is Phase.ACTIVE and clock_ns - track.seen_clock_ns > RESTING_S * 1e9
     if not (is_settling or is_resting or track.phase is Phase.ROOM):
@@ -93,7 +90,7 @@ def _is_too_large(track: Track, config: LifecycleConfig) -> bool:
 
 
 def _is_piece_of_wall(track: Track, floor_z_m: float | None, config: LifecycleConfig) -> bool:
-    """Return whether a track is an upright slab from near the floor to above the waist: a wall between two doors."""
+    # An upright slab from near the floor to above the waist, e.g. the wall between two doors.
     size = 2 * track.box.half_extents_m
     low, high = float(track.bounds[0, 2]), float(track.bounds[1, 2])
     thickness, width = float(min(size[:2])), float(max(size[:2]))

@@ -1,22 +1,11 @@
-"""The support graph: which body rests on, hangs from, leans on, is part of or is occluded by which other body.
+"""The support graph: which body rests on, hangs from, leans on, is part of or is hidden by which other body.
 
-It is used by merging, splitting, the life cycle, shape completion (a closed shape ends at the surface of `rests_on`)
-and queries. An edge is computed when it is queried, from the current bodies; `edges` computes all of them.
-
-Three measures of contact with a support are kept apart, since each is used where the others do not hold:
-
-- `rests_on` (`height_under`) needs the height of the surface, which it takes from the points under the box; a mask that
-  reaches a little below its object has such points everywhere.
-- `foot_of` and `part_of` must not merge objects: they require that the surface is visible as a ring around the foot.
-- `hangs_from` must not attach a supported body: the contact of its lowest points with any surface, also a steep one,
-  is support.
-
-With `height_under` in place of either of the other two, the three golden logs keep their maps, but `home` does not:
-other tracks are merged.
-
-Unsupported tracks: a track that floats in the air, away from every wall, belongs to the nearest other track.
-
-Examples are the branches of a plant and the shade of a lamp: the sensor does not see the thin stem that supports them.
+An edge is computed from the current bodies when it is queried; `edges` computes all. Three measures of contact differ:
+`rests_on` needs the height of the surface, from the points under the box, but masks reach below their objects;
+`foot_of` and `part_of` must not merge objects, so the surface must be visible as a ring around the foot; `hangs_from`
+must not attach a supported body, so any contact of its lowest points counts. With `height_under` in place of the other
+two, `home` keeps other tracks. An unsupported track, e.g. the shade of a lamp with an unseen stem, belongs to the
+nearest track.
 """
 
 from __future__ import annotations
@@ -70,7 +59,7 @@ ATTACH_M = 0.15
 
 
 def attachment_of(body: Body, others: Iterable[Body], space: SpaceState) -> Body | None:
-    """Return the body to which an unsupported body is attached; None if it is supported, or no other body is near."""
+    """Return the nearest body of an unsupported body; None if it is supported, or no other body is near."""
     points = body.solid.points
     if space.floor_z_m is None or len(points) == 0:
         return None
@@ -120,15 +109,14 @@ class Relation(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Support:
-    """An edge of the graph: the relation of `body` to another body `by`; `by` None is the room, its floor or a wall.
-
-    `height_m` is the height of the support surface. `reason` describes the contact that makes a body a part.
-    """
+    """The relation of `body` to another body `by`; None is the room, its floor or a wall."""
 
     body: int
     relation: Relation
     by: int | None
+    #: height of the support surface
     height_m: float | None = None
+    #: the contact that makes a body a part
     reason: str = ""
 
 
@@ -140,7 +128,7 @@ class SupportGraph:
     space: SpaceState
 
     def rests_on(self, body: Body) -> Support | None:
-        """Return the highest surface that a body rests on: another body's, or the floor; None if none is known."""
+        """Return the highest surface that a body rests on, another body's or the floor; None if none is known."""
         found: Support | None = None
         for other in self.bodies.values():
             if other.id == body.id or (height_m := height_under(body, other)) is None:
@@ -153,44 +141,36 @@ class SupportGraph:
         return Support(body=body.id, relation=Relation.RESTS_ON, by=None, height_m=floor_m)
 
     def leans_on(self, body: Body) -> Support | None:
-        """Return the edge to the room if structure is beside a body; None if no structure is near it."""
+        """Return the edge to the room if structure is beside a body, or None."""
         is_beside = sees_structure(self.space, body.box, body.solid.points, _NEAR_WALL_M)
         return Support(body=body.id, relation=Relation.LEANS_ON, by=None) if is_beside else None
 
     def hangs_from(self, body: Body, others: Iterable[Body] | None = None) -> Support | None:
-        """Return the edge to the nearest body that an unsupported body touches; None if the body is supported.
-
-        `others` are the bodies that it can hang from; None: all bodies.
-        """
+        """Return the edge to the nearest of `others` (None: all bodies) that an unsupported body touches, or None."""
         candidates = self.bodies.values() if others is None else others
         host = attachment_of(body, candidates, self.space)
         return None if host is None else Support(body=body.id, relation=Relation.HANGS_FROM, by=host.id)
 
     def foot_of(self, a: Body, b: Body) -> Support | None:
-        """Return the edge that says that the lower of two bodies is the foot of the upper one, None if it is not."""
+        """Return the edge by which the lower of two bodies is the foot of the upper one, or None."""
         upper, lower = (a, b) if a.bounds[0, 2] > b.bounds[0, 2] else (b, a)
-        if not is_on_foot(upper, lower):
-            return None
-        return _part(lower, upper, "the lower is the foot of the upper")
+        is_foot = is_on_foot(upper, lower)
+        return _part(lower, upper, "the lower is the foot of the upper") if is_foot else None
 
     def part_of(self, small: Body, large: Body, near: Iterable[Body]) -> Support | None:
-        """Return the edge that says that the smaller body is a leg, pot or inner part of the larger one, or None.
-
-        `near` are the bodies around them, on which the smaller one may rest.
-        """
+        """Return the edge by which `small` is a leg, pot or inner part of `large`, resting on none `near`, or None."""
         if is_leg(small, large):
             return _part(small, large, "the smaller stands under the larger like a leg")
         if stands_in(large, small):
             return _part(small, large, "the larger stands in the smaller")
         others = [body for body in near if body.id not in (small.id, large.id)]
-        if is_inner_part(small, large, others):
-            return _part(small, large, "the smaller is a part inside the larger")
-        return None
+        is_part = is_inner_part(small, large, others)
+        return _part(small, large, "the smaller is a part inside the larger") if is_part else None
 
     def still_part_of(
         self, small: Body, large: Body, near: Iterable[Body], *, inside: float, max_volume: float
     ) -> Support | None:
-        """Return the edge that says that the smaller body, split off the larger one, is an inner part of it, or None.
+        """Return the edge by which the smaller body, split off the larger one, is an inner part of it, or None.
 
         `inside`: minimum share of its box in the larger one's; `max_volume`: maximum ratio of the two volumes.
         """
@@ -198,18 +178,17 @@ class SupportGraph:
         return _part(small, large, "the smaller was a part inside the larger") if is_part else None
 
     def hidden_by(self, small: Body, large: Body) -> Support | None:
-        """Return the edge that says that the larger body occludes the upper end of the smaller one, or None."""
-        if not is_hidden_by(small, large):
-            return None
-        return Support(body=small.id, relation=Relation.HIDDEN_BY, by=large.id)
+        """Return the edge by which the larger body occludes the upper end of the smaller one, or None."""
+        is_hidden = is_hidden_by(small, large)
+        return Support(body=small.id, relation=Relation.HIDDEN_BY, by=large.id) if is_hidden else None
 
     def edges(self, of: Collection[int] | None = None) -> tuple[Support, ...]:
-        """Return all relations of the bodies `of` (None: of all). A body rests on, or hangs from, at most one other."""
+        """Return all relations of the bodies `of` (None: all). A body rests on, or hangs from, at most one other."""
         found: list[Support | None] = []
         for body in (self.bodies[i] for i in sorted(self.bodies if of is None else of)):
             rests = self.rests_on(body)
             found += [rests, self.leans_on(body), None if rests is not None else self.hangs_from(body)]
-            near = [other for other in self._near(body) if other.id != body.id]
+            near = self._near(body)
             for other in near:
                 if body.box.volume_m3 < other.box.volume_m3:
                     found += [self.part_of(body, other, near), self.hidden_by(body, other)]
@@ -218,13 +197,8 @@ class SupportGraph:
         return tuple(edge for edge in found if edge is not None)
 
     def _near(self, body: Body) -> list[Body]:
-        (low, high) = body.bounds
         ordered = (self.bodies[i] for i in sorted(self.bodies))
-        return [
-            other
-            for other in ordered
-            if (low <= other.bounds[1] + REACH_M).all() and (other.bounds[0] <= high + REACH_M).all()
-        ]
+        return [other for other in ordered if other.id != body.id and _meet(body, other, REACH_M)]
 
 
 def _part(part: Body, whole: Body, reason: str) -> Support:

@@ -1,7 +1,6 @@
 """Pairwise relations of support: a leg under its table, a plant in its pot, a panel in its desk, a cup on a tray.
 
-While their contact is occluded, the segmenter finds two masks on one object, and neither the overlap of the clouds nor
-the votes of keyframes merge the two. The way in which one supports the other does. `SupportGraph` uses these relations.
+Occluded contact gives two masks on one object, which neither overlap nor votes merge. Support relations do.
 """
 
 from __future__ import annotations
@@ -123,11 +122,7 @@ _UNDER_QUANTILE = 0.8
 _LOWER_M = 0.01
 
 
-# ---- hidden by: the contact is occluded by what is above ------------------------------------------------------------
-
-
-def points_over(small: Body, large: Body) -> NDArray[np.float32]:
-    """Return the points (N, 3) of a larger body that are just above a smaller one, whose upper end they occlude."""
+def _points_over(small: Body, large: Body) -> NDArray[np.float32]:
     top = float(small.bounds[1, 2])
     # A thin leg may stand slightly outside of the visible part of the seat.
     beside_m = _LEG_BESIDE_M if _is_thin(small, large) else 0.0
@@ -137,25 +132,20 @@ def points_over(small: Body, large: Body) -> NDArray[np.float32]:
 
 def is_hidden_by(small: Body, large: Body) -> bool:
     """Return whether the upper end of the smaller body is occluded by the larger one."""
-    return len(points_over(small, large)) >= _MIN_POINTS
-
-
-# ---- is part of -----------------------------------------------------------------------------------------------------
+    return len(_points_over(small, large)) >= _MIN_POINTS
 
 
 def is_leg(small: Body, large: Body) -> bool:
-    """Return whether the smaller body is a leg of the larger one.
-
-    Its box is mostly inside the larger one's, it is taller than wide, both stand at the same height, and the larger one
-    has points closely above its top: the table's edge occludes the upper end of its leg.
-    """
+    """Return whether the smaller body is a leg of the larger one."""
+    # Mostly inside the larger one's box, taller than wide, from one height, with points of the larger one above its
+    # top.
     size = 2 * small.box.half_extents_m
-    if size[2] < _LEG_SLENDER * max(size[0], size[1]) or abs(_bottom_m(small) - _bottom_m(large)) > _LEVEL_M:
+    is_level = abs(float(small.bounds[0, 2]) - float(large.bounds[0, 2])) <= _LEVEL_M
+    if size[2] < _LEG_SLENDER * max(size[0], size[1]) or not is_level:
         return False
-    overlap_m3 = intersection_volume_m3(small.box, large.box.grown(_CORNER_M))
-    if overlap_m3 < _LEG_INSIDE * small.box.volume_m3:
+    if intersection_volume_m3(small.box, large.box.grown(_CORNER_M)) < _LEG_INSIDE * small.box.volume_m3:
         return False
-    above = points_over(small, large)
+    above = _points_over(small, large)
     if len(above) < _MIN_POINTS:
         return False
     # A thick leg must be covered by a board: above a speaker beside a shelf there is only the side of the shelf.
@@ -163,13 +153,11 @@ def is_leg(small: Body, large: Body) -> bool:
 
 
 def _is_thin(small: Body, large: Body) -> bool:
-    """Return whether the smaller body's area, seen from above, is that of a thin leg of the larger one."""
     size = 2 * small.box.half_extents_m
     return bool(size[0] * size[1] < _THIN_LEG * 4 * float(np.prod(large.box.half_extents_m[:2])))
 
 
 def _covered_share(body: Body, above: NDArray[np.float32]) -> float:
-    """Return the share of a body's footprint that has points above it."""
     plan = _cells(body.solid.points)
     low = plan.min(axis=0)
     in_plan = np.zeros(plan.max(axis=0) - low + 1, dtype=bool)
@@ -181,16 +169,12 @@ def _covered_share(body: Body, above: NDArray[np.float32]) -> float:
 
 
 def _cells(points: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return the horizontal cells (N, 2) of points (N, 3)."""
     return np.floor(points[:, :2] / _COVER_CELL_M).astype(np.int64)
 
 
 def stands_in(large: Body, small: Body) -> bool:
-    """Return whether the larger body is supported by the smaller one alone: a plant in its pot.
-
-    The smaller box is mostly inside the larger one, and the lowest points of the larger body are over or under the
-    smaller one. A bin under a desk is inside the desk's box, too, but the desk also has legs elsewhere.
-    """
+    """Return whether the smaller body alone supports the larger one: a plant in its pot."""
+    # Mostly inside its box, with its lowest points over or under it. A desk around a bin has legs elsewhere.
     if intersection_volume_m3(small.box, large.box) < _POT_INSIDE * small.box.volume_m3:
         return False
     points = large.solid.points
@@ -202,11 +186,9 @@ def stands_in(large: Body, small: Body) -> bool:
 
 
 def is_on_foot(upper: Body, lower: Body) -> bool:
-    """Return whether the lower body is the only support of the upper one: a seat on its swivel foot.
-
-    The upper one's lowest points lie over the lower one, closely above its top, and no support surface continues around
-    them.
-    """
+    """Return whether the lower body is the only support of the upper one: a seat on its swivel foot."""
+    # The upper one's lowest points lie over the lower one, closely above its top; no support surface goes on around
+    # them.
     points = upper.solid.points
     (low, high), (base, top) = _ends_m(upper.solid), _ends_m(lower.solid)
     if not -_FOOT_STEP_M < low - top < _FOOT_STEP_M or low - base < _FOOT_HEIGHT_M:
@@ -233,10 +215,8 @@ def is_inner_part(
 ) -> bool:
     """Return whether the smaller body is part of the larger one: inside its box, touching it, and resting on nothing.
 
-    The panel of a desk, the board of a shelf, the foot of a chair. An object in a shelf rests on a board, and one under
-    a desk does not touch it. A mug rests on the table, one of the `others`, although it is inside the box of a chair
-    that is pushed under the table. `was_one`: their points were of one track, so that they touch. `inside` and
-    `max_volume` take the place of the shares of a part's box and volume.
+    E.g. the panel of a desk or the board of a shelf. A mug inside the box of a chair rests on the table, one of the
+    `others`. `was_one`: their points were of one track, so they touch. `inside` and `max_volume` replace the shares.
     """
     box = large.box.grown(_PART_SLACK_M)
     if small.box.volume_m3 > (_PART_VOLUME if max_volume is None else max_volume) * large.box.volume_m3:
@@ -244,11 +224,8 @@ def is_inner_part(
     least = _PART_INSIDE if inside is None else inside
     if intersection_volume_m3(small.box, box) < least * small.box.volume_m3:
         return False
-    if not was_one:
-        is_board = is_panel(small)
-        touching = _touches_across(small, large) if is_board else _touches(small, large)
-        if not touching:
-            return False
+    if not (was_one or (_touches_across if is_panel(small) else _touches)(small, large)):
+        return False
     return not any(_stands_on(small, support) for support in (large, *others))
 
 
@@ -273,14 +250,8 @@ def _touches_across(small: Body, large: Body) -> bool:
     return float(np.isfinite(distances_m).mean()) >= _TOUCH_SHARE
 
 
-# ---- rests on -------------------------------------------------------------------------------------------------------
-
-
 def _stands_on(small: Body, large: Body) -> bool:
-    """Return whether the larger body has a horizontal surface around the foot of the smaller one, which rests on it.
-
-    The smaller one occludes the surface right below it. A body that does not rise above a surface does not rest on it.
-    """
+    # The smaller one occludes the surface right below it, so the surface is searched in a ring around its foot.
     low, high = _ends_m(small.solid)
     around = large.solid.points[small.box.is_over_or_under(large.solid.points, _RING_M)]
     around = around[(around[:, 2] > low - _RING_BELOW_M) & (around[:, 2] < low + _RING_ABOVE_M)]
@@ -293,10 +264,7 @@ def _stands_on(small: Body, large: Body) -> bool:
 
 
 def height_under(body: Body, other: Body) -> float | None:
-    """Return the height of another body's surface under a body, which rests on it; None where there is none.
-
-    The surface must be under the box on most sides of its centre: the surface of a body beside it is not.
-    """
+    """Return the height of another body's surface under a body on most sides of its centre; None if there is none."""
     bottom = bottom_of_box_m(body)
     if bottom_of_box_m(other) > bottom - _LOWER_M:
         return None
@@ -323,13 +291,9 @@ _ENDS_M: WeakKeyDictionary[Cloud, tuple[float, float]] = WeakKeyDictionary()
 
 
 def _ends_m(cloud: Cloud) -> tuple[float, float]:
-    """Return the lowest and the highest z of a cloud without outliers; cached, since clouds are in many pairs."""
+    # The lowest and the highest z without outliers; cached, since clouds are in many pairs.
     ends = _ENDS_M.get(cloud)
     if ends is None:
         low, high = np.percentile(cloud.points[:, 2], _OUTLIERS_PCT)
         ends = _ENDS_M[cloud] = (float(low), float(high))
     return ends
-
-
-def _bottom_m(body: Body) -> float:
-    return float(body.bounds[0, 2])

@@ -1,22 +1,13 @@
-"""Ageing of tracks: executes the life cycle table (`lifecycle.LIFE_CYCLE`) on a state, with its guards and effects.
+"""Ageing of tracks: executes the life cycle table (`lifecycle.LIFE_CYCLE`) with its guards and effects.
 
-Which tracks a keyframe concerns: those whose judgement it can have changed.
-
-A track is judged by itself, by the observed space and the tracks around it, and by how long it was not seen. So of the
-tracks out of sight only those are judged again that have changed, that lie beside one that has, or whose time is up:
-for all others the judgement would be the one of the keyframe before. Only the height of the floor, which is filtered
-over keyframes, reaches them when they are seen again.
-
-What a generated shape claims of space that nobody had seen, held against what a later view sees there.
-
-A generator makes up what is behind an object. Where a keyframe looks there and finds free space, the shape is asked for
-again: its views then show that space, so that what is made anew is cut where they saw through it, and judged by them.
+The observed space, the tracks around it and its time out of sight judge a track. So of the tracks out of sight only
+changed ones, their neighbours and timed-out ones are judged again; only the filtered height of the floor reaches others
+late. A generated shape whose invented parts a keyframe sees to be free is requested again.
 """
 
 from __future__ import annotations
 
 import heapq
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -27,7 +18,7 @@ from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import contains, keys_of_points, layers_of_keys
 from hickory_stream.mapping.entities.cloud import is_packed, pack_part, without
-from hickory_stream.mapping.entities.existence import doubted
+from hickory_stream.mapping.entities.existence import with_evidence_against
 from hickory_stream.mapping.entities.observed_space import share_in, window_of
 from hickory_stream.mapping.entities.submaps import space_around
 from hickory_stream.mapping.entities.track import is_object, sketched, with_cloud
@@ -39,7 +30,7 @@ from hickory_stream.mapping.steps.endings import cancelled, drop, unite
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -61,9 +52,9 @@ _REFUTED_SHARE = 0.1
 
 
 class Concerned:
-    """The ids of the tracks to judge at a keyframe, ascending; those that judgements bring up are added on the way.
+    """The ids of the tracks to judge at a keyframe, ascending; judgements add others on the way.
 
-    What has changed by then, and what lies beside it, concerns the next keyframe as well (`state.stirred`).
+    Tracks that change, and their neighbours, are judged in the next keyframe as well (`state.stirred`).
     """
 
     def __init__(self, state: MapState, event: FrameObserved, config: LifecycleConfig) -> None:
@@ -75,8 +66,7 @@ class Concerned:
         for bounds in (sight, state.sight):
             if bounds is not None:
                 ids |= {track.id for track in state.tracks.touching(bounds, REACH_M)}
-        self._waiting = sorted(ids)
-        self._named = ids
+        self._waiting, self._named = sorted(ids), ids
         state.sight, state.judged_ns, state.stirred = sight, state.clock_ns, self._stirred
 
     def __iter__(self) -> Iterator[int]:
@@ -89,14 +79,9 @@ class Concerned:
 
     def _stir(self, track_id: int, before: Track, mark: Mark) -> None:
         tracks = self._state.tracks
-        for changed in tracks.changed_since(mark):
-            beside = [before] if changed == track_id else []
-            beside += [tracks[changed]] if changed in tracks else []
-            for one in beside:
-                self._add(track_id, (other.id for other in tracks.touching(one.bounds, REACH_M)))
-
-    def _add(self, track_id: int, ids: Iterable[int]) -> None:
-        for other in ids:
+        changed_ids = tracks.changed_since(mark)
+        moved = [tracks[i] for i in changed_ids if i in tracks] + [before] * (track_id in changed_ids)
+        for other in {other.id for track in moved for other in tracks.touching(track.bounds, REACH_M)}:
             self._stirred.add(other)
             if other > track_id and other not in self._named:
                 self._named.add(other)
@@ -104,7 +89,7 @@ class Concerned:
 
 
 def _timed_out(state: MapState, config: LifecycleConfig) -> Iterator[int]:
-    """Yield the tracks that were not seen for one of the times that count, since the last keyframe's judgement."""
+    # The tracks that were not seen for one of the configured times, since the last keyframe's judgement.
     for limit_s in (RESTING_S, config.tentative_s, config.dormant_s, config.archive_s):
         limit_ns = int(limit_s * 1e9)
         after_ns, until_ns = state.judged_ns - limit_ns - _ROUNDING_NS, state.clock_ns - limit_ns + _ROUNDING_NS
@@ -112,12 +97,10 @@ def _timed_out(state: MapState, config: LifecycleConfig) -> Iterator[int]:
 
 
 def _sight_of(event: FrameObserved, voxel_m: float) -> NDArray[np.float32] | None:
-    """Return (2, 3) the least and greatest coordinates of what a keyframe sees, None if it sees nothing."""
-    space = event.space
-    keys = (space.free_keys, space.structure_keys, space.surface_keys)
-    window = window_of(*keys)
+    # Bounds (2, 3) of a keyframe's view, None if it is empty.
+    keys = (event.space.free_keys, event.space.structure_keys, event.space.surface_keys)
     bounds = []
-    if window is not None:
+    if (window := window_of(*keys)) is not None:
         heights = np.concatenate([[layers.min(), layers.max()] for layers in map(layers_of_keys, keys) if len(layers)])
         low, high = (*window.low, heights.min()), (*window.high, heights.max() + 1)
         bounds.append(np.array([low, high], dtype=np.float64) * voxel_m)
@@ -132,37 +115,28 @@ def _sight_of(event: FrameObserved, voxel_m: float) -> NDArray[np.float32] | Non
 
 # Parts of which less was made up say nothing of the generator.
 _MADE_UP = 0.05
-# So far from a part's centre to its surface; what is fitted may reach beyond the mesh by less than the rest.
+# This share of the way from a part's centre to its surface; a fit may reach beyond the mesh by less than the rest.
 _INWARDS = 0.75
 
 
-def with_claims_checked(state: MapState, track: Track, free_keys: NDArray[np.int64], config: MappingConfig) -> Track:
-    """Return the track, its shape to be asked for again where a keyframe's sorted `free_keys` contradict it.
-
-    Nothing is asked twice: the views must be others than those of the last request.
-    """
+def _with_shape_checked(state: MapState, track: Track, free_keys: NDArray[np.int64], config: MappingConfig) -> Track:
+    # A contradicted shape is requested again, once: only with other views than those of the last request.
     shape, asked = track.shape, track.shape_state
     if shape is None or not shape.is_generated or asked.open_ticket is not None or not asked.asked_views:
         return track
     if set(track.names_of_views) == set(asked.asked_views):
         return track
-    places = _claimed(shape)
-    if len(places) == 0:
-        return track
-    free = float(contains(free_keys, keys_of_points(places, config.voxels.space_m)).mean())
-    if free < _REFUTED_SHARE:
+    places = _invented_points(shape)
+    free = contains(free_keys, keys_of_points(places, config.voxels.space_m)).mean() if len(places) else 0.0
+    if len(places) == 0 or free < _REFUTED_SHARE:
         return track
     state.decide("shape", track.id, f"{free:.2f} of its generated shape was seen to be free: to be asked for again")
-    # As if nothing had been asked yet, but that there is a shape: all views and all surface count as new.
-    again = replace(asked, asked_views=(), asked_points=0, asked_score=0.0)
-    return replace(track, shape_state=again)
+    # All views and all surface count as new.
+    return replace(track, shape_state=replace(asked, asked_views=(), asked_points=0, asked_score=0.0))
 
 
-def _claimed(shape: ObjectShape) -> NDArray[np.float32]:
-    """Return (N, 3) places within the parts of a shape of which something was made up.
-
-    An envelope is larger than its object on purpose: it claims nothing.
-    """
+def _invented_points(shape: ObjectShape) -> NDArray[np.float32]:
+    # (N, 3) points within the invented parts of a shape. An envelope is larger than its object on purpose.
     if shape.fit_kind == "envelope":
         return np.empty((0, 3), np.float32)
     places = [np.empty((0, 3), np.float32)]
@@ -174,55 +148,46 @@ def _claimed(shape: ObjectShape) -> NDArray[np.float32]:
 
 
 def age_tracks(state: MapState, event: FrameObserved, config: MappingConfig, *, merges: bool) -> list[Effect]:
-    """Age the tracks that a keyframe concerns.
-
-    `merges`: an unsupported track is merged into the one that it is attached to.
-    """
+    """Age the tracks that a keyframe concerns; `merges`: an unsupported track is merged into its neighbour."""
     effects: list[Effect] = []
     keep_room(state)  # tracks may have been merged
     for track_id in Concerned(state, event, config.lifecycle):
-        case = Case(state, track_id, config, free_keys=event.space.free_keys, merges=merges)
+        case = TrackTransition(state, track_id, config, free_keys=event.space.free_keys, merges=merges)
         effects += [*case.happens(LifeEvent.JUDGED), *case.happens(LifeEvent.AGED)]
         if track_id in state.tracks:
             track = sketched(state.tracks[track_id])
-            state.tracks[track_id] = with_claims_checked(state, track, event.space.free_keys, config)
+            state.tracks[track_id] = _with_shape_checked(state, track, event.space.free_keys, config)
     keep_room(state)
     return effects
 
 
 def keep_room(state: MapState) -> None:
-    """Update the voxels of the observed space that belong to tracks that are part of the room."""
+    """Update the voxels of the room's tracks in the observed space."""
     state.submaps = state.derived.room.kept(state.submaps, state.tracks)
 
 
 def settle(state: MapState, config: MappingConfig) -> None:
     """Remove the points of tracks that lie in structure, before the observed space is reset."""
-    for track_id in sorted(state.tracks):
-        with _as_warm_as_before(state, track_id):
-            Case(state, track_id, config).happens(LifeEvent.SPACE_FORGOTTEN)
+    _happens_to_all(state, LifeEvent.SPACE_FORGOTTEN, config, merges=False)
 
 
 def end_tracks(state: MapState, config: MappingConfig, *, merges: bool) -> list[Effect]:
     """Drop the tracks that were not confirmed by the end, and merge unsupported ones."""
     settle(state, config)
+    return _happens_to_all(state, LifeEvent.SOURCE_ENDED, config, merges=merges)
+
+
+def _happens_to_all(state: MapState, event: LifeEvent, config: MappingConfig, *, merges: bool) -> list[Effect]:
     effects: list[Effect] = []
     for track_id in sorted(state.tracks):
-        with _as_warm_as_before(state, track_id):
-            effects += Case(state, track_id, config, merges=merges).happens(LifeEvent.SOURCE_ENDED)
+        was_packed = track_id in state.tracks and is_packed(state.tracks[track_id].cloud)
+        effects += TrackTransition(state, track_id, config, merges=merges).happens(event)
+        if was_packed and (track := state.tracks.get(track_id)) is not None:
+            pack_part(track.solid, track.cloud, state.derived.warm.keep)
     return effects
 
 
-@contextmanager
-def _as_warm_as_before(state: MapState, track_id: int) -> Iterator[None]:
-    """Compress the cloud of a track again that was compressed before the block."""
-    track = state.tracks.get(track_id)
-    was_packed = track is not None and is_packed(track.cloud)
-    yield
-    if was_packed and (track := state.tracks.get(track_id)) is not None:
-        pack_part(track.solid, track.cloud, state.derived.warm.keep)
-
-
-class Case:
+class TrackTransition:
     """A track and the values that guards test; each value is computed at most once, when it is needed."""
 
     def __init__(
@@ -242,11 +207,11 @@ class Case:
 
     @property
     def track(self) -> Track:
-        """The track as it is now."""
+        """The present track."""
         return self.state.tracks[self._track_id]
 
     def happens(self, event: LifeEvent) -> list[Effect]:
-        """Apply an event to the track, if it still exists: execute the row of the table that applies."""
+        """Apply an event to the track, if it still exists, by the row of the table."""
         if self._track_id not in self.state.tracks:
             return []
         row = transition(self.track.phase, event, lambda guard: GUARDS[guard](self))
@@ -289,7 +254,7 @@ class Case:
 
     @cached_property
     def attachment(self) -> int | None:
-        """The id of the track that this one hangs from; None if it is supported, or no track is near."""
+        """The id of the track from which this one hangs; None if it is supported, or no track is near."""
         if not self._merges:
             return None
         beside = self.state.tracks.touching(self.track.bounds, ATTACH_M)
@@ -298,42 +263,36 @@ class Case:
         return None if support is None else support.by
 
     def is_in_room(self) -> bool:
-        """Return whether most of the track lies on tracks that are part of the room."""
-        space = self.space
-        share = share_in(space.room, self.track.solid.points, space.voxel_m)
+        """Return whether most of the track lies on tracks of the room."""
+        share = share_in(self.space.room, self.track.solid.points, self.space.voxel_m)
         return share > _STRUCTURE_SHARE
 
     def is_revised(self) -> bool:
-        """Return whether the track, set aside, has gained enough evidence since and is not part of the room now."""
+        """Return whether the track, set aside, has gained enough evidence since and is no structure now."""
         seen_since = self.track.existence.evidence - self.track.aside_evidence
         return seen_since >= self.config.lifecycle.revise_evidence and self.why_structure is None
 
     def is_seen_through(self) -> bool:
         """Return whether the keyframe did not observe the track, but free space at its position."""
-        is_in_sight = self.track.seen_clock_ns == self.state.clock_ns
-        return (
-            not is_in_sight
-            and self._free_keys is not None
-            and is_seen_through(self.track, self._free_keys, self.config)
-        )
+        if self.track.seen_clock_ns == self.state.clock_ns or self._free_keys is None:
+            return False
+        return is_seen_through(self.track, self._free_keys, self.config)
 
 
-def _set_aside(case: Case, _: Transition) -> list[Effect]:
+def _set_aside(case: TrackTransition, _: Transition) -> list[Effect]:
     track = case.track
-    effects = cancelled(track)
     shape_state = replace(track.shape_state, open_ticket=None)
     case.change(replace(track, shape_state=shape_state, aside_evidence=track.existence.evidence))
-    return effects
+    return cancelled(track)
 
 
-def _doubt(case: Case, _: Transition) -> list[Effect]:
+def _doubt(case: TrackTransition, _: Transition) -> list[Effect]:
     track = case.track
-    case.change(replace(track, seen_through=track.seen_through + 1, existence=doubted(track.existence)))
+    case.change(replace(track, seen_through=track.seen_through + 1, existence=with_evidence_against(track.existence)))
     return []
 
 
-def _trim(case: Case, _: Transition) -> list[Effect]:
-    """Remove the points in structure, if these are more than a narrow strip along a wall."""
+def _trim(case: TrackTransition, _: Transition) -> list[Effect]:
     if not case.config.lifecycle.finds_structure:
         return []
     track = case.track
@@ -347,23 +306,24 @@ def _trim(case: Case, _: Transition) -> list[Effect]:
     return []
 
 
-def _drop(case: Case, row: Transition) -> list[Effect]:
+def _drop(case: TrackTransition, row: Transition) -> list[Effect]:
     assert row.cause is not None
     reasons = {"structure": case.why_structure, "in structure": "it lies on what is part of the room"}
     return drop(case.state, case.track, row.cause, reasons.get(row.cause))
 
 
-def _merge(case: Case, _: Transition) -> list[Effect]:
+def _merge(case: TrackTransition, _: Transition) -> list[Effect]:
     assert case.attachment is not None
     reason = "unsupported but for this one, which it touches"
     return unite(case.state, case.attachment, case.track.id, reason, case.config)
 
 
-GUARDS: dict[Guard, Callable[[Case], bool]] = {
+# Guards on two tracks that are merged are tested in `rules.merging`.
+GUARDS: dict[Guard, Callable[[TrackTransition], bool]] = {
     Guard.IS_ROOM: lambda case: case.why_structure is not None,
-    Guard.IN_ROOM: Case.is_in_room,
-    Guard.REVISED: Case.is_revised,
-    Guard.SEEN_THROUGH: Case.is_seen_through,
+    Guard.IN_ROOM: TrackTransition.is_in_room,
+    Guard.REVISED: TrackTransition.is_revised,
+    Guard.SEEN_THROUGH: TrackTransition.is_seen_through,
     Guard.PHANTOM: lambda case: case.track.seen_through >= case.config.lifecycle.phantom_frames,
     Guard.SURE: lambda case: is_sure(case.track, case.config.lifecycle),
     Guard.UNCONFIRMED: lambda case: case.is_unseen_for(case.config.lifecycle.tentative_s),
@@ -373,13 +333,11 @@ GUARDS: dict[Guard, Callable[[Case], bool]] = {
     Guard.KNOWN_HERE: lambda case: case.state.is_judged(case.track),
     Guard.UNSUPPORTED: lambda case: case.attachment is not None,
 }
-"""The test of each guard of the table; guards on two tracks that are merged are tested in `track_merging`."""
 
-EFFECTS: dict[TrackEffect, Callable[[Case, Transition], list[Effect]]] = {
+EFFECTS: dict[TrackEffect, Callable[[TrackTransition, Transition], list[Effect]]] = {
     TrackEffect.SET_ASIDE: _set_aside,
     TrackEffect.DOUBT: _doubt,
     TrackEffect.TRIM: _trim,
     TrackEffect.DROP: _drop,
     TrackEffect.MERGE: _merge,
 }
-"""The function of each effect of the table."""

@@ -1,7 +1,4 @@
-"""How a track ends: dropped, or merged into another. Everything that refers to it is updated in the same step.
-
-What nobody looks at any more is compressed: tracks that rest, and what a correction of poses has looked at.
-"""
+"""Ends of tracks, by drop or merge; and compression of tracks that were not seen recently."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.events import CancelShape
 from hickory_stream.mapping.entities.cloud import pack, pack_part
-from hickory_stream.mapping.entities.submaps import put_far_away
+from hickory_stream.mapping.entities.submaps import compress_unused
 from hickory_stream.mapping.rules.merge_history import after_merge, after_union, tracks_in
 from hickory_stream.mapping.rules.merging import merge
 from hickory_stream.mapping.rules.splitting import reassigned
@@ -37,7 +34,7 @@ def drop(state: MapState, track: Track, cause: DropCause, reason: str | None = N
 
 
 def unite(state: MapState, kept_id: int, gone_id: int, reason: str, config: MappingConfig) -> list[Effect]:
-    """Merge a track into another one of the same frame, which takes over points, views, votes and candidates."""
+    """Merge a track into another one of the same frame, with its points, views, votes and candidates."""
     tracks = state.tracks if kept_id in state.tracks else state.elsewhere
     kept, gone = tracks[kept_id], tracks.pop(gone_id)
     tracks[kept_id] = merged = merge(kept, gone, config.voxels.object_m)
@@ -57,12 +54,8 @@ def cancelled(gone: Track) -> list[Effect]:
     return [] if ticket is None else [CancelShape(ticket=ticket)]
 
 
-def rest_tracks(state: MapState, track_ids: Iterable[int]) -> None:
-    """Compress the clouds of tracks, here or elsewhere.
-
-    With them those of the tracks that they have absorbed, or that were joined to them, and of the candidates to be
-    split off them.
-    """
+def compress_tracks(state: MapState, track_ids: Iterable[int]) -> None:
+    """Compress the clouds of tracks, of the tracks merged into them, and of their split candidates."""
     keep = state.derived.warm.keep
     for track_id in track_ids:
         own = state.tracks.get(track_id) or state.elsewhere.get(track_id)
@@ -73,7 +66,7 @@ def rest_tracks(state: MapState, track_ids: Iterable[int]) -> None:
             pack(candidate.cloud, keep)
 
 
-def rest_elsewhere(state: MapState) -> None:
-    """Compress what a correction of poses has looked at: tracks elsewhere, joins, spaces that are not judged."""
-    rest_tracks(state, sorted({*state.elsewhere, *state.joins}))
-    put_far_away(state.submaps, state.derived.warm.keep)
+def compress_elsewhere(state: MapState) -> None:
+    """Compress tracks elsewhere, joins, and spaces that are not judged, after a correction of the poses."""
+    compress_tracks(state, sorted({*state.elsewhere, *state.joins}))
+    compress_unused(state.submaps, state.derived.warm.keep)

@@ -1,4 +1,4 @@
-"""Shape jobs of the tracks: requests, replacements (as ranked by `requests`) and their results."""
+"""Shape jobs of the tracks: requests, replacements and results."""
 
 from __future__ import annotations
 
@@ -7,15 +7,8 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.events import CancelShape, ShapeReady
 from hickory_stream.mapping.entities.track_table import REACH_M
-from hickory_stream.mapping.rules.shape_requests import (
-    gain_of,
-    increase_in_score,
-    next_replacements,
-    next_requests,
-    predicted_s,
-    shape_request,
-    state_of_request,
-)
+from hickory_stream.mapping.rules import shape_requests
+from hickory_stream.mapping.rules.shape_requests import increase_in_score, next_requests, predicted_s
 
 if TYPE_CHECKING:
     from hickory_stream.events import Effect, ShapeFailed
@@ -24,24 +17,19 @@ if TYPE_CHECKING:
 
 
 def request_shapes(state: MapState, mapping: MappingConfig, *, is_final: bool) -> list[Effect]:
-    """Request the most urgent shapes within the budget of open jobs; at the end, all shapes that are missing."""
-    config, wishes = mapping.requests, state.derived.wishes
+    """Request the most urgent shapes within the budget of open jobs; at the end, all missing shapes."""
+    config, wishes, now_ns = mapping.requests, state.derived.wishes, state.clock_ns
     wishes.follow(state.tracks, state.elsewhere, config)
-    num_open = wishes.num_open
-    replaced = [] if is_final else next_replacements(wishes.with_job(state.tracks), state.clock_ns, config)
     if is_final:
-        wanted = next_requests(state.tracks, num_open, state.clock_ns, is_final=True, config=config)
+        tables = (state.tracks, state.elsewhere)
+        wanted = [i for t in tables for i in next_requests(t, wishes.num_open, now_ns, is_final=True, config=config)]
     else:
-        wanted = wishes.next_wanted(state.tracks, state.clock_ns, config)
-    effects = [effect for track_id in (*replaced, *wanted) for effect in _requested(state, track_id, mapping)]
-    if is_final:
-        missing = next_requests(state.elsewhere, num_open, state.clock_ns, is_final=True, config=config)
-        effects += [effect for track_id in missing for effect in _requested(state, track_id, mapping)]
-    return effects
+        wanted = shape_requests.next_replacements(wishes.with_job(state.tracks), now_ns, config)
+        wanted += wishes.next_wanted(state.tracks, now_ns, config)
+    return [effect for track_id in wanted for effect in _requested(state, track_id, mapping)]
 
 
 def _requested(state: MapState, track_id: int, mapping: MappingConfig) -> list[Effect]:
-    """Request the shape of a track; an open job of the track is replaced."""
     effects: list[Effect] = []
     config = mapping.requests
     tracks = state.tracks if track_id in state.tracks else state.elsewhere
@@ -55,29 +43,18 @@ def _requested(state: MapState, track_id: int, mapping: MappingConfig) -> list[E
     beside = {other.id: other for other in state.tracks.touching(track.bounds, REACH_M)}
     graph = replace(state.support_graph(), bodies=beside)
     support = graph.rests_on(track) if tracks is state.tracks else None
-    due_ns = (state.stamp_ns or 0) + int(config.latency_s * 1e9)
-    request = shape_request(
-        track, ticket=ticket, support_z_m=None if support is None else support.height_m, due_ns=due_ns
-    )
-    effects.append(request)
-    state.decide(
-        "shape",
-        track_id,
-        f"job {ticket} asked for: S {increase_in_score(track):+.3f} in {predicted_s(track, config):.1f} s, "
-        f"new {gain_of(track):.2f}, {len(request.views)} views",
-    )
-    asked = state_of_request(track, ticket, state.clock_ns, is_replacement=gone is not None)
+    due_ns, z_m = (state.stamp_ns or 0) + int(config.latency_s * 1e9), None if support is None else support.height_m
+    request = shape_requests.shape_request(track, ticket=ticket, support_z_m=z_m, due_ns=due_ns)
+    text = f"job {ticket} asked for: S {increase_in_score(track):+.3f} in {predicted_s(track, config):.1f} s, "
+    text += f"new {shape_requests.gain_of(track):.2f}, {len(request.views)} views"
+    state.decide("shape", track_id, text)
+    asked = shape_requests.state_of_request(track, ticket, state.clock_ns, is_replacement=gone is not None)
     tracks[track_id] = replace(track, shape_state=asked)
-    return effects
-
-
-def _told(event: ShapeReady) -> str:
-    found = f"job {event.ticket}: {len(event.shape.fitted)} superquadrics"
-    return f"{found}; {event.shape.verdict}" if event.shape.verdict else found
+    return [*effects, request]
 
 
 def end_shape(state: MapState, event: ShapeReady | ShapeFailed) -> None:
-    """Store the result of a shape job in its track; a result of a job that is no longer wanted is ignored."""
+    """Store the result of a shape job in its track, unless the job is no longer wanted."""
     tracks = state.tracks if event.object_id in state.tracks else state.elsewhere
     track = tracks.get(event.object_id)
     if track is None or track.shape_state.open_ticket != event.ticket:
@@ -85,7 +62,8 @@ def end_shape(state: MapState, event: ShapeReady | ShapeFailed) -> None:
         return
     ended = replace(track.shape_state, open_ticket=None)
     if isinstance(event, ShapeReady):
-        state.decide("shape", track.id, _told(event))
+        verdict = f"; {event.shape.verdict}" if event.shape.verdict else ""
+        state.decide("shape", track.id, f"job {event.ticket}: {len(event.shape.fitted)} superquadrics{verdict}")
         tracks[track.id] = replace(track, shape=event.shape, shape_state=replace(ended, failures=0))
     else:
         state.decide("shape", track.id, f"job {event.ticket} gave no shape: {event.reason}")

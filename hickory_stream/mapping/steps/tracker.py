@@ -1,9 +1,7 @@
-"""The tracker: data association of a keyframe's observations with tracks; births, doubts and votes.
+"""The tracker: data association of a keyframe's observations with tracks; births, doubts, votes and splits.
 
-A keyframe's masks may be wrong. So points of an observation that lie on another track are not fused, and whether a
-keyframe segments two tracks as one or as two is only a vote, which `track_splitting` and `merge_tracks` count.
-
-Splitting of tracks: a part that keyframes segment apart often enough becomes a track of its own.
+A keyframe's masks may be wrong: points on another track are not fused, and segmenting two tracks as one or as two is
+only a vote, which `splitting` and `merging` count.
 """
 
 from __future__ import annotations
@@ -17,15 +15,15 @@ from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.mapping.entities.cloud import cloud_of, is_near, share_near, solid_part, without
 from hickory_stream.mapping.entities.existence import Existence, no_evidence, sighted
 from hickory_stream.mapping.entities.track import Sighting, grown, new_track, with_cloud
-from hickory_stream.mapping.rules.association import associate, is_swollen
+from hickory_stream.mapping.rules.association import associate, is_oversized
 from hickory_stream.mapping.rules.lifecycle import LifeEvent, first_phase
 from hickory_stream.mapping.rules.merge_history import after_split, recalled, restored, without_far, without_views_of
 from hickory_stream.mapping.rules.merging import (
     find_pair,
-    foreign_points,
     pair_of,
     pairs_of_groups,
     pairs_that_meet,
+    points_on_others,
     why_one,
 )
 from hickory_stream.mapping.rules.splitting import MIN_VOXELS, SAME_SHARE, with_keyframe
@@ -61,11 +59,10 @@ _PART_VOLUME = 0.5
 
 
 class Tracker:
-    """Associates the observations of a keyframe with the tracks of a state, and keeps these up to date.
+    """Associates the observations of a keyframe with the tracks of a state, and updates these.
 
-    `associator` gives one match per observation of a keyframe, in their order. Its matches are final: all points of an
-    observation are fused into its track, and tracks are never merged. None: association by boxes and points, as
-    configured.
+    `associator` gives one final match per observation, in their order: all points are fused, tracks are never merged.
+    None: association by boxes and points.
     """
 
     def __init__(self, config: MappingConfig, associator: Associator | None = None) -> None:
@@ -73,13 +70,17 @@ class Tracker:
         self._associator = associator
 
     @property
-    def is_told(self) -> bool:
-        """Whether an external associator decides which tracks exist, so that tracks are never merged."""
+    def is_external(self) -> bool:
+        """Whether an external associator decides which tracks exist."""
         return self._associator is not None
 
     def track(self, state: MapState, event: FrameObserved) -> list[Sighting]:
-        """Assign every observation of a keyframe to a track, a new one if it matches none; return the sightings."""
-        matches = self._matches(state, event)
+        """Assign every observation of a keyframe to a track, or a new one; return the sightings."""
+        if self._associator is not None:
+            matches = self._associator(event, state.tracks)
+        else:
+            object_m = self._config.voxels.object_m
+            matches = associate(event.observations, state.tracks, object_m, self._config.associate)
         self._doubt(state, event, matches)
         sightings = [self._place(state, event, match) for match in matches]
         self._vote(state, sightings)
@@ -88,7 +89,7 @@ class Tracker:
 
     def merge_tracks(self, state: MapState, changed: set[int]) -> list[Effect]:
         """Merge the changed tracks with others until no pair has a reason to merge."""
-        if self.is_told:
+        if self.is_external:
             return []
         effects: list[Effect] = []
         graph = state.support_graph()
@@ -98,26 +99,19 @@ class Tracker:
             changed = (changed - {gone_id}) | {kept_id}
         return effects
 
-    def _matches(self, state: MapState, event: FrameObserved) -> list[Match]:
-        if self._associator is not None:
-            return self._associator(event, state.tracks)
-        return associate(event.observations, state.tracks, self._config.voxels.object_m, self._config.associate)
-
     def _doubt(self, state: MapState, event: FrameObserved, matches: list[Match]) -> None:
-        """Count the under-segmented observations of each established track; a regular match resets its count."""
         config = self._config.associate
         seen = {match.track_id for match in matches}
         for match in matches:
             observation = event.observations[match.observation_index]
             for track_id, _ in match.candidates[:_MAX_OVERSIZED]:
                 track = state.tracks[track_id]
-                if track_id not in seen and is_swollen(observation, track, config):
+                if track_id not in seen and is_oversized(observation, track, config):
                     state.tracks[track_id] = replace(track, doubts=track.doubts + 1)
         for track_id in sorted(i for i in seen if i is not None):
             state.tracks[track_id] = replace(state.tracks[track_id], doubts=0)
 
     def _place(self, state: MapState, event: FrameObserved, match: Match) -> Sighting:
-        """Fuse an observation into its track, or make a new one."""
         observation = event.observations[match.observation_index]
         cloud = cloud_of(observation.points_world, observation.colors, self._config.voxels.object_m)
         if match.track_id is None:
@@ -135,7 +129,6 @@ class Tracker:
         )
 
     def _born(self, state: MapState, event: FrameObserved, match: Match, cloud: Cloud) -> int:
-        """Make a new track of an observation; return its id."""
         observation = event.observations[match.observation_index]
         track_id = state.next_id
         state.tracks[track_id] = new_track(
@@ -155,26 +148,20 @@ class Tracker:
         return track_id
 
     def _seen_again(self, state: MapState, event: FrameObserved, match: Match, cloud: Cloud) -> tuple[int, ...]:
-        """Fuse an observation into the track that it matches; return the other tracks that it covers."""
         assert match.track_id is not None
         observation, track = event.observations[match.observation_index], state.tracks[match.track_id]
         how = f"IoU {match.iou:.2f}" if match.lies_on == 0 else f"IoU {match.iou:.2f}, {match.lies_on:.0%} lies on it"
         part = " as a part" if match.is_part else ""
-        foreign, covered = foreign_points(cloud, track, self._neighbors(state, track, observation))
-        left = f"; {foreign.mean():.0%} of it lies on others and is left out" if foreign.any() else ""
+        on_others, covered = points_on_others(cloud, track, self._neighbors(state, track, observation))
+        left = f"; {on_others.mean():.0%} of it lies on others and is left out" if on_others.any() else ""
         if _is_cut(event, observation):
             left += "; this frame alone has it as one with another mask, the map does not"
         text = f"mask {observation.box_px}{part}: {how}; candidates by IoU: {_candidates(match)}{left}"
         state.decide("associate", track.id, text, observation_index=observation.index)
-        track = replace(
-            track,
-            last_seen_ns=event.stamp_ns,
-            seen_clock_ns=state.clock_ns,
-            seen_through=0,
-            seen_in=state.submaps.open_id,
-        )
-        if foreign.mean() < _FOREIGN_SHARE:
-            own, sightings = without(cloud, foreign), track.sightings + (not match.is_part)
+        track = replace(track, last_seen_ns=event.stamp_ns, seen_clock_ns=state.clock_ns)
+        track = replace(track, seen_through=0, seen_in=state.submaps.open_id)
+        if on_others.mean() < _FOREIGN_SHARE:
+            own, sightings = without(cloud, on_others), track.sightings + (not match.is_part)
             track = grown(track, own, sightings, self._config.voxels.object_m)
             if not match.is_part:
                 track = replace(track, existence=self._sighted(track.existence, event, observation))
@@ -185,34 +172,28 @@ class Tracker:
         return sighted(known, observation, event.world_from_camera[:3, 3], self._config.existence)
 
     def _neighbors(self, state: MapState, track: Track, observation: Observation) -> list[Track]:
-        """Return the other established tracks whose boxes overlap an observation's: its points may belong to them."""
-        if self.is_told:
+        # Other established tracks that an observation's points may belong to.
+        if self.is_external:
             return []
         near = state.tracks.touching(bounds_of(observation.points_world))
         least = _NEIGHBOR_SIGHTINGS
         return [other for other in near if other.id != track.id and other.sightings >= least]
 
     def _vote(self, state: MapState, sightings: list[Sighting]) -> None:
-        """Count the votes of this keyframe: one per pair of tracks that it segments apart or together.
-
-        Apart: two whole observations whose boxes touch. A pair counts as together only if it is not apart, since small
-        objects in contact cover each other's rims. A pair that only the map prior separated counts as together: votes
-        come from the frame alone, otherwise the map would confirm itself.
-        """
+        # Apart: two whole observations whose boxes touch. Together only if not apart, since small objects in contact
+        # cover each other's rims. A pair that only the map prior separates is together: the map must not confirm
+        # itself.
         whole = [sighting for sighting in sightings if not sighting.is_part]
-        told = pairs_of_groups([(sighting.observation.group, sighting.track_id) for sighting in whole])
+        grouped = pairs_of_groups([(sighting.observation.group, sighting.track_id) for sighting in whole])
         bounds = [bounds_of(sighting.observation.points_world) for sighting in whole]
-        apart = pairs_that_meet(bounds, [sighting.track_id for sighting in whole]) - told
+        apart = pairs_that_meet(bounds, [sighting.track_id for sighting in whole]) - grouped
         overlap = {pair_of(sighting.track_id, other) for sighting in sightings for other in sighting.covered}
-        together = overlap | told
+        together = overlap | grouped
         state.votes = state.votes.plus(sorted(apart), apart=1).plus(sorted(together - apart), together=1)
 
     def _note_split_candidates(self, state: MapState, event: FrameObserved, sightings: list[Sighting]) -> None:
-        """Update the split candidates with the keyframe's masks: parts segmented apart, and masks of whole tracks.
-
-        A mask is also apart from its track if a mask of another object covers the rest of the track: e.g. a mug whose
-        tray is segmented together with the table.
-        """
+        # A mask is also apart from its track if a mask of another object covers the rest of the track, e.g. a mug whose
+        # tray is segmented with the table.
         apart: list[tuple[int, Cloud]] = []
         whole: list[tuple[int, Cloud]] = []
         taken = {track_id for sighting in sightings for track_id in sighting.covered}
@@ -227,7 +208,7 @@ def _candidates(match: Match) -> str:
 
 
 def _is_cut(event: FrameObserved, observation: Observation) -> bool:
-    """Return whether the map prior cut an observation out of a larger instance that the frame alone segments."""
+    # The map prior cut it out of a larger instance that the frame alone segments.
     return observation.group > 0 and sum(other.group == observation.group for other in event.observations) > 1
 
 
@@ -246,7 +227,7 @@ def split_tracks(state: MapState, event: FrameObserved, hosts: set[int], config:
 
 
 def moved_out(state: MapState, sightings: list[Sighting], promoted: Mapping[int, int]) -> list[Sighting]:
-    """Return the sightings after splits: masks that showed a split-off part are reassigned to its new track."""
+    """Return the sightings after splits: masks of a split-off part go to its new track."""
     moved = list(sightings)
     for new_id, host_id in promoted.items():
         for i, sighting in enumerate(sightings):
@@ -261,10 +242,7 @@ def moved_out(state: MapState, sightings: list[Sighting], promoted: Mapping[int,
 def _split_off(
     state: MapState, event: FrameObserved, host_id: int, candidate: SplitCandidate, config: MappingConfig
 ) -> int | None:
-    """Make a track of a candidate and remove its points from the host; return its id.
-
-    None if the candidate is too small, or if its support relation to the host says that it is a part of it.
-    """
+    # None: the candidate is too small, or its support relation makes it a part of the host.
     voxel_m = config.voxels.object_m
     host = state.tracks[host_id]
     rest = without(host.cloud, is_near(host.cloud.keys, candidate.cloud))

@@ -19,10 +19,8 @@ if TYPE_CHECKING:
 def propose_views(
     state: MapState, event: FrameObserved, sightings: list[Sighting], config: ViewConfig
 ) -> tuple[dict[int, View], list[Effect]]:
-    """Return the views whose score bound beats the track's best view, by observation, and effects that keep views.
-
-    A view is kept at once if it is the best of its viewing direction (see `views.covers_better`).
-    """
+    """Return the views whose score bound beats the track's best view, by observation, and effects that keep views."""
+    # A view that is the best of its viewing direction is kept at once (`views.covers_better`).
     candidates: dict[int, View] = {}
     keeps: list[Effect] = []
     for sighting in sightings:
@@ -30,13 +28,9 @@ def propose_views(
         if track_id is None or sighting.is_part:
             continue
         observation, track = sighting.observation, state.tracks[track_id]
-        view = view_of(
-            observation,
-            track_id,
-            frame_index=event.frame_index,
-            stamp_ns=event.stamp_ns,
-            world_from_camera=event.world_from_camera,
-        )
+        pose = event.world_from_camera
+        stamp_ns, index = event.stamp_ns, event.frame_index
+        view = view_of(observation, track_id, frame_index=index, stamp_ns=stamp_ns, world_from_camera=pose)
         best = track.best_view
         bound = score_bound(view, config)
         if best is None or best.score is None or bound > best.score:
@@ -65,7 +59,7 @@ def judge_views(state: MapState, pending: PendingFeatures, event: FeaturesReady,
 
 
 def drop_unused_views(state: MapState) -> list[Effect]:
-    """Return the effects that drop the pixels of views that nothing refers to any more."""
+    """Return the effects that drop the pixels of unused views."""
     views = state.derived.views
     gone = views.unused(state.tracks, state.elsewhere, state.absorbed, state.joins, state.kept_views)
     state.kept_views.difference_update(gone)
@@ -73,7 +67,6 @@ def drop_unused_views(state: MapState) -> list[Effect]:
 
 
 def _judged(state: MapState, candidate: View, feature: MaskFeature, config: ViewConfig) -> View | None:
-    """Make a candidate the best view if its score is higher and return it; otherwise return None."""
     track_id = state.current_id(candidate.object_id)
     if track_id is None:
         return None
@@ -83,12 +76,8 @@ def _judged(state: MapState, candidate: View, feature: MaskFeature, config: View
     coverage = tuple((sector, view if kept.name == view.name else kept) for sector, kept in track.coverage)
     wins = better(track.best_view, view) is view
     before = "no view before" if track.best_view is None else f"best was {track.best_view.score or 0.0:.3f}"
-    state.decide(
-        "view",
-        track_id,
-        f"frame {view.frame_index}: {config.strategy} {value:.3f} "
-        f"(sigma^2 {feature.variance:.3f}, area {view.r_area:.4f}, depth {view.r_depth:.2f}), {before}: "
-        + ("best" if wins else "kept out"),
-    )
+    text = f"sigma^2 {feature.variance:.3f}, area {view.r_area:.4f}, depth {view.r_depth:.2f}), {before}: "
+    text = f"frame {view.frame_index}: {config.strategy} {value:.3f} ({text}{'best' if wins else 'kept out'}"
+    state.decide("view", track_id, text)
     state.tracks[track_id] = replace(track, coverage=coverage, best_view=view if wins else track.best_view)
     return view if wins else None

@@ -1,9 +1,7 @@
 """Splitting of fragments by the affinity network, where objects are flush, coplanar and of one colour.
 
-This is the mutex watershed (Wolf et al. 2018) inside each fragment. Edges are processed in order of decreasing
-confidence: an attractive edge joins two neighbouring pixels, a repulsive edge between distant pixels forbids joining
-the groups that they belong to by then. There are no seeds; the only threshold separates attraction from repulsion.
-`join` decides later, with all other cues, whether the pieces are one object.
+The mutex watershed (Wolf et al. 2018) inside each fragment: edges in order of decreasing confidence; an attractive one
+joins two neighbouring pixels, a repulsive one between distant pixels forbids joining their groups.
 """
 
 from __future__ import annotations
@@ -50,10 +48,8 @@ def divided_by_odds(labels: NDArray[np.int32], odds: PixelOdds, config: SplitCon
 
 @kernel
 def _by_sureness(labels, odds, offsets, num_near, zero):
-    """Return the edges within labels, as pixel and offset index, the most confident first, by counting sort.
-
-    They are attractive edges between neighbours and repulsive edges between pixels farther apart.
-    """
+    # Attractive edges between neighbours and repulsive ones between pixels farther apart, within labels, as pixel and
+    # offset index, the most confident first, by counting sort.
     height, width = labels.shape
     starts = np.zeros(258, dtype=np.int64)
     places = np.empty((0, 2), dtype=np.int32)
@@ -84,7 +80,7 @@ def _by_sureness(labels, odds, offsets, num_near, zero):
 
 @kernel
 def _mutex_watershed(labels, odds, offsets, num_near, zero):
-    """Return (h, w) the piece of each pixel, named by the flat index of one of its pixels."""
+    # (h, w) the piece of each pixel, named by the flat index of one of its pixels.
     height, width = labels.shape
     said = _by_sureness(labels, odds, offsets, num_near, zero)
     parent = np.arange(height * width)
@@ -133,7 +129,7 @@ def _mutex_watershed(labels, odds, offsets, num_near, zero):
 
 @kernel
 def _without_specks(labels, pieces, odds, offsets, min_pixels):
-    """Return the pieces after merging those that are too small with a neighbour of the same label, smallest first."""
+    # Too small pieces are merged with a neighbour of the same label, smallest first.
     height, width = labels.shape
     size = height * width
     area = np.zeros(size, dtype=np.int64)
@@ -187,7 +183,7 @@ def _without_specks(labels, pieces, odds, offsets, min_pixels):
 
 @kernel
 def _renamed(labels, few, pieces, count):
-    """Return (h, w) new labels: each pixel takes the piece of the nearest network pixel with the same old label."""
+    # (h, w) new labels: each pixel takes the piece of the nearest network pixel with the same old label.
     height, width = labels.shape
     names = np.zeros(few.size, dtype=np.int32)
     has_name = np.zeros(count + 1, dtype=np.bool_)

@@ -1,10 +1,8 @@
 """The input channels of the affinity network, in eight bits: geometry and colour.
 
-Geometry leads, after UOIS-Net (Xie et al. 2021) and UCN (Xiang et al. 2020), whose networks were trained on synthetic
-clutter and generalise to real scenes. The channels are independent of the camera: normals are in the frame of gravity
-and the camera's heading; depth steps and creases are second differences of inverse depth, which vanish on planes, in
-units of its noise, which is uniform for a stereo camera. Scale and height are channels, too, but the network was
-trained to work without either of them, and without colour.
+Geometry leads, as in UOIS-Net (Xie et al. 2021) and UCN (Xiang et al. 2020). The channels do not depend on the camera:
+normals are in the frame of gravity and the heading; depth steps and creases are second differences of inverse depth in
+units of its noise. The network was trained to work without scale, height or colour.
 """
 
 from __future__ import annotations
@@ -23,27 +21,14 @@ if TYPE_CHECKING:
     from hickory_stream.perception.surface import Surface
 
 CHANNELS = (
-    "valid",
-    "normal_forward",
-    "normal_right",
-    "normal_up",
-    "bend_x_1",
-    "bend_y_1",
-    "bend_x_4",
-    "bend_y_4",
-    "scale",
-    "height",
-    "has_height",
-    "light",
-    "green_red",
-    "blue_yellow",
+    *("valid", "normal_forward", "normal_right", "normal_up", "bend_x_1", "bend_y_1", "bend_x_4", "bend_y_4"),
+    *("scale", "height", "has_height", "light", "green_red", "blue_yellow"),
 )
 NUM_INPUTS = len(CHANNELS)
-ZERO = 128
-"""The byte for 0 and for unknown values; the values -1 and 1 of a channel are `UNIT` below and above it."""
-UNIT = 64
+# The byte for 0 and for unknown values; the values -1 and 1 of a channel are `UNIT` below and above it.
+ZERO, UNIT = 128, 64
+# Height and width of the network's input are multiples of this; pixels beyond the frame are `ZERO`.
 MULTIPLE_PX = 32
-"""Height and width of the network's input are multiples of this; pixels beyond the frame are `ZERO`."""
 
 
 def pixel_inputs(surface: Surface, floor_z_m: float | None) -> NDArray[np.uint8]:
@@ -51,41 +36,31 @@ def pixel_inputs(surface: Surface, floor_z_m: float | None) -> NDArray[np.uint8]
     height, width = surface.depth_m.shape
     padded = [-(-side // MULTIPLE_PX) * MULTIPLE_PX for side in (height, width)]
     out = np.full((NUM_INPUTS, *padded), ZERO, dtype=np.uint8)
+    arrays = (surface.depth_m, surface.points_world, surface.normals_world, surface.sigma_m)
     focal_px = np.float32((surface.camera.fx + surface.camera.fy) / 2)
-    _geometry(
-        surface.depth_m,
-        surface.points_world,
-        surface.normals_world,
-        surface.sigma_m,
-        _heading(surface.world_from_camera),
-        focal_px,
-        np.float32(np.nan if floor_z_m is None else floor_z_m),
-        out,
-    )
+    floor_z = np.float32(np.nan if floor_z_m is None else floor_z_m)
+    _geometry(*arrays, _heading(surface.world_from_camera), focal_px, floor_z, out)
     _colors(surface.lab, out)
     return out
 
 
 def _heading(world_from_camera: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return (2,) the horizontal viewing direction; for a camera that looks straight down, that of the image's top."""
+    # (2,) the horizontal viewing direction; the image's top for a camera that looks straight down.
     forward = world_from_camera[:2, 2] - 0.2 * world_from_camera[:2, 1]
     return np.asarray(forward / max(portable.norm(forward), 1e-9), dtype=np.float32)
 
 
 @kernel
 def _byte(value):
-    """Return the byte of a value, which is clipped to -2..1.98."""
+    # Clipped to -2..1.98.
     scaled = np.float32(128.5) + np.float32(64.0) * value
     return np.uint8(min(max(scaled, np.float32(0.0)), np.float32(255.0)))
 
 
 @kernel(error_model="numpy")
 def _bends(one, other, own, stiffness, out):
-    """Fill in (W,) the second differences of inverse depth in sigmas, squeezed to -2..2; 0 where not measurable.
-
-    `one` and `other` (W,) are inverse depths on both sides of `own`, NaN where there is no return, and `stiffness` (W,)
-    is the inverse of the standard deviation of `own`. Vectorised.
-    """
+    # (W,) second differences of inverse depth in sigmas, squeezed to -2..2; 0 where not measurable. `one` and `other`
+    # are inverse depths on both sides of `own`, NaN without a return; `stiffness`: inverse deviation. Vectorised.
     two, four, zero = np.float32(2.0), np.float32(4.0), np.float32(0.0)
     for x in range(len(out)):
         bend = (one[x] + other[x] - two * own[x]) * stiffness[x]

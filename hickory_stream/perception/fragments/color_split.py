@@ -1,8 +1,7 @@
 """Splitting of fragments by colour: a box flush with the one below it, books on a board.
 
-Geometry cannot separate surfaces that are flush within noise. Colour is averaged over windows inside a fragment, so
-that a texture counts as one colour, and the windows are split in two along their principal colour axis (Otsu 1979).
-This over-segments on purpose: `join` decides, with all other cues, whether the pieces are one object.
+Colour is averaged over windows inside a fragment, so that a texture is one colour, and the windows are split in two
+along their principal colour axis (Otsu 1979). It over-segments on purpose: `join` decides about the pieces.
 """
 
 from __future__ import annotations
@@ -56,7 +55,6 @@ def split_by_color(
 
 
 def _pieces(mask: NDArray[np.bool_], lab: NDArray[np.float32], depth: int) -> list[NDArray[np.bool_]]:
-    """Return the masks into which a mask is split; itself if it has one colour."""
     if depth == 0 or int(mask.sum()) < 2 * _MIN_PIXELS:
         return [mask]
     bright = _two_colors(mask, lab)
@@ -69,7 +67,6 @@ def _pieces(mask: NDArray[np.bool_], lab: NDArray[np.float32], depth: int) -> li
 
 
 def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32]) -> NDArray[np.bool_] | None:
-    """Return which pixels of a mask have the first of its two colours; None if the mask has only one colour."""
     side = (_WINDOW_PX, _WINDOW_PX)
     share = cv2.blur(mask.astype(np.float32), side, borderType=cv2.BORDER_CONSTANT)
     total = cv2.blur(_within(lab, mask), side, borderType=cv2.BORDER_CONSTANT)
@@ -91,7 +88,7 @@ def _two_colors(mask: NDArray[np.bool_], lab: NDArray[np.float32]) -> NDArray[np
 
 @kernel
 def _within(lab, mask):
-    """Return (h, w, 3) the colours within a mask, 0 elsewhere."""
+    # (h, w, 3) the colours within a mask, 0 elsewhere.
     out = np.zeros(lab.shape, dtype=np.float32)
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
@@ -103,7 +100,7 @@ def _within(lab, mask):
 
 @kernel
 def _window_colors(total, share, mask):
-    """Return (N, 3) mean colours of the windows around a mask's pixels, the same centred, and (3, 3) the covariance."""
+    # (N, 3) mean colours of the windows around a mask's pixels, the same centred, and (3, 3) the covariance.
     count = 0
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
@@ -133,7 +130,6 @@ _OTSU_BINS = 48
 
 
 def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return Otsu's threshold of values, and the between-class share of their variance."""
     edges = np.linspace(values.min(), values.max(), _OTSU_BINS + 1)
     counts = _histogram(values, edges)
     middles = (edges[:-1] + edges[1:]) / 2
@@ -148,7 +144,7 @@ def _otsu(values: NDArray[np.float64]) -> tuple[float, float]:
 
 @kernel
 def _histogram(values, edges):
-    """Return the histogram of values over evenly spaced edges that enclose all of them."""
+    # `edges` are evenly spaced and enclose all values.
     bins = len(edges) - 1
     counts = np.zeros(bins, dtype=np.int64)
     width = (edges[bins] - edges[0]) / bins
@@ -164,7 +160,7 @@ def _histogram(values, edges):
 
 
 def _regions(one: NDArray[np.bool_], other: NDArray[np.bool_], min_pixels: int) -> list[NDArray[np.bool_]]:
-    """Return the connected regions of two masks that are large enough; other pixels go to the nearest of these."""
+    # Large enough connected regions of two masks; other pixels go to the nearest of these.
     large: list[NDArray[np.bool_]] = []
     for mask in (one, other):
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)

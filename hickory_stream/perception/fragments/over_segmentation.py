@@ -1,9 +1,6 @@
 """Over-segmentation into fragments: connected surface without depth edges, concave creases or support plane borders.
 
-Neighbouring pixels are joined by union-find; the partition depends only on which pairs of neighbours may be joined, not
-on their order.
-
-The record of an over-segmented frame, which the steps of joining pass on to one another.
+Union-find joins neighbouring pixels: only which pairs may be joined matters, not their order.
 """
 
 from __future__ import annotations
@@ -35,12 +32,10 @@ _CREASE_REACH_PX = 2
 _MIN_PIXELS = 12
 
 
-def support_labels(
-    surface: Surface, heights_m: NDArray[np.float64], *, min_pixels: int, tolerance_m: float = 0.008
-) -> NDArray[np.int32]:
-    """Return (h, w) 1 + the index of the support plane on which a pixel lies; 0 if there is none."""
+def support_labels(surface: Surface, heights_m: NDArray[np.float64], *, min_pixels: int) -> NDArray[np.int32]:
+    """Return (h, w) 1 + the index of the support plane under a pixel; 0 if there is none."""
     labels = np.zeros(surface.depth_m.shape, dtype=np.int32)
-    slack = tolerance_m + 1.5 * surface.sigma_m
+    slack = 0.008 + 1.5 * surface.sigma_m
     for i, height in enumerate(heights_m):
         _label_level(surface.points_world, surface.normals_world, slack, float(height), min_pixels, i + 1, labels)
     return labels
@@ -48,7 +43,6 @@ def support_labels(
 
 @kernel
 def _label_level(points, normals, slack, z_m, min_pixels, label, labels):
-    """Label the unlabelled pixels of 4-connected regions of a horizontal surface that are large enough."""
     height, width = labels.shape
     waits = np.empty((height, width), dtype=np.bool_)
     for y in range(height):
@@ -80,15 +74,8 @@ def _label_level(points, normals, slack, z_m, min_pixels, label, labels):
 
 def concave_creases(surface: Surface, structure: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return (h, w) the pixels on a concave crease, outside of structure."""
-    return _creases(
-        surface.points_world,
-        surface.normals_world,
-        surface.sigma_m,
-        structure,
-        _CREASE_REACH_PX,
-        np.float32(cos(_CREASE_RAD)),
-        np.float32(_STEP_M),
-    )
+    limits = (_CREASE_REACH_PX, np.float32(cos(_CREASE_RAD)), np.float32(_STEP_M))
+    return _creases(surface.points_world, surface.normals_world, surface.sigma_m, structure, *limits)
 
 
 def fragments_of(
@@ -98,17 +85,9 @@ def fragments_of(
     creases: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
     """Return (h, w) fragment labels 1..n in scan order; 0 on structure and where there is no depth."""
-    labels = _join(
-        surface.depth_m,
-        surface.points_world,
-        surface.normals_world,
-        surface.sigma_m,
-        structure,
-        supports,
-        creases,
-        np.float32(_STEP_M),
-        np.float32(_GAP_SHARE),
-    )
+    arrays = (surface.depth_m, surface.points_world, surface.normals_world, surface.sigma_m)
+    limits = (np.float32(_STEP_M), np.float32(_GAP_SHARE))
+    labels = _join(*arrays, structure, supports, creases, *limits)
     usable = ~structure & np.isfinite(surface.depth_m)
     return _grow_into(labels, usable, surface.depth_m, supports, _MIN_PIXELS)
 
@@ -202,7 +181,7 @@ def _may_join(y, x, yy, xx, depth, points, normals, sigma, supports, step, gap_s
 
 @kernel
 def _grow_into(labels, usable, depth, supports, min_pixels):
-    """Assign crease pixels and small fragments to the neighbouring fragment of the most similar depth, ring by ring."""
+    # Crease pixels and small fragments go to the neighbour of the most similar depth, ring by ring.
     height, width = labels.shape
     sizes = np.bincount(labels.ravel())
     out = labels.copy()

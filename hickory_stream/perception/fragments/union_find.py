@@ -1,4 +1,4 @@
-"""The root of a set of pixels, for kernels that join pixels by union-find (Tarjan and van Leeuwen 1984)."""
+"""The root of a set of pixels, for union-find in kernels (Tarjan and van Leeuwen 1984)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """DINOv2: patch features of unit norm by a vision transformer's graph, for images of any size.
 
-The graph takes (1, 3, H, W) with H and W multiples of its patch, normalised as for ImageNet, and gives tokens (1, T, D)
-of which the last ones are the patches, row by row (the class and register tokens before them are dropped), or a map
-(1, D, h, w).
+The graph takes (1, 3, H, W) in multiples of its patch, normalised as for ImageNet, and gives tokens (1, T, D), the last
+of which are the patches row by row, or a map (1, D, h, w).
 """
 
 from __future__ import annotations
@@ -38,11 +37,7 @@ class DinoConfig(Ranged):
 
 
 class DinoExtractor:
-    """A `FeatureExtractor`; `name` distinguishes its features from those of other weights.
-
-    Raises:
-        ModelError: the graph is not of this kind.
-    """
+    """A `FeatureExtractor`; `name` tells weights apart. Raises `ModelError` for another kind of graph."""
 
     def __init__(self, network: Network, config: DinoConfig, *, name: str = "dinov2", warm_up: bool = True) -> None:
         self.name = name
@@ -73,20 +68,15 @@ class DinoExtractor:
     def extract(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return (h, w, D) float32 features of unit norm, one per patch; h = ceil(H / patch), w = ceil(W / patch).
 
-        Patches that extend beyond the image are padded by repeating its border.
+        Patches beyond the image repeat its border.
 
         Raises:
-            ModelError: the graph is of another fixed size, or gives tensors of another shape or that are not finite.
+            ModelError: the graph has another fixed size, or gives tensors of another shape or that are not finite.
         """
         height, width, _ = rgb.shape
         rows, columns = -(-height // self.patch_px), -(-width // self.patch_px)
         padded = cv2.copyMakeBorder(
-            rgb,
-            0,
-            rows * self.patch_px - height,
-            0,
-            columns * self.patch_px - width,
-            cv2.BORDER_REPLICATE,
+            rgb, 0, rows * self.patch_px - height, 0, columns * self.patch_px - width, cv2.BORDER_REPLICATE
         )
         if self._config.reduce > 1:
             size = (columns * self._config.patch_px, rows * self._config.patch_px)

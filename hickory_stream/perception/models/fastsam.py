@@ -1,7 +1,7 @@
 """FastSAM: class-agnostic instance masks by any YOLOv8-seg style graph, of one class or more.
 
 The graph takes (1, 3, S, S) colour in 0..1 and gives predictions (1, 4 + classes + C, anchors) and prototypes
-(1, C, h, w). The masks then pass through the mask pipeline that every mask network shares (`masks`).
+(1, C, h, w).
 """
 
 from __future__ import annotations
@@ -62,11 +62,7 @@ class Found:
 
 
 class FastSam:
-    """The network without the mask pipeline: from an image to masks that may overlap.
-
-    Raises:
-        ModelError: the graph is not of this kind.
-    """
+    """The network without the mask pipeline: from an image to masks that may overlap; raises `ModelError`."""
 
     def __init__(self, network: Network, config: FastSamConfig, *, warm_up: bool = True) -> None:
         self._network = network
@@ -78,11 +74,7 @@ class FastSam:
             network.warm_up(np.zeros((1, 3, self._size[1], self._size[0]), dtype=np.float32))
 
     def masks(self, rgb: NDArray[np.uint8]) -> tuple[list[InstanceMask], int]:
-        """Return the masks of an image (H, W, 3), the best first, and how many detections were not finite.
-
-        Raises:
-            ModelError: the network fails, or gives tensors that are not of this kind.
-        """
+        """Return the masks of an image (H, W, 3), best first, and the number of non-finite detections."""
         height, width, _ = rgb.shape
         letterbox = letterbox_of(width, height, *self._size)
         outputs = self._network.run(letterboxed(rgb, letterbox))
@@ -91,7 +83,7 @@ class FastSam:
     def decode(
         self, predictions: NDArray[np.float32], prototypes: NDArray[np.float32], width: int, height: int
     ) -> tuple[list[InstanceMask], int]:
-        """Return the masks in an image of this size, and how many detections were not finite, from the two tensors."""
+        """Return the masks in an image of this size, and the number of non-finite detections, from the two tensors."""
         config = self._config
         if predictions.shape[1] < 5 + prototypes.shape[1]:
             raise self._network.mismatch(
@@ -107,54 +99,41 @@ class FastSam:
         letterbox = letterbox_of(width, height, *self._size)
         scale = min(1.0, config.mask_px / max(width, height)) if config.mask_px else 1.0
         if scale < 1.0:
-            small = letterbox_of(max(1, round(width * scale)), max(1, round(height * scale)), *self._size)
-            boxes = small.to_image(found.boxes)
-            decoded = masks_of(boxes, found.scores, found.coefficients, prototypes[0], small)
-            return [
-                _stretched(mask, small.width, small.height, width, height) for mask in decoded
-            ], found.num_not_finite
+            letterbox = letterbox_of(max(1, round(width * scale)), max(1, round(height * scale)), *self._size)
         boxes = letterbox.to_image(found.boxes)
-        return masks_of(boxes, found.scores, found.coefficients, prototypes[0], letterbox), found.num_not_finite
+        masks = masks_of(boxes, found.scores, found.coefficients, prototypes[0], letterbox)
+        if scale < 1.0:
+            masks = [_stretched(mask, letterbox.width, letterbox.height, width, height) for mask in masks]
+        return masks, found.num_not_finite
 
 
 class FastSamSegmenter:
     """A `Segmenter`: instances from the network's masks, room structure from geometry."""
 
     def __init__(
-        self,
-        network: FastSam,
-        *,
-        masks: MaskConfig,
-        surface: SurfaceConfig,
-        structure: StructureConfig,
+        self, network: FastSam, *, masks: MaskConfig, surface: SurfaceConfig, structure: StructureConfig
     ) -> None:
-        self._network = network
-        self._masks = masks
-        self._surface = surface
-        self._structure = structure
-        self._was_told = False
+        self._network, self._masks = network, masks
+        self._surface, self._structure = surface, structure
+        self._has_warned = False
 
     def prepare(self, frame: Frame) -> Found:
         """Return the surface and the masks of a frame; raises `ModelError`."""
         masks, num_not_finite = self._network.masks(np.asarray(frame.rgb))
-        if num_not_finite and not self._was_told:
-            self._was_told = True
-            logger.warning(
-                "the network gave %d detections with NaN or infinity in frame %d; they are left out (said once)",
-                num_not_finite,
-                frame.index,
-            )
+        if num_not_finite and not self._has_warned:
+            self._has_warned = True
+            text = "the network gave %d detections with NaN or infinity in frame %d; they are left out (said once)"
+            logger.warning(text, num_not_finite, frame.index)
         return Found(surface=surface_of(frame, self._surface), masks=masks, num_not_finite=num_not_finite)
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances and the structure of a frame; `prior` is what the map knows."""
+        """Return the instances and the structure of a frame; `prior` is the map so far."""
         found = prepared if isinstance(prepared, Found) else self.prepare(frame)
         surface = found.surface
         size = (frame.camera.width, frame.camera.height)
         space = None if prior is None else prior.space
         room = room_structure_of(surface, space, self._structure, _SUPPORT_AREA_M2)
-        structure = enlarged_mask(room.structure, surface.factor, size)
-        shown = enlarged_mask(room.shown, surface.factor, size)
+        structure, shown = (enlarged_mask(mask, surface.factor, size) for mask in (room.structure, room.shown))
         instances, rejected = compose(found.masks, surface, structure, self._masks)
         if found.num_not_finite:
             whole = (0, 0, *size)
@@ -170,7 +149,7 @@ class FastSamSegmenter:
 
 
 def _outputs_of(network: Network) -> tuple[int, int]:
-    """Return the indices of the predictions and the prototypes among the outputs, identified by their ranks."""
+    # The indices of the predictions and the prototypes among the outputs, identified by their ranks.
     ranks = [len(output.shape) for output in network.outputs]
     if ranks.count(3) != 1 or ranks.count(4) != 1:
         expected = "predictions (1, 4 + classes + C, anchors) and prototypes (1, C, h, w) as its outputs"
@@ -183,7 +162,6 @@ def _outputs_of(network: Network) -> tuple[int, int]:
 
 
 def _stretched(mask: InstanceMask, width: int, height: int, full_width: int, full_height: int) -> InstanceMask:
-    """Return a mask of a reduced image (width, height) in the full one."""
     x0, y0, x1, y1 = mask.box_px
     u0, u1 = (round(x * full_width / width) for x in (x0, x1))
     v0, v1 = (round(y * full_height / height) for y in (y0, y1))

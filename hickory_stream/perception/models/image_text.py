@@ -1,10 +1,8 @@
-"""Image-text networks: a pair of graphs, as CLIP has them, that bring pictures and words into one space of features.
+"""Image-text networks: a pair of graphs that bring pictures and words into one space of features.
 
-The files are those that such networks are published with: a vision graph (`pixel_values` -> (1, D)), a text graph
-(`input_ids`, perhaps `attention_mask` -> (1, D)), `tokenizer.json`, `preprocessor_config.json`, and perhaps
-`tokenizer_config.json`, which says how many tokens a text may have and which one fills it up.
-
-Source: Radford et al., Learning transferable visual models from natural language supervision, ICML 2021.
+The published files: a vision graph (`pixel_values` -> (1, D)), a text graph (`input_ids`, perhaps `attention_mask` ->
+(1, D)), `tokenizer.json`, `preprocessor_config.json`, and perhaps `tokenizer_config.json` with the length and padding
+of texts. Source: Radford et al., Learning transferable visual models from natural language supervision, ICML 2021.
 """
 
 from __future__ import annotations
@@ -42,17 +40,11 @@ _MOST_TOKENS_EVER = 4096
 
 
 class ImageTextNetwork:
-    """A pair of graphs that is loaded, with its tokenizer.
-
-    Args:
-        vision, text: the graphs.
-        tokenizer: the path of `tokenizer.json`.
-        preprocessor: the path of `preprocessor_config.json`.
-        tokenizer_config: the path of `tokenizer_config.json`, None where there is none.
+    """A loaded pair of graphs with its tokenizer, from the paths of its published files.
 
     Raises:
-        ModelError: a graph is no such graph, or one of the other files cannot be read.
-        ConfigError: the package that reads tokenizers is not installed.
+        ModelError: a graph is of another kind, or one of the other files cannot be read.
+        ConfigError: the package `tokenizers` is not installed.
     """
 
     def __init__(
@@ -95,16 +87,12 @@ class ImageTextNetwork:
         return _unit(outputs[self._text_output], self._text)
 
     def tokens_of(self, text: str) -> list[int]:
-        """Return the ids of the tokens that the text graph is given."""
+        """Return the token ids of a text for the text graph."""
         return list(self._tokenizer.encode(text).ids)
 
 
 def open_image_text(entry: ModelEntry, vision: Network, config: NetworkConfig) -> ImageTextNetwork:
-    """Return the network of an entry of the folder of models whose vision graph is open.
-
-    Raises:
-        ModelError, ConfigError: as `ImageTextNetwork`.
-    """
+    """Return the network of an entry of the folder of models; raises as `ImageTextNetwork`."""
     folder = vision.path.parent
     roles = {one.role for one in entry.companions}
     return ImageTextNetwork(
@@ -117,11 +105,7 @@ def open_image_text(entry: ModelEntry, vision: Network, config: NetworkConfig) -
 
 
 def published_files(folder: Path) -> dict[str, Path]:
-    """Return the files of a published pair by their roles.
-
-    Raises:
-        ModelError: one is missing; all that are missing are named.
-    """
+    """Return the files of a published pair by their roles; raises `ModelError` with all that are missing."""
     found = {
         role: next((folder / name for name in names if (folder / name).is_file()), None)
         for role, names in PUBLISHED.items()
@@ -136,7 +120,6 @@ def published_files(folder: Path) -> dict[str, Path]:
 
 
 def _feature_output(network: Network) -> int:
-    """Return the place of the output that is the feature."""
     for name in _FEATURES:
         for i, tensor in enumerate(network.outputs):
             if tensor.name == name and len(tensor.shape) == 2:
@@ -175,7 +158,7 @@ def _fixed_length(text: Network) -> int | None:
 
 
 def _most_tokens(text: Network, said: dict[str, Any]) -> int:
-    """Return how many tokens a text may have: as the graph has it, else as the tokenizer's file says, else as CLIP."""
+    # As the graph has it, else as the tokenizer's file says, else as CLIP.
     fixed, most = _fixed_length(text), said.get("model_max_length")
     if fixed is not None:
         return fixed

@@ -1,7 +1,6 @@
-"""From a picture to what a vision graph takes, as the `preprocessor_config.json` says that it is published with.
+"""Pre-processing of a picture for a vision graph, as its published `preprocessor_config.json` says.
 
-Resized by Pillow, in whole numbers and with its own anti-aliasing, as the networks were trained; OpenCV's would be off
-by more than a network is robust to.
+Pillow resizes, with its own anti-aliasing, as in training; OpenCV's result would differ by more than a network bears.
 """
 
 from __future__ import annotations
@@ -26,32 +25,25 @@ _RESAMPLINGS = range(6)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Preprocessing:
-    """What is done to a picture.
+    """The pre-processing of a picture."""
 
-    Attributes:
-        short_px: its shorter side becomes so long; 0 where `size_px` says both.
-        size_px: height and width that it gets, whatever it had; None where `short_px` says one.
-        crop_px: height and width of the middle that is kept, None: all of it.
-        resampling: Pillow's number of the filter.
-        scale: what values of 0..255 are multiplied by.
-        mean, std: per channel, after that.
-    """
-
+    #: its new shorter side; 0 if `size_px` gives both
     short_px: int
+    #: its new height and width; None if `short_px` gives one
     size_px: tuple[int, int] | None
+    #: height and width of the middle that is kept; None: all of it
     crop_px: tuple[int, int] | None
+    #: Pillow's number of the filter
     resampling: int
+    #: factor of values 0..255
     scale: float
+    #: per channel, after scaling, like `std`
     mean: tuple[float, float, float]
     std: tuple[float, float, float]
 
 
 def read_preprocessing(path: Path) -> Preprocessing:
-    """Return what a `preprocessor_config.json` says.
-
-    Raises:
-        ModelError: it cannot be read, or says something else than sizes, a filter, means and deviations.
-    """
+    """Return the pre-processing of a `preprocessor_config.json`; raises `ModelError` if it is invalid."""
     try:
         said = json.loads(path.read_text(encoding="utf-8"))
         return _preprocessing(said)

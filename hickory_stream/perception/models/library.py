@@ -1,7 +1,7 @@
 """The folder of networks: the model files and their manifest.
 
-A file is used only if it has an entry in `manifest.json` with its sha256, origin, licence and input size. Nothing is
-ever downloaded; the error for a missing model says how to get it.
+A file is used only with an entry in `manifest.json` (sha256, origin, licence, input size). Nothing is ever downloaded;
+the error for a missing model says how to get it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _ORIGINS: dict[Kind, str] = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Companion:
-    """A further file that a network needs: what it is for (`role`), its name in the folder, its hash."""
+    """A further file that a network needs, by its `role`."""
 
     role: str
     file: str
@@ -56,27 +56,22 @@ class Companion:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ModelEntry:
-    """The manifest's entry of a network.
+    """The manifest's entry of a network."""
 
-    Attributes:
-        name: the name in the configuration; also the stem of its file.
-        kind: what it computes, which determines how its tensors are interpreted.
-        file: the name of its file in the folder.
-        sha256: the hash of the file's bytes.
-        source, licence: origin of the weights, and their licence.
-        input_px: width and height of the graph's input, 0 for any.
-        labels: names of its classes in the order of their ids; empty if it has none.
-        companions: further files that it needs, e.g. the tokenizer of an image-text network.
-    """
-
+    #: name in the configuration; also the stem of its file
     name: str
+    #: what it computes; determines how its tensors are interpreted
     kind: Kind
     file: str
     sha256: str
+    #: origin of the weights
     source: str
     licence: str
+    #: width and height of the graph's input, 0 for any
     input_px: tuple[int, int] = (0, 0)
+    #: names of its classes in the order of their ids
     labels: tuple[str, ...] = ()
+    #: further files, e.g. the tokenizer of an image-text network
     companions: tuple[Companion, ...] = ()
 
     def __post_init__(self) -> None:
@@ -94,7 +89,7 @@ class ModelEntry:
         return {self.file: self.sha256, **{one.file: one.sha256 for one in self.companions}}
 
     def companion(self, role: str) -> str:
-        """Return the name of the file that has a role; raises `ModelError` where there is none."""
+        """Return the name of the file with a role; raises `ModelError` if there is none."""
         found = next((one.file for one in self.companions if one.role == role), None)
         if found is None:
             raise ModelError(f"the model {self.name} has no {role} in {MANIFEST}; {how_to_get(self.name, self.kind)}")
@@ -115,11 +110,7 @@ def models_folder() -> Path:
 
 
 def read_manifest(folder: Path) -> dict[str, ModelEntry]:
-    """Return the entries of a folder by name, sorted; empty if there is no manifest.
-
-    Raises:
-        ModelError: the manifest cannot be read, or has an invalid entry.
-    """
+    """Return the entries of a folder by name, sorted; empty without a manifest. Raises `ModelError`."""
     path = folder / MANIFEST
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -135,16 +126,10 @@ def read_manifest(folder: Path) -> dict[str, ModelEntry]:
 
 
 def add_model(folder: Path, file: Path, entry: ModelEntry, companions: Mapping[str, Path] | None = None) -> None:
-    """Copy a network into a folder and write its entry; one of the same name is replaced.
-
-    Args:
-        folder: the folder of networks.
-        file: the network.
-        entry: its entry.
-        companions: where the files of `entry.companions` are now, by their roles.
+    """Copy a network, and its companions by their roles, into a folder and write its entry; the same name is replaced.
 
     Raises:
-        ModelError: a file's hash is not the entry's, or the folder cannot be written.
+        ModelError: a file's hash differs from the entry's, or the folder cannot be written.
     """
     entries = read_manifest(folder)
     given = {entry.file: file}
@@ -173,10 +158,10 @@ def _add_file(target: Path, source: Path, entry: ModelEntry, entries: Mapping[st
 
 
 def find_model(name: str, kind: Kind, *, folder: Path | None = None) -> tuple[ModelEntry, Path]:
-    """Return the entry of a network and the path of its file, whose hash was checked.
+    """Return the entry of a network and the path of its file, after checking its hash.
 
     Raises:
-        ModelError: there is no network with this name and kind, or its file is missing or has another hash.
+        ModelError: no network has this name and kind, or its file is missing or has another hash.
     """
     folder = folder if folder is not None else models_folder()
     entries = read_manifest(folder)
@@ -214,7 +199,7 @@ def _require_intact(path: Path, sha256: str, entry: ModelEntry) -> None:
 
 
 def how_to_get(name: str, kind: Kind) -> str:
-    """Return what to do to have a model of this name and kind."""
+    """Return instructions to get a model of this name and kind."""
     adds = f"`hickory-stream models add {name}.onnx --kind {kind}`"
     if kind == "image-text":
         return f"add {_ORIGINS[kind]}, with `hickory-stream models add FOLDER --kind {kind} --name {name}`"
@@ -250,7 +235,6 @@ def _write_manifest(folder: Path, entries: dict[str, ModelEntry]) -> None:
 
 
 def _replace(target: Path, write: Any) -> None:
-    """Write a file atomically."""
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     os.close(handle)
     try:

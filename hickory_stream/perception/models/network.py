@@ -1,7 +1,7 @@
 """One network in onnxruntime: opened on the available accelerator, checked, warmed up, timed.
 
-onnxruntime falls back to the CPU silently when an accelerator's libraries are missing. Here a provider that is
-configured by name is used, or an error is raised; `auto` uses the best one available and logs which.
+onnxruntime falls back to the CPU silently. Here a provider that is configured by name is used, or an error is raised;
+`auto` uses the best one available and logs its name.
 """
 
 from __future__ import annotations
@@ -58,15 +58,10 @@ class Tensor:
 
 
 class Network:
-    """An ONNX graph that is loaded and ready.
-
-    Args:
-        path: the graph.
-        config: how it is run.
+    """A loaded ONNX graph.
 
     Raises:
-        ModelError: the file is missing, damaged, or uses an operator set that this onnxruntime does not support, or the
-            provider is not available.
+        ModelError: the file is missing, damaged, or uses an unsupported operator set, or the provider is not available.
     """
 
     def __init__(self, path: Path, config: NetworkConfig) -> None:
@@ -82,11 +77,7 @@ class Network:
         logger.info("%s runs on %s", path.name, self.provider)
 
     def require_image_input(self, kind: str) -> tuple[int | None, int | None]:
-        """Return the height and width (None: any) of the single image that the graph takes, (1, 3, H, W) float.
-
-        Raises:
-            ModelError: the graph takes something else.
-        """
+        """Return height and width (None: any) of the only input, an image (1, 3, H, W) float; raises `ModelError`."""
         shape = self.inputs[0].shape if len(self.inputs) == 1 else ()
         is_image = len(shape) == 4 and shape[0] in (1, None) and shape[1] in (3, None)
         if not is_image or self.inputs[0].dtype not in ("float", "float16"):
@@ -105,22 +96,12 @@ class Network:
         self.num_runs, self.total_s = 0, 0.0
 
     def run(self, image: NDArray[Any]) -> list[NDArray[Any]]:
-        """Return the outputs, in the graph's order, for an image (1, C, H, W) float32, or uint8 if the graph takes it.
-
-        float16 outputs are converted to float32.
-
-        Raises:
-            ModelError: the graph fails on it.
-        """
+        """Return the outputs, float16 as float32, for an image (1, C, H, W) float32 or uint8; raises `ModelError`."""
         given = image.astype(np.float16) if self.inputs[0].dtype == "float16" else image
         return self.run_named({self.inputs[0].name: given}, f"an image of {image.shape[3]} x {image.shape[2]}")
 
     def run_named(self, given: dict[str, NDArray[Any]], what: str) -> list[NDArray[Any]]:
-        """Return the outputs, in the graph's order, for inputs by name; `what` they are is for the message.
-
-        Raises:
-            ModelError: the graph fails on them.
-        """
+        """Return the outputs for inputs by name; `what` describes them in the message of a `ModelError`."""
         started = time.perf_counter()
         try:
             outputs: Sequence[Any] = self._session.run(None, given)

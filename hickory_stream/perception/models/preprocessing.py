@@ -1,11 +1,4 @@
-"""Letterboxing: an image scaled to fit a network's input, centred, with grey around it; and the inverse.
-
-The rounding is that of YOLOv8's own pre-processing, to the pixel: half a pixel moves every mask.
-
-The pre-processing that networks trained on ImageNet share: its mean and standard deviation, per channel.
-
-The image on which models are tested: a cup of coffee on a table, from scikit-image (public domain).
-"""
+"""Pre-processing of images: YOLOv8's letterbox, to the pixel; and normalisation as for ImageNet."""
 
 from __future__ import annotations
 
@@ -24,10 +17,7 @@ _GREY = 114
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Letterbox:
-    """Where an image (`width`, `height`) lies in a network's frame (`frame_width`, `frame_height`), all in pixels.
-
-    It is scaled to (`inner_width`, `inner_height`) and begins at (`left`, `top`).
-    """
+    """An image in a network's frame, scaled to the inner size and beginning at (`left`, `top`); all in pixels."""
 
     width: int
     height: int
@@ -90,7 +80,7 @@ def normalised(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def built_in_picture() -> NDArray[np.uint8]:
-    """Return (400, 600, 3) uint8 colour."""
+    """Return (400, 600, 3) uint8: a cup of coffee from scikit-image (public domain), to test models."""
     from skimage.data import coffee
 
     return np.ascontiguousarray(coffee(), dtype=np.uint8)

@@ -1,10 +1,6 @@
 """A semantic model from an ONNX graph that gives class scores per pixel, class ids, or the queries of OneFormer.
 
-The three kinds of output are distinguished by their ranks; each is converted to an image of class ids.
-
-OneFormer's post-processing: from queries, each with class logits and a mask, to the class of every pixel.
-
-The steps and thresholds are those of the panoptic and semantic post-processing in the library `transformers`.
+Ranks distinguish the three kinds of output. Steps and thresholds of queries are those of the library `transformers`.
 """
 
 from __future__ import annotations
@@ -44,10 +40,7 @@ class PanopticConfig(Ranged):
 
 
 def panoptic_classes(
-    class_logits: NDArray[np.float32],
-    mask_logits: NDArray[np.float32],
-    size: tuple[int, int],
-    config: PanopticConfig,
+    class_logits: NDArray[np.float32], mask_logits: NDArray[np.float32], size: tuple[int, int], config: PanopticConfig
 ) -> NDArray[np.int32]:
     """Return (H, W) class ids, -1 for none, from class logits (Q, K + 1) and mask logits (Q, h, w); `size`: (W, H)."""
     probabilities = _softmax(class_logits)
@@ -106,17 +99,13 @@ class SemanticConfig(Ranged):
 
 
 class GraphSemantics:
-    """A `SemanticModel`.
+    """A `SemanticModel`; `labels` are the names of the K classes.
 
-    Args:
-        network: takes (1, 3, H, W), normalised as for ImageNet; gives class scores (1, K, h, w), class ids (1, h, w),
-            or class and mask logits of queries, (1, Q, K + 1) and (1, Q, h, w).
-        labels: the names of the K classes.
-        short_px: shorter side to which images are scaled if the graph does not fix its input size.
-        panoptic: how queries become classes.
+    The graph takes (1, 3, H, W), normalised as for ImageNet, and gives class scores (1, K, h, w), class ids
+    (1, h, w), or class and mask logits of queries, (1, Q, K + 1) and (1, Q, h, w).
 
     Raises:
-        ModelError: the graph is not of this kind, or its number of classes differs from the number of names.
+        ModelError: the graph is of another kind, or has another number of classes.
     """
 
     def __init__(
@@ -128,10 +117,7 @@ class GraphSemantics:
         panoptic: PanopticConfig,
         warm_up: bool = True,
     ) -> None:
-        self._network = network
-        self._labels = labels
-        self._short_px = short_px
-        self._panoptic = panoptic
+        self._network, self._labels, self._short_px, self._panoptic = network, labels, short_px, panoptic
         self._fixed = network.require_image_input("semantic")
         ranks = sorted(len(output.shape) for output in network.outputs)
         if ranks not in ([3], [4], [3, 4]):
@@ -153,7 +139,10 @@ class GraphSemantics:
         by_rank = {output.ndim: output[0] for output in outputs}
         if len(by_rank) == 2:
             self._check(by_rank[3].shape[1] - 1)
-            classes = self._of_queries(by_rank[3], by_rank[4], size)
+            if self._panoptic.output == "semantic":
+                classes = best_classes(query_scores(by_rank[3], by_rank[4]), size)
+            else:
+                classes = panoptic_classes(by_rank[3], by_rank[4], size, self._panoptic)
         elif 4 in by_rank:
             self._check(by_rank[4].shape[0])
             classes = best_classes(by_rank[4], size)
@@ -162,13 +151,6 @@ class GraphSemantics:
             self._check(max(int(ids.max()) + 1, len(self._labels)))
             classes = cv2.resize(ids.astype(np.float32), size, interpolation=cv2.INTER_NEAREST).astype(np.int32)
         return SemanticImage(classes=classes, labels=self._labels)
-
-    def _of_queries(
-        self, class_logits: NDArray[np.float32], mask_logits: NDArray[np.float32], size: tuple[int, int]
-    ) -> NDArray[np.int32]:
-        if self._panoptic.output == "semantic":
-            return best_classes(query_scores(class_logits, mask_logits), size)
-        return panoptic_classes(class_logits, mask_logits, size, self._panoptic)
 
     def _check(self, num_classes: int) -> None:
         if num_classes != len(self._labels):
@@ -190,10 +172,7 @@ class GraphSemantics:
 
 
 def best_classes(scores: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.int32]:
-    """Return (H, W) the class with the highest of (K, h, w) scores, interpolated bilinearly; NaN is never the highest.
-
-    `size` is (W, H).
-    """
+    """Return (H, W) the class with the highest of (K, h, w) scores, interpolated; never NaN's; `size` is (W, H)."""
     classes = np.full((size[1], size[0]), -1, dtype=np.int32)
     best = np.full(classes.shape, -np.inf, dtype=np.float32)
     for i, plane in enumerate(scores):

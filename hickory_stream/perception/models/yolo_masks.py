@@ -1,7 +1,6 @@
-"""From the tensors of a YOLOv8-seg graph to masks of the image: pure functions, no network.
+"""Masks of the image from the tensors of a YOLOv8-seg graph: pure functions, no network.
 
-A detection is a box, a score per class and 32 coefficients; a mask is the sum of the prototypes weighted by the
-coefficients, interpolated bilinearly and cropped to the box. Only the pixels inside the box are computed.
+A mask is the sum of the prototypes weighted by a detection's coefficients, interpolated bilinearly inside its box.
 """
 
 from __future__ import annotations
@@ -22,20 +21,19 @@ if TYPE_CHECKING:
 
 # Boxes are offset by this distance per class, so that boxes of different classes never suppress each other.
 _CLASS_OFFSET_PX = 7680.0
+_MAX_CANDIDATES = 30_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Detections:
-    """The detections that passed the thresholds, the best first.
+    """The detections that passed the thresholds, the best first; coefficients are (N, C)."""
 
-    `boxes` (N, 4) x0, y0, x1, y1 in the network's frame, `scores` (N,), `classes` (N,), `coefficients` (N, C);
-    `num_not_finite` detections had NaN or infinity in them.
-    """
-
+    #: (N, 4) x0, y0, x1, y1 in the network's frame
     boxes: NDArray[np.float32]
     scores: NDArray[np.float32]
     classes: NDArray[np.int64]
     coefficients: NDArray[np.float32]
+    #: number of detections with NaN or infinity
     num_not_finite: int
 
 
@@ -46,18 +44,16 @@ def detections_of(
     confidence: float,
     nms_iou: float,
     max_masks: int,
-    max_candidates: int = 30000,
 ) -> Detections:
-    """Return the detections of `predictions` (4 + classes + coefficients, anchors): x, y, w, h, scores, coefficients.
-
-    The score of the best class of each anchor is thresholded, then non-maximum suppression is applied per class.
-    """
+    """Return the detections of (4 + classes + coefficients, anchors): x, y, w, h, scores, coefficients."""
+    # The best class of each anchor counts; non-maximum suppression is per class.
+    # The best class of each anchor counts; non-maximum suppression is per class.
     num_classes = len(predictions) - 4 - num_coefficients
     scores = predictions[4 : 4 + num_classes]
     best = scores.max(axis=0)
     is_finite = np.isfinite(predictions).all(axis=0) if not np.isfinite(predictions.sum()) else None
     chosen = np.flatnonzero(best > confidence if is_finite is None else is_finite & (best > confidence))
-    chosen = chosen[np.argsort(-best[chosen], kind="stable")][:max_candidates]
+    chosen = chosen[np.argsort(-best[chosen], kind="stable")][:_MAX_CANDIDATES]
     x, y, width, height = predictions[:4, chosen]
     boxes = np.stack([x - width / 2, y - height / 2, x + width / 2, y + height / 2], axis=1)
     classes = scores[:, chosen].argmax(axis=0)
@@ -73,12 +69,8 @@ def detections_of(
 
 
 def suppressed(boxes: NDArray[np.float32], iou: float, most: int) -> NDArray[np.int64]:
-    """Return the indices of the boxes (N, 4), sorted best first, that survive non-maximum suppression at `iou`.
-
-    At most `most` boxes are kept.
-    """
-    kept: NDArray[np.int64] = _suppress(np.ascontiguousarray(boxes), np.float32(iou), most)
-    return kept
+    """Return the indices of at most `most` boxes (N, 4), sorted best first, that survive non-maximum suppression."""
+    return np.asarray(_suppress(np.ascontiguousarray(boxes), np.float32(iou), most))
 
 
 @kernel
@@ -114,10 +106,9 @@ def masks_of(
     prototypes: NDArray[np.float32],
     letterbox: Letterbox,
 ) -> list[InstanceMask]:
-    """Return the masks of detections whose `boxes` (N, 4) are in the image.
+    """Return the masks of detections whose `boxes` (N, 4) are in the image; some may be empty.
 
-    `prototypes` (C, h, w) cover the network's frame; a mask is where their weighted sum, interpolated bilinearly, is
-    above 0. A detection without such a pixel has an empty mask.
+    `prototypes` (C, h, w) cover the network's frame; their weighted sum is above 0 in the mask.
     """
     num, height, width = prototypes.shape
     rows = _taps(letterbox.height, letterbox.inner_height, letterbox.top, letterbox.frame_height, height, letterbox)
@@ -137,18 +128,14 @@ def masks_of(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Taps:
-    """Interpolation along one axis: each pixel uses three prototype cells from index `at` (N,), by `weights` (N, 3)."""
-
+    # Interpolation along one axis: each pixel uses three prototype cells from index `at` (N,), by `weights` (N, 3).
     at: NDArray[np.int64]
     weights: NDArray[np.float32]
 
 
 def _taps(length: int, inner: int, start: int, frame: int, size: int, letterbox: Letterbox) -> _Taps:
-    """Return the interpolation of `length` image pixels from `size` prototype cells, of which the image covers a part.
-
-    The reference implementation resizes the prototypes twice, both times bilinearly: by an integer factor, after which
-    it crops the grey border at a whole pixel, and then to the image. Both steps together use three cells.
-    """
+    # The reference resizes the prototypes twice, bilinearly: by an integer factor, after which it crops the grey border
+    # at a whole pixel, and then to the image. Both steps together use three cells.
     ratio = max(1, frame // size)
     grey = (letterbox.frame_height - letterbox.inner_height) | (letterbox.frame_width - letterbox.inner_width)
     factor = ratio // math.gcd(ratio, grey | grey // 2)
@@ -170,7 +157,7 @@ def _taps(length: int, inner: int, start: int, frame: int, size: int, letterbox:
 
 @kernel
 def _read(values, rows, row_weights, columns, column_weights, out):
-    """Write whether values (h, w), interpolated from three rows and three columns per pixel, are above 0."""
+    # Whether values (h, w), interpolated from three rows and three columns per pixel, are above 0.
     height, width = values.shape
     line = np.zeros(max(width, 3), dtype=np.float32)
     for y in range(len(rows)):

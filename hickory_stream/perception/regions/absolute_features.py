@@ -1,7 +1,6 @@
 """Absolute features of pairs of regions: metres, pixels and colours.
 
-They help in rooms with furniture of about the size in the training data, which most rooms have. `pair_features` has
-relative features for the others; half of the packaged trees are grown on those alone.
+They help in rooms with furniture of the size in the training data. `pair_features` has relative features for others.
 """
 
 from __future__ import annotations
@@ -65,7 +64,6 @@ def absolute_features(ordered: OrderedPairs) -> tuple[Features, Features]:
 
 @kernel(error_model="numpy")
 def _fill_regions(out, sums, extents, floor_z_m):
-    """Fill in a row of `_OF_REGIONS` for each region."""
     pixels, area_m2, depth_m, members, lab, low, high = sums
     axes_m, low_m, high_m = extents
     for i in range(len(out)):
@@ -89,7 +87,6 @@ def _fill_regions(out, sums, extents, floor_z_m):
 
 @kernel(error_model="numpy")
 def _fill_pairs(out, larges, smalls, boxes, extents, union, geometry, contact):
-    """Fill in a row of `_OF_PAIRS` for each pair."""
     low, high = boxes
     axes_m, low_m, high_m = extents
     union_axes_m, union_low_m, union_high_m, box_low_m, box_high_m = union

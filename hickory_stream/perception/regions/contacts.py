@@ -1,11 +1,7 @@
-"""Contacts between fragments: neighbouring pixels of different labels, and which of these touch in 3D.
+"""Contacts between fragments: neighbouring pixels of different labels; and support of regions by one another.
 
-Room structure has a label of its own, so that support by the floor is found in the same way as support by a table.
-
-Support of regions: which region rests on a horizontal surface of which other one, and which is unsupported.
-
-Gravity is vertical in the world and nearly so in the image, so that the support surface is searched below the lower
-outline of a region. Only the lowest part of the outline, the foot, counts.
+Room structure has a label of its own, so that it supports like a table. Gravity is nearly vertical in the image: the
+support surface is searched below the lowest part of a region's outline, the foot.
 """
 
 from __future__ import annotations
@@ -25,20 +21,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Contacts:
-    """Pairs of neighbouring pixels with different labels, `here` left of or above `there`; all arrays (K,).
-
-    `here` and `there` are labels, `here_px` and `there_px` flat pixel indices. `is_below`: `there` is below `here` in
-    the image, otherwise right of it. `touches`: they touch in 3D; `nearer`: `there` occludes `here` across a depth
-    edge. `cut`, `cut_px`: labels and indices of the pixels on the lower border and the sides of the image.
-    """
+    """Pairs of neighbouring pixels with different labels, `here` left of or above `there`; all arrays (K,)."""
 
     here: NDArray[np.int32]
     there: NDArray[np.int32]
+    #: flat pixel indices, as in `there_px`
     here_px: NDArray[np.int64]
     there_px: NDArray[np.int64]
+    #: `there` is below `here` in the image, otherwise right of it
     is_below: NDArray[np.bool_]
+    #: they touch in 3D
     touches: NDArray[np.bool_]
+    #: `there` occludes `here` across a depth edge
     nearer: NDArray[np.bool_]
+    #: labels of the pixels on the lower border and the sides of the image
     cut: NDArray[np.int32]
     cut_px: NDArray[np.int64]
 
@@ -71,7 +67,7 @@ def contacts_of(surface: Surface, scene: NDArray[np.int32], reach_px: int) -> Co
 
 @kernel
 def _contacts(scene, reach):
-    """Return (K, 3) int64: flat index, flat index of the next labelled pixel to the right or below, 1 if below."""
+    # (K, 3) int64: flat index, flat index of the next labelled pixel to the right or below, 1 if below.
     height, width = scene.shape
     out = np.empty((2 * height * width, 3), dtype=np.int64)
     count = 0
@@ -100,15 +96,13 @@ _FOOT_SHARE = 0.35
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SupportContacts:
-    """Pixel counts along the lower outline of each region's foot (row = region).
+    """Pixel counts along the lower outline of each region's foot (row = region); the rest is steep or occluded."""
 
-    `outline` (count,): all pixels, including those on the image border; `free` (count,): those with a farther surface
-    below, which are unsupported; `on` (count, count + 1): those that touch a horizontal surface of the column's region
-    (last column: room structure). The rest touches a steep surface or is occluded.
-    """
-
+    #: (count,) all pixels, with those on the image border
     outline: NDArray[np.int64]
+    #: (count,) unsupported pixels: a farther surface is below
     free: NDArray[np.int64]
+    #: (count, count + 1) pixels on a horizontal surface of the column's region (last: room structure)
     on: NDArray[np.int64]
 
 
@@ -117,25 +111,18 @@ def support_contacts_of(
 ) -> SupportContacts:
     """Return the support contacts of regions; `pieces` (labels,) gives the region of each label.
 
-    The last label is room structure, which has the highest region number. `heights_m` (h, w) count from any origin;
-    `level` (h, w): pixels of surfaces that can support something.
+    The last label is room structure, the highest region. `heights_m` (h, w) count from any origin; `level` (h, w):
+    pixels of surfaces that can support something.
     """
-    count = int(pieces[-1])
-    outline, free, on = _counted(
-        (contacts.here, contacts.there, contacts.here_px, contacts.there_px),
-        (contacts.is_below, contacts.touches, contacts.nearer),
-        (contacts.cut, contacts.cut_px),
-        pieces,
-        heights_m.ravel(),
-        level.ravel(),
-        count,
-    )
+    pairs = (contacts.here, contacts.there, contacts.here_px, contacts.there_px)
+    marks, edge = (contacts.is_below, contacts.touches, contacts.nearer), (contacts.cut, contacts.cut_px)
+    outline, free, on = _counted(pairs, marks, edge, pieces, heights_m.ravel(), level.ravel(), int(pieces[-1]))
     return SupportContacts(outline=outline, free=free, on=on)
 
 
 @kernel
 def _counted(contacts, marks, edge, pieces, heights, level, count):
-    """Return the counts of `SupportContacts`: a first pass finds the foot of each region, a second one counts it."""
+    # A first pass finds the foot of each region, a second one counts it.
     here_labels, there_labels, here_px, there_px = contacts
     is_below, touches, nearer = marks
     edge_labels, edge_px = edge

@@ -1,4 +1,4 @@
-"""Features of pairs of regions by name, as columns of one table: trees take all of them at once."""
+"""Features of pairs of regions by name, as columns of one table."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Features(Mapping[str, "NDArray[np.float64]"]):
 
 
 def joined(*parts: Features) -> Features:
-    """Return the columns of all parts, which have the same pairs and no name in common."""
+    """Return the columns of all parts, which have the same pairs and different names."""
     return Features(_all_names(*(part.names for part in parts)), np.concatenate([part.rows for part in parts], axis=1))
 
 
@@ -50,9 +50,7 @@ def of_both(
     return Features(_names_of_both(names), both)
 
 
-# The names are the same in every round of every frame.
-
-
+# Cached: the names are the same in every round of every frame.
 @lru_cache(maxsize=64)
 def _all_names(*parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for part in parts for name in part)

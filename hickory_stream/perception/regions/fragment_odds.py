@@ -1,7 +1,6 @@
 """Log-odds of the affinity network, summed between every two fragments and within each fragment.
 
-The log-odds of pixels are bytes and their sums integers: the sums of a group of fragments follow from those of its
-members, exactly and in any order.
+Sums of bytes are integers: the sums of a group of fragments follow from its members, exactly and in any order.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ if TYPE_CHECKING:
 
     from hickory_stream.perception.affinity.pixel_network import PixelOdds
 
+# Bin edges of pixel log-odds; the counts per bin (level) approximate their distribution.
 LEVELS = (-2.0, 0.0, 2.0)
-"""Bin edges of pixel log-odds; the counts per bin (level) approximate their distribution."""
+# The number of shortest distances that count as near: across a contact rather than between interiors.
 NUM_NEAR = 2
-"""The number of shortest distances that count as near: across a contact rather than between interiors."""
 _NUM_DISTANCES = len(DISTANCES_PX)
 _NUM_LEVELS = len(LEVELS) + 1
 
@@ -32,18 +31,19 @@ _NUM_LEVELS = len(LEVELS) + 1
 class FragmentOdds:
     """Sums over n fragments (row 0 is background) and over K pairs a < b of fragments. All int64.
 
-    Log-odds are bytes minus the byte of even odds, separately for each of D pixel distances. Of a pair of fragments:
-    `sums` (K, D) over its pairs of pixels, and `levels` (K, D, 4), the number of these below, between and above
-    `LEVELS`. Of a fragment: `inner` and `num_inner` (n, D), sum and number over the pairs of pixels within it; `thing`
-    and `num_pixels` (n,), the sum of the log-odds of being an object and the number of pixels.
+    Log-odds are bytes minus the byte of even odds, separately for each of D pixel distances.
     """
 
     a: NDArray[np.int64]
     b: NDArray[np.int64]
+    #: (K, D) over the pairs of pixels of a pair of fragments
     sums: NDArray[np.int64]
+    #: (K, D, 4) their number below, between and above `LEVELS`
     levels: NDArray[np.int64]
+    #: (n, D) sum over the pairs of pixels within a fragment
     inner: NDArray[np.int64]
     num_inner: NDArray[np.int64]
+    #: (n,) sum of the log-odds of being an object
     thing: NDArray[np.int64]
     num_pixels: NDArray[np.int64]
 
@@ -55,22 +55,13 @@ class FragmentOdds:
         inner, num_inner = np.zeros((2, count, _NUM_DISTANCES), dtype=np.int64)
         thing, num_pixels = np.zeros((2, count), dtype=np.int64)
         _add_pairs((self.a, self.sums, self.levels), (places, numbers), (sums, levels, inner, num_inner))
-        _add_fragments(
-            (self.inner, self.num_inner, self.thing, self.num_pixels), numbers, (inner, num_inner, thing, num_pixels)
-        )
-        return FragmentOdds(
-            a=a,
-            b=b,
-            sums=sums,
-            levels=levels,
-            inner=inner,
-            num_inner=num_inner,
-            thing=thing,
-            num_pixels=num_pixels,
-        )
+        of_groups = {"inner": inner, "num_inner": num_inner, "thing": thing, "num_pixels": num_pixels}
+        own = (self.inner, self.num_inner, self.thing, self.num_pixels)
+        _add_fragments(own, numbers, tuple(of_groups.values()))
+        return FragmentOdds(a=a, b=b, sums=sums, levels=levels, **of_groups)
 
     def of_pairs(self, pairs: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the sums (M, D) and levels (M, D, 4) of (M, 2) pairs of `count` fragments; 0 where there are none."""
+        """Return the sums (M, D) and levels (M, D, 4) of (M, 2) pairs of `count` fragments; 0 for unknown pairs."""
         wanted = pairs.min(axis=1) * count + pairs.max(axis=1)
         sums = np.zeros((len(pairs), _NUM_DISTANCES), dtype=np.int64)
         levels = np.zeros((len(pairs), _NUM_DISTANCES, _NUM_LEVELS), dtype=np.int64)
@@ -91,9 +82,9 @@ def fragment_odds(labels: NDArray[np.int32], odds: PixelOdds) -> FragmentOdds:
     """Return the sums of the fragments `labels` (H, W), 0 = none, at the surface's size."""
     few = np.ascontiguousarray(labels[::2, ::2])
     count = int(labels.max(initial=0)) + 1
-    sums, levels, inner, num_inner, things = _sums(
-        few, odds.odds, np.array(OFFSETS), _NUM_DISTANCES, _level_of_byte(), count
-    )
+    level_of = np.searchsorted(np.array(LEVELS) * ODDS_UNIT + ODDS_ZERO, np.arange(256), side="right")
+    found = _sums(few, odds.odds, np.array(OFFSETS), _NUM_DISTANCES, level_of, count)
+    sums, levels, inner, num_inner, things = found
     keys = np.flatnonzero(levels.any(axis=(1, 2)))
     return FragmentOdds(
         a=keys // count,
@@ -107,13 +98,9 @@ def fragment_odds(labels: NDArray[np.int32], odds: PixelOdds) -> FragmentOdds:
     )
 
 
-def _level_of_byte() -> NDArray[np.int64]:
-    return np.searchsorted(np.array(LEVELS) * ODDS_UNIT + ODDS_ZERO, np.arange(256), side="right")
-
-
 @kernel
 def _add_pairs(pairs, which, out):
-    """Add the sums of pairs to those of the pairs of groups; pairs of two members of a group are within the group."""
+    # Pairs of two members of a group are within the group.
     (a, sums, levels), (places, numbers), (out_sums, out_levels, inner, num_inner) = pairs, which, out
     for i in range(len(places)):
         place, group = places[i], numbers[a[i]]
@@ -141,7 +128,6 @@ def _add_fragments(fragments, numbers, out):
 
 @kernel
 def _sums(labels, odds, offsets, num_distances, level_of, count):
-    """Return the sums and levels of every pair of labels (lower first), and of each label, and the object log-odds."""
     height, width = labels.shape
     sums = np.zeros((count * count, num_distances), dtype=np.int32)
     levels = np.zeros((count * count, num_distances, 4), dtype=np.int32)

@@ -1,8 +1,7 @@
 """Region merging: fragments are merged into instances in rounds, by learned trees.
 
 A round rates all pairs of regions that touch, nearly touch or are bridged behind an occluder, and merges the pairs in
-which each region is the most probable partner of the other. The next round rates the merged regions. Regions whose
-planes continue behind an occluder are merged without the trees.
+which each region is the most probable partner of the other. Bridged regions are merged without the trees.
 """
 
 from __future__ import annotations
@@ -80,19 +79,17 @@ class Groups:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Joined:
-    """Instance labels (h, w) 1..n, 0 = none, numbered in the order of their first fragments.
+    """Instance labels (h, w) 1..n, 0 = none, numbered in the order of their first fragments."""
 
-    `labels` are joined with the map prior, `alone` without it: each instance of `alone` is a union of instances of
-    `labels`. `alone` None: the same as `labels`.
-    """
-
+    #: joined with the map prior
     labels: NDArray[np.int32]
+    #: joined without it, unions of instances of `labels`; None: the same
     alone: NDArray[np.int32] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Round:
-    """The input of a round: `numbers` (n,), the region of each fragment; `pairs` (K, 2) of regions; `features`."""
+    """The input of a round: the region of each fragment (n,), pairs (K, 2) of regions, and their features."""
 
     numbers: NDArray[np.int64]
     pairs: NDArray[np.int64]
@@ -106,26 +103,17 @@ def join_fragments(
     owners: FragmentOwners | None = None,
     odds: FragmentOdds | None = None,
 ) -> Joined:
-    """Return the fragments joined into instances, with the map prior and without.
-
-    `owners`: the map objects on which the fragments lie, if any; `odds`: the log-odds of a network, if any.
-    """
+    """Return the fragments joined into instances, with the map prior (`owners`) and without."""
     labels, graph = fragments.labels, region_graph_of(fragments)
     if graph is None:
         return Joined(labels=labels)
-    last = _last(rounds(graph, trees.probabilities, config, odds, owners))
+    *_, last = rounds(graph, trees.probabilities, config, odds, owners)
     together = last.numbers.astype(np.int32)[labels]
     if owners is None:
         return Joined(labels=together)
     # For the result of this frame alone, the rounds continue from there without the map prior.
-    alone = _last(rounds(graph, trees.probabilities, config, odds, start=last))
+    *_, alone = rounds(graph, trees.probabilities, config, odds, start=last)
     return Joined(labels=together, alone=alone.numbers.astype(np.int32)[labels])
-
-
-def _last(steps: Iterator[Round]) -> Round:
-    """Return the last round; there is at least one."""
-    *_, last = steps
-    return last
 
 
 def region_graph_of(fragments: Fragments) -> RegionGraph | None:
@@ -144,10 +132,10 @@ def rounds(
     start: Round | None = None,
     most: int = _MAX_ROUNDS,
 ) -> Iterator[Round]:
-    """Yield the rounds of merging, from single fragments to the final regions; `probabilities` rates features of pairs.
+    """Yield the rounds of merging, from single fragments (or `start`) to the final regions.
 
-    `odds`: the log-odds of a network, added to the features (`odds_features`), if any; `owners`: the map prior, if any;
-    `start`: the first round, None: that of single fragments; `most`: the maximum number of rounds.
+    `probabilities` rates features of pairs; `odds`: the log-odds of a network; `owners`: the map prior; `most`: the
+    maximum number of rounds.
     """
     groups = Groups(len(graph.regions.pixels))
     if start is not None:
@@ -171,14 +159,14 @@ def rounds(
 
 
 def _round(graph: RegionGraph, numbers: NDArray[np.int64], count: int, odds: FragmentOdds | None) -> Round:
-    """Return the round of `count` regions, of which `numbers` (n,) gives that of each fragment."""
+    # `numbers` (n,) gives the region, of `count`, of each fragment.
     pairs, features = pair_features(graph, numbers, count)
     of_odds = odds_features(None if odds is None else odds.of_groups(numbers, count), pairs, count)
     return Round(numbers=numbers, pairs=pairs, features=joined(features, of_odds))
 
 
 def _closest(pairs: NDArray[np.int64], probability: NDArray[np.float64], count: int, least: float) -> NDArray[np.int64]:
-    """Return the (M, 2) pairs of at least the `least` probability that are the most probable pair of both regions."""
+    # (M, 2) pairs of at least the `least` probability that are the most probable pair of both regions.
     best = np.zeros(count)
     for side in (0, 1):
         np.maximum.at(best, pairs[:, side], probability)

@@ -1,9 +1,8 @@
 """The map as a prior of region merging: fragments on two different map objects are less likely to be one object.
 
-A single frame often under-segments a small object and its support surface. Where earlier frames separated the two, the
-map has two objects, and by Bayes' rule the log-odds of that prior are added to those of the frame. Two rules keep the
-map from confirming itself: fragments that the frame alone would have joined still count as seen together
-(`Joined.alone`), and a single map object is no evidence for joining fragments on it.
+A frame often under-segments a small object on its support surface; Bayes' rule adds the log-odds of earlier frames. To
+keep the map from confirming itself, fragments that the frame alone would join count as seen together (`Joined.alone`),
+and one map object is no evidence for joining fragments on it.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ class MapPriorConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FragmentOwners:
-    """The number of sampled `pixels` (n,) of each fragment, and `on_object` (n, objects), those on each map object."""
+    """The number of sampled `pixels` (n,) of each fragment, and the number `on_object` (n, objects) on each object."""
 
     pixels: NDArray[np.int64]
     on_object: NDArray[np.int64]
@@ -63,7 +62,7 @@ class FragmentOwners:
         return np.where(differ, 1 / (1 + portable.exp(-odds)), probability)
 
     def _owners(self, numbers: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """Return (count,) the object on which each region lies, -1 for none."""
+        # (count,) the object on which each region lies, -1 for none.
         pixels = np.zeros(count, dtype=np.int64)
         on_object = np.zeros((count, self.on_object.shape[1]), dtype=np.int64)
         np.add.at(pixels, numbers, self.pixels)
@@ -76,7 +75,7 @@ class FragmentOwners:
 def fragment_owners(
     labels: NDArray[np.int32], surface: Surface, prior: MapPrior | None, config: MapPriorConfig
 ) -> FragmentOwners | None:
-    """Return on which map objects the fragments `labels` (h, w) lie; None if fewer than two objects are near."""
+    """Return the map objects on which the fragments `labels` (h, w) lie; None if fewer than two are near."""
     if prior is None or config.apart_odds == 0:
         return None
     sampled = labels[::_STRIDE_PX, ::_STRIDE_PX]
@@ -96,7 +95,7 @@ def fragment_owners(
 
 
 def _objects_near(points: NDArray[np.float32], prior: MapPrior) -> list[TrackedObject]:
-    """Return the objects with enough sightings whose bounds overlap those of the points, the smallest first."""
+    # The smallest first.
     if len(points) == 0:
         return []
     low, high = points.min(axis=0) - prior.points_m, points.max(axis=0) + prior.points_m
@@ -113,7 +112,7 @@ def _objects_near(points: NDArray[np.float32], prior: MapPrior) -> list[TrackedO
 def _owners_of_points(
     points: NDArray[np.float32], objects: Sequence[TrackedObject], voxel_m: float
 ) -> NDArray[np.int64]:
-    """Return (N,) the first object with a voxel at each point, else with one beside it; -1 for none."""
+    # (N,) the first object with a voxel at each point, else with one beside it; -1 for none.
     # Points are nearly sorted by voxel: a stable sort is fast on them.
     keys = [np.sort(keys_of_points(item.points_world, voxel_m), kind="stable") for item in objects]
     ends = np.cumsum([len(k) for k in keys])
@@ -123,7 +122,7 @@ def _owners_of_points(
 
 @kernel
 def _first_with(points, keys, ends, voxel_m):
-    """Look up a point's voxel in the sorted keys of each object in turn, then its six face neighbours."""
+    # A point's voxel is looked up in the sorted keys of each object in turn, then its six face neighbours.
     steps = np.array([0, 1, -1, 1 << 21, -(1 << 21), 1 << 42, -(1 << 42)], dtype=np.int64)
     owners = np.full(len(points), -1, dtype=np.int64)
     for i in range(len(points)):

@@ -1,9 +1,8 @@
 """Bridging of occlusions: two fragments of one object on both sides of an occluder.
 
-From a fragment's occluded border, its plane is extrapolated along the image row or column, behind nearer surfaces and
-missing returns. If it becomes visible again in another fragment, the line bridges the two; if a surface behind the
-plane is seen first, the plane has ended. One shared plane is no proof that both are one object, since objects of equal
-height can stand side by side. A horizontal and a vertical plane that both continue are.
+A fragment's plane is extrapolated along the image row or column behind its occluder. A line bridges two fragments if
+the plane becomes visible again; a surface behind the plane ends it. Objects of equal height can stand side by side, so
+a horizontal and a vertical plane must both continue.
 """
 
 from __future__ import annotations
@@ -55,8 +54,7 @@ def is_bridged(
 ) -> NDArray[np.bool_]:
     """Return (K,) which pairs of regions are one object behind an occluder.
 
-    `level` and `upright` (K,) count the lines that bridge a horizontal and a vertical plane; `pixels` (K,) is the area
-    of the smaller region.
+    `level` and `upright` (K,): bridging lines on a horizontal and a vertical plane; `pixels` (K,): the smaller area.
     """
     most, other = np.maximum(level, upright), np.minimum(level, upright)
     enough = np.maximum(_MIN_LINES, _MIN_SHARE * np.sqrt(pixels))
@@ -65,7 +63,7 @@ def is_bridged(
 
 @kernel
 def _bridges(depth, points, normals, sigma, labels, origin, rotation, intrinsics, gap, tolerance):
-    """Return (K, 3): two labels and whether the plane is horizontal, for each row or column that bridges the two."""
+    # (K, 3): two labels and whether the plane is horizontal, for each row or column that bridges the two.
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     out = np.empty((height * width, 3), dtype=np.int64)

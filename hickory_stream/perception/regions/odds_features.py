@@ -1,8 +1,7 @@
-"""Features of pairs of regions from a network's odds, from which trees estimate whether the two are one object.
+"""Features of pairs of regions from a network's odds, for the trees; NaN where the network has no output.
 
-They are: mean log-odds between the two regions at every pixel distance, and their spread; the same within each region
-(where the network is uncertain within an object, low odds at a contact mean little); the difference to the best partner
-of either region; and the log-odds that each is an object. NaN where the network has no output.
+Mean log-odds between the two regions at every pixel distance, and their spread; the same within each region, where the
+network may be uncertain; the difference to the best partner of either; the log-odds that each is an object.
 """
 
 from __future__ import annotations
@@ -32,7 +31,6 @@ ODDS_FEATURES = (
     *(f"{side}_odds_below_best" for side in _SIDES),
     *(f"{side}_thing_odds" for side in _SIDES),
 )
-"""The names of `odds_features`, in their order."""
 
 
 def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: int) -> Features:
@@ -48,7 +46,7 @@ def odds_features(odds: FragmentOdds | None, pairs: NDArray[np.int64], count: in
 
 @kernel(error_model="numpy")
 def _fill(rows, pairs, sums, levels, inner, num_inner, thing, num_pixels, best):
-    """Fill in a row of `ODDS_FEATURES` for each pair; counts of 0 give NaN."""
+    # Fill in a row of `ODDS_FEATURES` for each pair; counts of 0 give NaN.
     counts = np.empty(_NUM_DISTANCES, np.int64)
     for k in range(len(pairs)):
         row, small = rows[k], pairs[k, 1]
@@ -80,7 +78,7 @@ def _fill(rows, pairs, sums, levels, inner, num_inner, thing, num_pixels, best):
 
 @kernel(error_model="numpy")
 def _best(a, b, sums, levels, count):
-    """Return (count,) the highest mean log-odds of each region with any other, from those of pairs a, b."""
+    # (count,) the highest mean log-odds of each region with any other.
     best = np.full(count, -np.inf)
     for n in range(len(a)):
         mean = _mean(sums[n].sum(), levels[n].sum())
@@ -90,5 +88,5 @@ def _best(a, b, sums, levels, count):
 
 @kernel(error_model="numpy")
 def _mean(total, count):
-    """Return mean log-odds from a sum of bytes relative to even odds; NaN where the count is 0."""
+    # Mean log-odds from a sum of bytes relative to even odds; NaN where the count is 0.
     return total / (ODDS_UNIT * count) if count > 0 else np.nan

@@ -1,6 +1,4 @@
-"""Pairs of merged regions, large and small, with all measures that their features are computed from.
-
-Relative geometry of the two regions of each pair: their centroids, boxes and contact, in metres.
+"""Pairs of merged regions, large and small, with all measures for their features.
 
 `pair_features` derives ratios, angles and multiples of sigma from these, `absolute_features` lengths.
 """
@@ -27,17 +25,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PairGeometry:
-    """The regions `large` and `small` of K pairs; all arrays (K, 3), along the axes of the world.
+    """The regions `large` and `small` of K pairs; all arrays (K, 3), along the axes of the world."""
 
-    `aside_m`: vector from the centroid of the large region to that of the small one. `overlap_m`: overlap of their
-    boxes, negative for a gap. `inset_m`: distance of the small box to the nearer end of the large one, negative where
-    it protrudes. `contact_m`, `contact_spread_m`: mean and standard deviation of the contact pixels' positions,
-    undefined for regions that do not touch.
-    """
-
+    #: vector from the centroid of the large region to the small one's
     aside_m: NDArray[np.float64]
+    #: overlap of their boxes, negative for a gap
     overlap_m: NDArray[np.float64]
+    #: distance of the small box to the nearer end of the large one, negative where it protrudes
     inset_m: NDArray[np.float64]
+    #: mean of the contact pixels' positions, undefined without contact, like their spread
     contact_m: NDArray[np.float64]
     contact_spread_m: NDArray[np.float64]
 
@@ -46,22 +42,14 @@ def pair_geometry(
     regions: Regions, pairs: RegionPairs, large: NDArray[np.int64], small: NDArray[np.int64]
 ) -> PairGeometry:
     """Return the relative geometry of the regions `large` and `small` (K,) of K pairs."""
-    aside_m, overlap_m, inset_m, contact_m, spread_m = np.empty((5, len(large), 3))
-    _fill(
-        (regions.pixels, regions.place, regions.low, regions.high),
-        (pairs.touch, pairs.contact, pairs.contact_squares),
-        large,
-        small,
-        (aside_m, overlap_m, inset_m, contact_m, spread_m),
-    )
-    return PairGeometry(
-        aside_m=aside_m, overlap_m=overlap_m, inset_m=inset_m, contact_m=contact_m, contact_spread_m=spread_m
-    )
+    out = tuple(np.empty((5, len(large), 3)))
+    of_regions = (regions.pixels, regions.place, regions.low, regions.high)
+    _fill(of_regions, (pairs.touch, pairs.contact, pairs.contact_squares), large, small, out)
+    return PairGeometry(aside_m=out[0], overlap_m=out[1], inset_m=out[2], contact_m=out[3], contact_spread_m=out[4])
 
 
 @kernel
 def _fill(regions, pairs, larges, smalls, out):
-    """Fill in a row of each of the five arrays of `PairGeometry` for each pair."""
     (pixels, place, low, high), (touches, contact, contact_squares) = regions, pairs
     aside_m, overlap_m, inset_m, contact_m, spread_m = out
     for i in range(len(larges)):
@@ -78,21 +66,21 @@ def _fill(regions, pairs, larges, smalls, out):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OrderedPairs:
-    """K pairs of merged regions, of which `large` (K,) has at least as many pixels as `small` (K,).
+    """K pairs of merged regions: measures by region (`regions` to `support`) and by pair (`pairs` to `union`)."""
 
-    `regions`, `extents` and `support` are measures by region; `pairs`, `geometry` and `union` (the extents of both
-    regions together) by pair. `is_turned` (K,): `large` is the region b of `pairs`. `graph` is that of the fragments.
-    """
-
+    #: the graph of the fragments
     graph: RegionGraph
     regions: Regions
     extents: Extents
     support: SupportContacts
     pairs: RegionPairs
+    #: (K,) has at least as many pixels as `small`
     large: NDArray[np.int64]
     small: NDArray[np.int64]
+    #: (K,) `large` is the region b of `pairs`
     is_turned: NDArray[np.bool_]
     geometry: PairGeometry
+    #: extents of both regions together
     union: Extents
 
 

@@ -1,12 +1,8 @@
-"""Features of pairs of regions, from which boosted trees estimate whether the two are one object.
+"""Relative features of pairs of regions, from which boosted trees estimate whether the two are one object.
 
-Of two regions, "large" is the one with more pixels and "small" the other. These features are relative: sizes are
-ratios, distances are multiples of a size of the pair or of the standard deviation of depth, colours are differences.
-Absolute metres, heights, pixels and colours depend on the furniture of the training data; they are separate features
-(`absolute_features`). What is undefined for a pair (the contact of regions that do not touch) is NaN.
-
-A frame has some 40 pairs in each of nine rounds: all features are filled in by few kernels, row by row, since a call of
-NumPy for each feature takes longer than its arithmetic.
+Of two regions, "large" has more pixels. Sizes are ratios; distances are multiples of a size of the pair or of the
+standard deviation of depth; undefined values are NaN. Kernels fill in all features row by row, since a NumPy call for
+each of them takes longer than its arithmetic.
 """
 
 from __future__ import annotations
@@ -60,19 +56,12 @@ _CONTACTS = (
 
 
 def pair_features(graph: RegionGraph, numbers: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], Features]:
-    """Return the (K, 2) pairs of merged regions, large and small, and their features (K,) by name.
-
-    `numbers` (n,) gives the merged region 0..count - 1 of each fragment.
-    """
+    """Return the (K, 2) pairs, large and small, of merged regions (`numbers` (n,)), and their features (K,)."""
     ordered = ordered_pairs(graph, numbers, count)
     large, small = ordered.large, ordered.small
-    features = joined(
-        of_both(_OF_REGIONS, _of_regions(ordered), large, small),
-        Features(_RELATIONS, _relations(ordered)),
-        Features(_CONTACTS, _contacts(ordered)),
-        *absolute_features(ordered),
-    )
-    return np.stack([large, small], axis=1), features
+    of_regions = of_both(_OF_REGIONS, _of_regions(ordered), large, small)
+    of_pairs = (Features(_RELATIONS, _relations(ordered)), Features(_CONTACTS, _contacts(ordered)))
+    return np.stack([large, small], axis=1), joined(of_regions, *of_pairs, *absolute_features(ordered))
 
 
 def _of_regions(ordered: OrderedPairs) -> NDArray[np.float64]:
@@ -127,7 +116,6 @@ def _contacts(ordered: OrderedPairs) -> NDArray[np.float64]:
 
 @kernel(error_model="numpy")
 def _fill_regions(out, sizes, sums, extents, support):
-    """Fill in a row of `_OF_REGIONS` for each region."""
     pixels, area_m2, outline, cut = sizes
     planes, normals, lab, lab_squares, grain = sums
     axes_m, width_m, height_m, sigma_m = extents
@@ -159,7 +147,6 @@ def _fill_regions(out, sizes, sums, extents, support):
 
 @kernel(error_model="numpy")
 def _fill_relations(out, larges, smalls, regions, extents, union, geometry):
-    """Fill in a row of `_RELATIONS` for each pair."""
     pixels, area_m2, planes, normals, low, high = regions
     axes_m, width_m, height_m, low_m, high_m = extents
     union_axes_m, union_width_m, union_height_m, union_sigma_m, box_low_m, box_high_m = union
@@ -235,7 +222,6 @@ def _fill_relations(out, larges, smalls, regions, extents, union, geometry):
 def _fill_contacts(
     out, larges, smalls, turned, regions, extents, support, seams, places, contact_z_m, spread_m, sigma_m
 ):
-    """Fill in a row of `_CONTACTS` for each pair."""
     pixels, outline, lab, lab_squares, grain = regions
     axes_m, width_m, height_m, low_m = extents
     on, on_the_same = support
@@ -314,5 +300,5 @@ def _variance(sums, squares, region, channel, count):
 
 @kernel
 def _signed_log(value):
-    """Return log(1 + |x|) with the sign of x: differences between large multiples of sigma matter little."""
+    # Differences between large multiples of sigma matter little.
     return np.sign(value) * log1p(abs(value))

@@ -1,8 +1,8 @@
-"""The extent of regions in space: principal axes, boxes and heights, also of the union of two regions."""
+"""The extent of regions in space, and of the union of two: principal axes, boxes and heights."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,26 +16,26 @@ if TYPE_CHECKING:
 
     from hickory_stream.perception.regions.region_graph import Regions
 
+# Lower bound of sizes, so that noise does not dominate ratios of sizes.
 LEAST_M = 0.01
-"""Lower bound of sizes, so that ratios of sizes are not dominated by noise."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Extents:
-    """The extent of n regions in space; all arrays (n, ...).
+    """The extent of n regions in space; all arrays (n, ...)."""
 
-    `axes_m` (n, 3): standard deviations along the principal axes, smallest first; `low_m`, `high_m`: 5th and 95th
-    percentile of the heights; `box_low_m`, `box_high_m` (n, 3); `sigma_m`: mean standard deviation of depth; `width_m`:
-    the horizontal diagonal of the box; `height_m`: between the percentiles.
-    """
-
+    #: (n, 3) standard deviations along the principal axes, smallest first
     axes_m: NDArray[np.float64]
+    #: 5th percentile of the heights; `high_m`: the 95th
     low_m: NDArray[np.float64]
     high_m: NDArray[np.float64]
     box_low_m: NDArray[np.float64]
     box_high_m: NDArray[np.float64]
+    #: mean standard deviation of depth
     sigma_m: NDArray[np.float64]
+    #: horizontal diagonal of the box
     width_m: NDArray[np.float64]
+    #: between the percentiles
     height_m: NDArray[np.float64]
 
 
@@ -60,33 +60,12 @@ def union_of(regions: Regions, extents: Extents, large: NDArray[np.int64], small
 
 
 def _blank(count: int) -> Extents:
-    """Return extents whose arrays a kernel fills in."""
-    axes_m, box_low_m, box_high_m = np.empty((3, count, 3))
-    low_m, high_m, sigma_m, width_m, height_m = np.empty((5, count))
-    return Extents(
-        axes_m=axes_m,
-        low_m=low_m,
-        high_m=high_m,
-        box_low_m=box_low_m,
-        box_high_m=box_high_m,
-        sigma_m=sigma_m,
-        width_m=width_m,
-        height_m=height_m,
-    )
+    vectors = {name: np.empty((count, 3)) for name in ("axes_m", "box_low_m", "box_high_m")}
+    return Extents(**{field.name: vectors.get(field.name, np.empty(count)) for field in fields(Extents)})
 
 
 def _arrays(extents: Extents) -> tuple[NDArray[np.float64], ...]:
-    """Return the arrays of extents as the kernels take them."""
-    return (
-        extents.axes_m,
-        extents.low_m,
-        extents.high_m,
-        extents.box_low_m,
-        extents.box_high_m,
-        extents.sigma_m,
-        extents.width_m,
-        extents.height_m,
-    )
+    return tuple(getattr(extents, field.name) for field in fields(Extents))
 
 
 @kernel
@@ -138,10 +117,7 @@ def _sizes(box_low, box_high, low_m, high_m):
 
 @kernel
 def _principal_axes(pixels, place, products, covariance, vectors, out):
-    """Fill `out` (3,) with the standard deviations of points along their principal axes, the smallest first.
-
-    `place` (3,) and `products` (6,) are sums over the points; `covariance` and `vectors` (3, 3) are overwritten.
-    """
+    # `place` (3,) and `products` (6,) are sums over the points; `covariance` and `vectors` (3, 3) are overwritten.
     per = max(pixels, 1.0)
     at = 0
     for i in range(3):

@@ -1,7 +1,6 @@
 """The region adjacency graph of a frame: measures of its regions, and of pairs that touch, nearly touch or are bridged.
 
-All measures are sums, minima or maxima: those of a merged region follow from those of its fragments, so that merging
-needs no second pass over the image.
+All measures are sums, minima or maxima, so a merged region's follow from its fragments', without the image.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _CONCAVE = 0.15
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Regions(RegionSums):
-    """Region sums and the `outline` in pixels, the part of it on the image border (`cut`), and the fragment count."""
+    """Region sums with the `outline` in pixels, its part on the image border (`cut`), and the fragment count."""
 
     outline: NDArray[np.float64]
     cut: NDArray[np.float64]
@@ -38,33 +37,37 @@ class Regions(RegionSums):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RegionPairs:
-    """Measures of K pairs of regions a < b: neighbours in the image, close in space, or bridged; arrays (K, ...).
-
-    Sums over neighbouring pixels: `meet` counts all, `touch` those that touch in 3D. Over the latter: `lean` (concavity
-    of the normals, per distance), `concave` (number of concave ones), `parallel` (cosine of the normals), `contrast`
-    (Lab, lightness at half weight), `step_m` (distance), `sigma_m` (of depth), `contact` (3) and `contact_squares` (3),
-    the positions of the pixels with the lower label and their squares. Over the others: `far_contrast`. `nearer` (2):
-    pixels where a occludes b, and b a; `above` (2): where a is above b in the image, and b above a. `bridged` (2):
-    lines that bridge an occlusion of a horizontal and of a vertical plane (`occlusion_bridging`).
-    `gap_m`: minimum distance of the two, infinite beyond reach.
-    """
+    """Measures of K pairs of regions a < b; sums over their neighbouring pixels, all (K, ...)."""
 
     a: NDArray[np.int64]
     b: NDArray[np.int64]
     meet: NDArray[np.float64]
+    #: neighbours that touch in 3D, of all that `meet`; `lean` to `contact_squares` but `far_contrast` are over these
     touch: NDArray[np.float64]
+    #: concavity of the normals, per distance
     lean: NDArray[np.float64]
+    #: number of concave ones
     concave: NDArray[np.float64]
+    #: cosine of the normals
     parallel: NDArray[np.float64]
+    #: Lab distance, lightness at half weight
     contrast: NDArray[np.float64]
+    #: the same over neighbours that do not touch
     far_contrast: NDArray[np.float64]
+    #: distance of the two pixels
     step_m: NDArray[np.float64]
+    #: standard deviation of depth
     sigma_m: NDArray[np.float64]
+    #: (3) positions of the pixels with the lower label
     contact: NDArray[np.float64]
     contact_squares: NDArray[np.float64]
+    #: (2) pixels where a occludes b, and b a
     nearer: NDArray[np.float64]
+    #: (2) pixels where a is above b in the image, and b above a
     above: NDArray[np.float64]
+    #: (2) lines that bridge an occlusion of a horizontal and of a vertical plane
     bridged: NDArray[np.float64]
+    #: minimum distance of the two, infinite beyond reach
     gap_m: NDArray[np.float64]
 
 
@@ -75,25 +78,25 @@ _PAIR_SUMS = tuple(name for name in RegionPairs.__slots__ if name not in ("a", "
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RegionGraph:
-    """The region adjacency graph of the fragments of a frame.
-
-    `labels` (h, w): the fragments; `middle` (3,) and `bottom_m`: origin of positions and heights; `floor_z_m`: NaN if
-    no floor is known; `level` (h, w): pixels of surfaces that can support something; `heights_m` (h, w): world z.
-    """
+    """The region adjacency graph of the fragments of a frame."""
 
     labels: NDArray[np.int32]
     regions: Regions
     pairs: RegionPairs
     contacts: Contacts
+    #: (3,) origin of positions; `bottom_m`: origin of heights
     middle: NDArray[np.float64]
     bottom_m: float
+    #: NaN if no floor is known
     floor_z_m: float
+    #: (h, w) pixels of surfaces that can support something
     level: NDArray[np.bool_]
+    #: (h, w) world z
     heights_m: NDArray[np.float32]
 
 
 def build_region_graph(fragments: Fragments, *, reach_px: int, gap_m: float) -> RegionGraph:
-    """Return the graph of fragments, of which there is at least one.
+    """Return the graph of at least one fragment.
 
     Pixels are neighbours across fewer than `reach_px` unlabelled pixels; fragments are close up to `gap_m`.
     """
@@ -133,32 +136,27 @@ def merged_regions(regions: Regions, numbers: NDArray[np.int64], count: int) -> 
 
 
 def merged_pairs(pairs: RegionPairs, numbers: NDArray[np.int64]) -> RegionPairs:
-    """Return the measures of the pairs of merged regions, ordered by number; pairs within one are left out."""
+    """Return the measures of the pairs of merged regions, ordered by number, without pairs within one."""
     count = int(numbers.max(initial=0)) + 1
     a, b, places = merged_keys(pairs.a, pairs.b, numbers, count)
     values = [getattr(pairs, name) for name in _PAIR_SUMS]
     sums = [np.zeros((len(a), *own.shape[1:])) for own in values]
     nearer, above, gap_m = np.zeros((len(a), 2)), np.zeros((len(a), 2)), np.full(len(a), np.inf)
-    _merge_pairs(
-        _rows(values),
-        _rows(sums),
-        (pairs.nearer, pairs.above, pairs.gap_m),
-        (nearer, above, gap_m),
-        (pairs.a, pairs.b, numbers, places),
-    )
+    others, which = (pairs.nearer, pairs.above, pairs.gap_m), (pairs.a, pairs.b, numbers, places)
+    _merge_pairs(_rows(values), _rows(sums), others, (nearer, above, gap_m), which)
     return RegionPairs(a=a, b=b, nearer=nearer, above=above, gap_m=gap_m, **dict(zip(_PAIR_SUMS, sums, strict=True)))
 
 
 def _rows(values: list[NDArray[np.float64]]) -> tuple[NDArray[np.float64], ...]:
-    """Return each of (N, ...) values as rows (N, k) of the same memory, for a kernel that takes all at once."""
+    # Each of (N, ...) values as rows (N, k) of the same memory, for a kernel that takes all at once.
     return tuple(own if own.ndim > 1 else own[:, None] for own in values)
 
 
 @kernel
 def merged_keys(a, b, numbers, count):
-    """Return (M,), (M,) the pairs of merged regions, ordered, and (K,) which of them each pair a, b is part of.
+    """Return (M,), (M,) the pairs of merged regions, ordered, and (K,) the place of each pair a, b among them.
 
-    `numbers` (n,) gives the merged region 0..count - 1 of each region; pairs within one are part of none, -1.
+    `numbers` (n,) gives the merged region 0..count - 1 of each region; pairs within one have no place, -1.
     """
     table = np.full(count * count, -1, dtype=np.int64)
     places = np.empty(len(a), dtype=np.int64)
@@ -200,7 +198,7 @@ def _merge_regions(values, sums, boxes, merged_boxes, numbers):
 
 @kernel
 def _merge_pairs(values, sums, others, merged_others, which):
-    """Add up the pairs that are part of one; `nearer` and `above` are by side, and sides may have changed places."""
+    # `nearer` and `above` are by side, and sides may have changed places.
     (nearer, above, gap_m), (merged_nearer, merged_above, merged_gap_m) = others, merged_others
     a, b, numbers, places = which
     for i in range(len(places)):
@@ -228,7 +226,7 @@ def _pairs(
     gaps: NDArray[np.float32],
     bridged: NDArray[np.int64],
 ) -> RegionPairs:
-    """Return the measures of the pairs of fragments; `gaps` (n, n), `bridged` (M, 3)."""
+    # The measures of the pairs of fragments; `gaps` (n, n), `bridged` (M, 3).
     inner = (contacts.here < count) & (contacts.there < count)
     here, there = contacts.here[inner].astype(np.int64), contacts.there[inner].astype(np.int64)
     turned = here > there
@@ -247,11 +245,7 @@ def _pairs(
     def columns(*values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.stack([total(column) for column in values], axis=1)
 
-    lab, points, normals = (
-        surface.lab.reshape(-1, 3),
-        surface.points_world.reshape(-1, 3),
-        surface.normals_world.reshape(-1, 3),
-    )
+    lab, points, normals = (own.reshape(-1, 3) for own in (surface.lab, surface.points_world, surface.normals_world))
     touch = contacts.touches[inner].astype(np.float64)
     across = (points[at_b] - points[at_a]).astype(np.float64)
     step_m = np.linalg.norm(across, axis=1) + 1e-6
@@ -290,7 +284,7 @@ def _pairs(
 
 @kernel
 def _gaps(labels, depth, points, count, reach, limit):
-    """Return (count, count) the minimum distance of each two labels at a stride of 2; infinite beyond the limit."""
+    # (count, count) the minimum distance of each two labels at a stride of 2; infinite beyond the limit.
     height, width = labels.shape
     out = np.full((count, count), np.inf, dtype=np.float32)
     for y in range(0, height, 2):

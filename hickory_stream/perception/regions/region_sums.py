@@ -1,4 +1,4 @@
-"""Per-region sums over the pixels of a frame, accumulated in one pass in pixel order."""
+"""Sums of regions over the pixels of a frame, accumulated in one pass in pixel order."""
 
 from __future__ import annotations
 
@@ -17,14 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RegionSums:
-    """Measures of n regions, row 0 is background; all arrays (n, ...).
-
-    Sums over pixels: `pixels`, `area_m2`, `depth_m`, `sigma_m`, `lab` (n, 3) and `lab_squares` (n, 3), positions
-    `place` (n, 3) and `place_products` (n, 6: xx xy xz yy yz zz) relative to the mean point of the frame, `normals`
-    (n, 3), `grain` (n, 2): the colour differences of horizontal neighbours within a region and their number, `planes`
-    (n, 1 + planes): pixels in no plane and in each support plane, `heights` (n, bins): a histogram from the bottom up.
-    `low`, `high` (n, 3): the bounding box of the points.
-    """
+    """Sums over the pixels of n regions, row 0 is background; all arrays (n, ...)."""
 
     pixels: NDArray[np.float64]
     area_m2: NDArray[np.float64]
@@ -33,11 +26,16 @@ class RegionSums:
     lab: NDArray[np.float64]
     lab_squares: NDArray[np.float64]
     place: NDArray[np.float64]
+    #: (n, 6) xx xy xz yy yz zz of positions relative to the frame's mean point, like `place` (n, 3)
     place_products: NDArray[np.float64]
     normals: NDArray[np.float64]
+    #: (n, 2) colour differences of horizontal neighbours within a region, and their number
     grain: NDArray[np.float64]
+    #: (n, 1 + planes) pixels in no plane and in each support plane
     planes: NDArray[np.float64]
+    #: (n, bins) a histogram from the bottom up
     heights: NDArray[np.float64]
+    #: (n, 3) like `high`: the bounding box of the points
     low: NDArray[np.float64]
     high: NDArray[np.float64]
 
@@ -49,10 +47,7 @@ def region_sums(
     areas_m2: NDArray[np.float32],
     height_bin_m: float,
 ) -> tuple[RegionSums, NDArray[np.float64], float]:
-    """Return the sums of the regions `labels` (h, w), of which there is at least one.
-
-    Also returns the origin of positions (3,) and of heights: the mean point and the lowest z.
-    """
+    """Return the sums of at least one region of `labels` (h, w), and the origin of positions (3,) and of heights."""
     names, points, planes = _labelled(labels, supports, surface.points_world)
     count = int(names.max()) + 1
     middle, bottom_m, top_m = points.mean(axis=0), float(points[:, 2].min()), float(points[:, 2].max())
@@ -69,35 +64,21 @@ def region_sums(
         count,
     )
     bins = int((top_m - bottom_m) / height_bin_m) + 1
-    in_plane, heights = _histograms(
-        labels.ravel(), supports.ravel(), points, count, planes, bins, bottom_m, height_bin_m
-    )
-    widths = np.cumsum([1, 1, 1, 3, 3, 3, 6, 3, 1])
-    pixels, area_m2, depth_m, lab_sums, lab_squares, place, products, normals, sigma_m, grain = (
-        np.ascontiguousarray(columns) for columns in np.split(sums, widths, axis=1)
-    )
-    out = RegionSums(
-        pixels=pixels[:, 0],
-        area_m2=area_m2[:, 0],
-        depth_m=depth_m[:, 0],
-        sigma_m=sigma_m[:, 0],
-        lab=lab_sums,
-        lab_squares=lab_squares,
-        place=place,
-        place_products=products,
-        normals=normals,
-        grain=grain,
-        planes=in_plane,
-        heights=heights,
-        low=low,
-        high=high,
-    )
-    return out, middle, bottom_m
+    flat = labels.ravel()
+    in_plane, heights = _histograms(flat, supports.ravel(), points, count, planes, bins, bottom_m, height_bin_m)
+    parts = [np.ascontiguousarray(part) for part in np.split(sums, np.cumsum(list(_WIDTHS.values())[:-1]), axis=1)]
+    of_pixels = {name: part[:, 0] if w == 1 else part for (name, w), part in zip(_WIDTHS.items(), parts, strict=True)}
+    return RegionSums(planes=in_plane, heights=heights, low=low, high=high, **of_pixels), middle, bottom_m
+
+
+# The columns of `_sums`.
+_WIDTHS = {"pixels": 1, "area_m2": 1, "depth_m": 1, "lab": 3, "lab_squares": 3, "place": 3, "place_products": 6}
+_WIDTHS |= {"normals": 3, "sigma_m": 1, "grain": 2}
 
 
 @kernel
 def _labelled(labels, supports, points):
-    """Return (N,) the labels of the pixels that have one, (N, 3) their points as float64, and how many planes count."""
+    # (N,) the labels of the pixels that have one, (N, 3) their points as float64, and how many planes count.
     height, width = labels.shape
     names, places = np.empty(height * width, dtype=np.int32), np.empty((height * width, 3))
     n, planes = 0, 1
@@ -114,11 +95,9 @@ def _labelled(labels, supports, points):
 
 @kernel
 def _sums(labels, places, points, areas, depth, lab, normals, sigma, width, count):
-    """Return (count, 24) sums and (count, 3) least and greatest coordinates; `places` and `points` of labelled pixels.
-
-    Columns: 1, area, depth, lab, squares of lab (in single precision), position, products of positions, normals, sigma,
-    colour difference to the right neighbour of the same label, number of such neighbours.
-    """
+    # (count, 24) sums and (count, 3) least and greatest coordinates. Columns: 1, area, depth, lab, squares of lab (in
+    # single precision), position, products of positions, normals, sigma, colour difference to the right neighbour of
+    # the same label, number of such neighbours. `places` and `points` are of labelled pixels.
     sums = np.zeros((count, 24))
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     n = 0
@@ -157,7 +136,7 @@ def _sums(labels, places, points, areas, depth, lab, normals, sigma, width, coun
 
 @kernel
 def _histograms(labels, supports, points, count, planes, bins, bottom, bin_m):
-    """Return (count, planes) the pixels of each region in each plane, and (count, bins) at each height."""
+    # (count, planes) the pixels of each region in each plane, and (count, bins) at each height.
     in_plane, at_height = np.zeros((count, planes)), np.zeros((count, bins))
     n = 0
     for i in range(len(labels)):

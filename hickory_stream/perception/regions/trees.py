@@ -1,7 +1,4 @@
-"""Boosted trees that estimate whether two regions are one object: read from the package, evaluated with Numba.
-
-`tools/train_segmenter` trains them and writes them together with a card on their training data and accuracy.
-"""
+"""Boosted trees that estimate whether two regions are one object; `tools/train_segmenter` trains them."""
 
 from __future__ import annotations
 
@@ -24,28 +21,26 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+# `sizes` uses absolute features (metres, heights, colours); `mixed` averages it with a forest of relative features
+# (ratios, sigmas, angles) alone; `odds` also uses the features of the affinity network, which may be NaN.
 Forest = Literal["sizes", "mixed", "odds"]
-"""The forests: `sizes` uses absolute features (metres, heights, colours); `mixed` averages it with one that uses only
-relative features (ratios, sigmas, angles); `odds` also uses the features of the affinity network, which may be NaN.
-"""
-EMBEDDED: dict[Forest, str] = {
-    "sizes": "weights/join.npz",
-    "mixed": "weights/join_mixed.npz",
-    "odds": "weights/join_odds.npz",
-}
+_WEIGHTS: dict[Forest, str] = {"sizes": "join", "mixed": "join_mixed", "odds": "join_odds"}
+EMBEDDED: dict[Forest, str] = {forest: f"weights/{name}.npz" for forest, name in _WEIGHTS.items()}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Trees:
     """A forest whose leaf values add up to log-odds; the nodes of all trees are concatenated, all arrays (nodes,).
 
-    `features`: the names of the inputs in order; `roots` (trees,): the first node of each tree; `baseline`: log-odds to
-    which the leaf values are added. The descent continues from node i at `left[i]` if input `feature[i]` is at most
-    `threshold[i]`, else at `right[i]`; for NaN at `left[i]` if `nan_left[i]`. A leaf has feature -1 and a `value[i]`.
+    The descent from node i continues at `left[i]` if input `feature[i]` is at most `threshold[i]`, else at `right[i]`;
+    for NaN at `left[i]` if `nan_left[i]`. A leaf has feature -1 and a `value[i]`.
     """
 
+    #: names of the inputs in order
     features: tuple[str, ...]
+    #: log-odds to which leaf values are added
     baseline: float
+    #: (trees,) the first node of each tree
     roots: NDArray[np.int32]
     feature: NDArray[np.int16]
     threshold: NDArray[np.float64]
@@ -60,23 +55,17 @@ class Trees:
             rows = inputs.rows_of(self.features)
         else:
             rows = np.array([inputs[name] for name in self.features]).T.copy()
-        odds = self.baseline + _sums_of_leaves(
-            rows, self.roots, self.feature, self.threshold, self.left, self.right, self.nan_left, self.value
-        )
+        odds = self.baseline + _sums_of_leaves(rows, *(getattr(self, name) for name in _ARRAYS))
         return np.asarray(1 / (1 + portable.exp(-odds)))
 
     def save(self, path: Path) -> None:
         """Write the trees as a NumPy archive."""
-        np.savez_compressed(
-            path,
-            features=np.array(self.features),
-            baseline=np.array(self.baseline),
-            **{name: getattr(self, name) for name in _ARRAYS},
-        )
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        np.savez_compressed(path, features=np.array(self.features), baseline=np.array(self.baseline), **arrays)
 
 
 def averaged(one: Trees, other: Trees) -> Trees:
-    """Return trees whose log-odds are the mean of two forests'; the forests may use different inputs."""
+    """Return trees whose log-odds are the mean of two forests'; their inputs may differ."""
     names = tuple(dict.fromkeys((*one.features, *other.features)))
     forests, shift = [], 0
     for trees in (one, other):
@@ -109,11 +98,7 @@ def embedded_trees(forest: Forest = "sizes") -> Trees:
 
 
 def load_trees(path: Path) -> Trees:
-    """Return the trees in a file.
-
-    Raises:
-        ModelError: the file does not exist or does not contain such trees.
-    """
+    """Return the trees in a file; raises `ModelError`."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             trees = Trees(
@@ -128,17 +113,15 @@ def load_trees(path: Path) -> Trees:
 
 
 def _check(trees: Trees, path: Path) -> None:
-    """Raise if a node has a child out of range or before itself: the descent of a tree must end."""
-    count = len(trees.feature)
-    inner = trees.feature >= 0
+    # A child after its node ensures that the descent of a tree ends.
+    count, inner = len(trees.feature), trees.feature >= 0
     own = np.arange(count)
     for name in _ARRAYS[1:]:
         if len(getattr(trees, name)) != count:
             raise ModelError(f"{path}: {len(getattr(trees, name))} of {name} for {count} nodes")
-    for name in ("left", "right"):
-        next_node = getattr(trees, name)
-        if ((next_node <= own) | (next_node >= count))[inner].any():
-            raise ModelError(f"{path}: a node leads {name} to none that comes after it")
+    for name, child in (("left", trees.left), ("right", trees.right)):
+        if ((child <= own) | (child >= count))[inner].any():
+            raise ModelError(f"{path}: the {name} child of a node does not come after it")
     if (trees.feature >= len(trees.features)).any() or (trees.roots < 0).any() or (trees.roots >= count).any():
         raise ModelError(f"{path}: a node asks for an input, or a tree begins at a node, that is not there")
 

@@ -1,13 +1,12 @@
 """Detection of room structure in a frame: the floor, walls and ceiling.
 
-The floor is the lowest wide horizontal surface; a wall or a ceiling is a plane with all of the room on one side. The
-front of a cupboard is as flat as a wall, but there is surface behind it. A wall with an open door has surface behind
-it, too: it is recognised by its height, and limited to the sections in which it is visible.
+The floor is the lowest wide horizontal surface; a wall or a ceiling has all of the room on one side. A wall with an
+open door has surface behind it, like a cupboard's front: it is known by its height, and only visible sections count.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,21 +14,7 @@ import numpy as np
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
-from hickory_stream.perception.structure.detection_kernels import (
-    along,
-    areas_m2,
-    bins_of_azimuth,
-    near_offset,
-    on_wall,
-    places_of,
-    spread_of,
-    surface_of_area,
-    taken,
-    taken_rows,
-    upright_pixels,
-    weight_below,
-    weighted_sum,
-)
+from hickory_stream.perception.structure import detection_kernels as kernels
 from hickory_stream.perception.structure.ground import Ground, GroundConfig
 from hickory_stream.perception.structure.raised_patches import NearPlane
 
@@ -81,27 +66,24 @@ class HorizontalPlane:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Wall:
-    """A vertical plane, normal . p = offset, with the horizontal unit normal (2,) into the room.
-
-    `cells` are the sorted indices of the sections, `_STRETCH_M` long, in which the wall is visible; None for a wall
-    that bounds the room: everything behind it is structure, too.
-    """
+    """A vertical plane, normal . p = offset, with the horizontal unit normal (2,) into the room."""
 
     normal: NDArray[np.float32]
     offset: float
+    #: sorted indices of its visible sections, `_STRETCH_M` long; None: it bounds the room, with structure behind it
     cells: NDArray[np.int64] | None
 
     def distance_m(self, surface: Surface) -> NDArray[np.float32]:
-        """Return (h, w) the signed distance of each pixel in front of the wall, in m."""
+        """Return (h, w) the signed distance of each pixel in front of the wall."""
         rows = surface.points_world.reshape(-1, 3)
-        return np.asarray(along(rows, self.normal).reshape(surface.depth_m.shape) - np.float32(self.offset))
+        return np.asarray(kernels.along(rows, self.normal).reshape(surface.depth_m.shape) - np.float32(self.offset))
 
     def mask(
         self, surface: Surface, distance: NDArray[np.float32], tolerance: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
-        """Return (h, w) the pixels of the wall, to a tolerance in m per pixel."""
-        facing = along(surface.normals_world.reshape(-1, 3), self.normal).reshape(distance.shape)
-        mask: NDArray[np.bool_] = on_wall(distance, facing, tolerance, self.cells is None)
+        """Return (h, w) the pixels of the wall, to a tolerance in metres per pixel."""
+        facing = kernels.along(surface.normals_world.reshape(-1, 3), self.normal).reshape(distance.shape)
+        mask: NDArray[np.bool_] = kernels.on_wall(distance, facing, tolerance, self.cells is None)
         if self.cells is not None:
             mask[mask] = np.isin(_stretches(surface.points_world[mask][:, :2], self.normal), self.cells)
         return mask
@@ -112,14 +94,14 @@ _SEEN_M2 = 0.03
 
 
 def _stretches(at: NDArray[np.float32], normal: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return (N,) the index of the section along a wall of each of (N, 2) points."""
-    sideways = along(at, np.array([-normal[1], normal[0]], dtype=np.float32))
+    # (N,) the index of the section along a wall of each of (N, 2) points.
+    sideways = kernels.along(at, np.array([-normal[1], normal[0]], dtype=np.float32))
     return np.floor(sideways / _STRETCH_M).astype(np.int64)
 
 
 def pixel_areas_m2(surface: Surface) -> NDArray[np.float32]:
     """Return (h, w) the surface area of each pixel; 0 without depth, bounded at grazing angles."""
-    areas: NDArray[np.float32] = areas_m2(
+    areas: NDArray[np.float32] = kernels.areas_m2(
         surface.points_world,
         surface.normals_world,
         surface.depth_m,
@@ -129,11 +111,9 @@ def pixel_areas_m2(surface: Surface) -> NDArray[np.float32]:
     return areas
 
 
-def horizontal_planes(
-    surface: Surface, areas_m2: NDArray[np.float32], *, min_area_m2: float, bin_m: float = 0.01
-) -> list[HorizontalPlane]:
+def horizontal_planes(surface: Surface, areas_m2: NDArray[np.float32], *, min_area_m2: float) -> list[HorizontalPlane]:
     """Return the upward-facing horizontal planes of a frame, lowest first: peaks of the height histogram."""
-    upward = surface.normals_world[..., 2] > 0.9
+    upward, bin_m = surface.normals_world[..., 2] > 0.9, 0.01
     heights, weights = surface.points_world[..., 2][upward], areas_m2[upward]
     if len(heights) == 0:
         return []
@@ -160,22 +140,19 @@ _AT_FLOOR_M = 0.06
 def floor_height_m(
     surface: Surface, planes: list[HorizontalPlane], known_m: float | None, config: StructureConfig
 ) -> float | None:
-    """Return the floor's height in this frame, or that of the map if the frame shows no floor.
+    """Return the floor's height in this frame, or the map's if the frame shows no floor.
 
-    Only a lower plane replaces the map's floor, so that a table that fills the view is not taken for the floor. If the
-    camera is a storey above the map's floor, the floor is the largest plane below the camera.
+    Only a lower plane replaces the map's floor: a table that fills the view is no floor. For a camera a storey above
+    the map's floor, the floor is the largest plane below it.
     """
     camera_z = float(surface.world_from_camera[2, 3])
-    below = [
-        plane
-        for plane in planes
-        if plane.area_m2 >= FLOOR_AREA_M2 and plane.z_m <= camera_z - config.floor_below_camera_m
-    ]
+    highest_m = camera_z - config.floor_below_camera_m
+    below = [plane for plane in planes if plane.area_m2 >= FLOOR_AREA_M2 and plane.z_m <= highest_m]
     if known_m is None:
         return below[0].z_m if below else None
     if camera_z - known_m > _STOREY_M:
         return max(below, key=lambda plane: (plane.area_m2, -plane.z_m)).z_m if below else known_m
-    # A floor as much as a storey lower is that of the storey below, seen over a railing.
+    # A floor a storey lower belongs to the storey below, seen over a railing.
     lower = [plane.z_m for plane in below if known_m - _STOREY_M < plane.z_m <= known_m + _AT_FLOOR_M]
     return lower[0] if lower else known_m
 
@@ -186,10 +163,7 @@ def structure_mask(
     floor_z_m: float | None,
     ground: Ground | None,
 ) -> tuple[NDArray[np.bool_], list[NearPlane]]:
-    """Return (h, w) which pixels are floor, wall or ceiling, or lie behind one; and the pixels near floor and walls.
-
-    The floor is the level plane at `floor_z_m`, or the `ground` where that is uneven.
-    """
+    """Return (h, w) the pixels on or behind floor (`floor_z_m` or `ground`), walls or ceiling; and their planes."""
     tolerance = _TOLERANCE_M + 2.0 * surface.sigma_m
     mask = _ceiling(surface, areas_m2, tolerance)
     planes: list[NearPlane] = []
@@ -218,37 +192,39 @@ def _ceiling(surface: Surface, areas_m2: NDArray[np.float32], tolerance: NDArray
 
 
 def _walls(surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | None) -> list[Wall]:
-    """Return the walls of a frame, by direction, the rearmost first."""
+    # By direction, the rearmost first.
     points, normals = surface.points_world.reshape(-1, 3), surface.normals_world.reshape(-1, 3)
     weights = areas_m2.reshape(-1)
-    all_at, all_weight, all_sigma = surface_of_area(points, surface.sigma_m.reshape(-1), weights)
-    pixels, direction = upright_pixels(normals, weights)
+    all_at, all_weight, all_sigma = kernels.surface_of_area(points, surface.sigma_m.reshape(-1), weights)
+    pixels, direction = kernels.upright_pixels(normals, weights)
     if len(pixels) == 0:
         return []
     walls: list[Wall] = []
-    at, heights, sigma, weight = places_of(pixels, points, surface.sigma_m.reshape(-1), weights)
-    azimuths = bins_of_azimuth(direction, _AZIMUTHS)
+    at, heights, sigma, weight = kernels.places_of(pixels, points, surface.sigma_m.reshape(-1), weights)
+    azimuths = kernels.bins_of_azimuth(direction, _AZIMUTHS)
     left = _Upright(pixels, at, heights, sigma, weight, direction, azimuths)
     width, total = surface.depth_m.shape[1], float(all_weight.sum())
     for _ in range(8):
         normal = _dominant_direction(left)
-        agreement = along(left.direction, normal)
+        agreement = kernels.along(left.direction, normal)
         facing, left = left.among(agreement > 0.97), left.among(~(agreement > 0.94))
-        for peak in _peaks(along(facing.at, normal), facing.weight, _WALL_AREA_M2):
+        for peak in _peaks(kernels.along(facing.at, normal), facing.weight, _WALL_AREA_M2):
             inward, offset = _refined(facing, normal, peak)
-            offsets = along(facing.at, inward)
-            on_it = facing.among(near_offset(offsets, np.float32(offset), 0.04 + facing.sigma))
+            offsets = kernels.along(facing.at, inward)
+            on_it = facing.among(kernels.near_offset(offsets, np.float32(offset), 0.04 + facing.sigma))
             if len(on_it.pixels) == 0:
                 continue
-            behind = _behind(all_at, all_weight, all_sigma, inward, offset)
+            all_offsets = kernels.along(all_at, inward)
+            behind = float(kernels.weight_below(all_weight, all_offsets, np.float32(offset - 0.12), all_sigma).sum())
             if behind < _BEHIND_SHARE * total:
                 if _is_tall(on_it.heights, floor_z_m):
                     walls.append(Wall(normal=inward, offset=offset, cells=None))
             elif _is_high(on_it.heights, on_it.pixels, width, floor_z_m):
-                cells = _seen_cells(on_it.at, on_it.weight, inward)
+                sections, inverse = np.unique(_stretches(on_it.at, inward), return_inverse=True)
+                cells = sections[np.bincount(inverse, weights=on_it.weight) > _SEEN_M2]
                 depth = offset - offsets
                 is_backing = (depth > 0.12 + facing.sigma) & (depth < _FURNITURE_DEPTH_M)
-                backing = float(taken(facing.weight, is_backing).sum())
+                backing = float(kernels.taken(facing.weight, is_backing).sum())
                 if len(cells) * _STRETCH_M > _WALL_WIDTH_M and backing < _BACKING_M2:
                     walls.append(Wall(normal=inward, offset=offset, cells=cells))
         if float(left.weight.sum()) < _WALL_AREA_M2:
@@ -258,8 +234,7 @@ def _walls(surface: Surface, areas_m2: NDArray[np.float32], floor_z_m: float | N
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Upright:
-    """N pixels of vertical surface: positions `at` (N, 2), heights, depth sigma, area, direction (N, 2) and its bin."""
-
+    # N pixels of vertical surface: positions `at` (N, 2), heights, depth sigma, area, direction (N, 2) and its bin.
     pixels: NDArray[np.int64]
     at: NDArray[np.float32]
     heights: NDArray[np.float32]
@@ -269,33 +244,9 @@ class _Upright:
     azimuths: NDArray[np.int64]
 
     def among(self, mask: NDArray[np.bool_]) -> _Upright:
-        """Return the marked pixels."""
-        return _Upright(
-            taken(self.pixels, mask),
-            taken_rows(self.at, mask),
-            taken(self.heights, mask),
-            taken(self.sigma, mask),
-            taken(self.weight, mask),
-            taken_rows(self.direction, mask),
-            taken(self.azimuths, mask),
-        )
-
-
-def _behind(
-    at: NDArray[np.float32],
-    weight: NDArray[np.float64],
-    sigma: NDArray[np.float32],
-    normal: NDArray[np.float32],
-    offset: float,
-) -> float:
-    """Return the area of the surface that lies behind a plane by more than the noise."""
-    return float(weight_below(weight, along(at, normal), np.float32(offset - 0.12), sigma).sum())
-
-
-def _seen_cells(at: NDArray[np.float32], weight: NDArray[np.float64], normal: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return the sections of a wall of which enough is visible."""
-    cells, inverse = np.unique(_stretches(at, normal), return_inverse=True)
-    return np.asarray(cells[np.bincount(inverse, weights=weight) > _SEEN_M2])
+        values = (getattr(self, field.name) for field in fields(self))
+        take = {1: kernels.taken, 2: kernels.taken_rows}
+        return _Upright(*(take[own.ndim](own, mask) for own in values))
 
 
 def _is_high(
@@ -304,7 +255,7 @@ def _is_high(
     width: int,
     floor_z_m: float | None,
 ) -> bool:
-    """Return whether a vertical plane is higher than furniture, or cut by the upper image border, and reaches down."""
+    # Higher than furniture, or cut by the upper image border, and reaching down.
     if floor_z_m is None:
         return False
     low, high = np.percentile(heights, [2, 98])
@@ -316,36 +267,34 @@ def _is_high(
 
 
 def _is_tall(heights: NDArray[np.float32], floor_z_m: float | None) -> bool:
-    """Return whether a vertical plane is as tall as a wall: over 1.3 m above the floor, or over 0.8 m of it in view."""
+    # Over 1.3 m above the floor, or over 1 m of it in view.
     low, high = np.percentile(heights, [2, 98])
-    if floor_z_m is not None and high - floor_z_m > 1.3:
-        return True
-    return bool(high - low > 1.0)
+    return bool((floor_z_m is not None and high - floor_z_m > 1.3) or high - low > 1.0)
 
 
 _AZIMUTHS = 120
 
 
 def _dominant_direction(left: _Upright) -> NDArray[np.float32]:
-    """Return the unit direction (2,) that most of the remaining area faces: a refined peak of the histogram."""
+    # The unit direction (2,) of most of the remaining area: a refined peak of the histogram.
     areas = np.bincount(left.azimuths, weights=left.weight, minlength=_AZIMUTHS)
     smooth = areas + 0.7 * (np.roll(areas, 1) + np.roll(areas, -1))
     center = (int(np.argmax(smooth)) + 0.5) / _AZIMUTHS * 2 * np.pi - np.pi
-    near = along(left.direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98
-    weight = taken(left.weight, near)
-    mean = weighted_sum(taken_rows(left.direction, near), weight) / weight.sum()
+    near = kernels.along(left.direction, np.array([cos(center), sin(center)], dtype=np.float32)) > 0.98
+    weight = kernels.taken(left.weight, near)
+    mean = kernels.weighted_sum(kernels.taken_rows(left.direction, near), weight) / weight.sum()
     return (mean / portable.norm(mean)).astype(np.float32)
 
 
 def _refined(facing: _Upright, normal: NDArray[np.float32], offset: float) -> tuple[NDArray[np.float32], float]:
-    """Return a wall's line refined by least squares, twice; an error of a degree is 9 cm on 5 m of wall."""
+    # Least squares, twice; an error of a degree is 9 cm on 5 m of wall.
     tolerance_m = 0.05 + 2.0 * facing.sigma
     for _ in range(2):
-        near = near_offset(along(facing.at, normal), np.float32(offset), tolerance_m)
-        at_near, share = taken_rows(facing.at, near), taken(facing.weight, near)
+        near = kernels.near_offset(kernels.along(facing.at, normal), np.float32(offset), tolerance_m)
+        at_near, share = kernels.taken_rows(facing.at, near), kernels.taken(facing.weight, near)
         if len(share) < 20:
             break
-        middle, spread = spread_of(at_near, share / share.sum())
+        middle, spread = kernels.spread_of(at_near, share / share.sum())
         _, axes = portable.eigh(spread)
         across = axes[:, 0] * np.sign(portable.dot(axes[:, 0], normal))
         if portable.dot(across, normal) < 0.98:
@@ -355,7 +304,7 @@ def _refined(facing: _Upright, normal: NDArray[np.float32], offset: float) -> tu
 
 
 def _peaks(offsets: NDArray[np.float32], weight: NDArray[np.float64], min_area_m2: float) -> list[float]:
-    """Return the offsets along a normal of up to four planes with enough area, the rearmost first."""
+    # The offsets along a normal of up to four planes with enough area, the rearmost first.
     if len(offsets) == 0:
         return []
     bin_m, low = 0.02, float(offsets.min()) - 0.04

@@ -1,4 +1,4 @@
-"""Kernels of structure detection: loops over pixels that gather positions, areas and directions in one pass."""
+"""Kernels of structure detection."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def near_offset(along, offset, tolerance):
 
 @kernel
 def weight_below(weight, along, offset, noise):
-    """Return the total weight of the values that are below an offset by more than their noise."""
+    """Return the weights of the values that are below an offset by more than their noise."""
     out = np.empty(len(along))
     count = 0
     for i in range(len(along)):

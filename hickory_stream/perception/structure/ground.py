@@ -1,14 +1,8 @@
 """Ground that is not one level plane: slopes, waves, kerbs, steps and ramps, on a grid of heights.
 
-The lowest upward-facing surface of each grid cell is grown into regions without steps: between neighbouring cells the
-slope is limited (local slopes: Himmelsbach et al. 2010; regions of a height map: Douillard et al. 2011). A region is
-ground if it is at the height of the floor, or mostly on structure that the map knows as ground. A region that is one
-step above the ground and wide enough to stand on is ground, too, and so is one that is up to two steps below. Objects
-on the ground are not: their sides are steeper than the slope limit, and their tops are higher than a step or too small.
-(Cloth simulation from below, Zhang et al. 2016, cannot separate a box from a platform either: it needs the same two
-limits.)
-
-A level floor gives the same result as one plane, so that this grid is used only where the ground is uneven.
+The lowest upward-facing surfaces of cells grow into regions of limited slope (local slopes: Himmelsbach et al. 2010;
+regions of a height map: Douillard et al. 2011). Ground is a region at the height of the floor, on known ground, or one
+step above ground and wide enough to stand on, or up to two steps below. Objects are steeper, higher or smaller.
 """
 
 from __future__ import annotations
@@ -50,13 +44,11 @@ class GroundConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ground:
-    """Heights of uneven ground in a frame.
+    """Heights of uneven ground in a frame."""
 
-    `height_m` (h, w) is the height of each pixel above the ground under it, NaN where the ground is not known;
-    `middle_z_m` the height in the world of the middle of the visible ground.
-    """
-
+    #: (h, w) height of each pixel above the ground under it, NaN if unknown
     height_m: NDArray[np.float32]
+    #: height in the world of the middle of the visible ground
     middle_z_m: float
 
 
@@ -77,13 +69,8 @@ def uneven_ground(
 ) -> Ground | None:
     """Return the ground of a frame if it is uneven; None if it is one level plane.
 
-    Args:
-        surface: the surface of the frame.
-        known: (h, w) which pixels lie in structure voxels of the map.
-        floor_z_m: height of the floor as one plane, None if it is unknown.
-        config: which surfaces are ground.
-        below_camera_m: minimum distance of the ground below the camera.
-        least_m2: minimum area of a region of ground (levels a step higher have a minimum of their own).
+    `known` (h, w): pixels in structure voxels of the map; `floor_z_m`: height of the floor as one plane, if known;
+    `below_camera_m`: minimum distance of ground below the camera; `least_m2`: minimum area of a region of ground.
     """
     camera_z = float(surface.world_from_camera[2, 3])
     grid = _heights_of(surface, known, camera_z - below_camera_m)
@@ -105,11 +92,8 @@ def uneven_ground(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """The lowest upward-facing surface of each cell (nx, ny): height (NaN if none), noise, share known as structure.
-
-    `low_m` (2,) is the corner of the first cell.
-    """
-
+    # The lowest upward-facing surface of each cell (nx, ny): height (NaN if none), noise, share known as structure;
+    # `low_m` (2,) is the corner of the first cell.
     z_m: NDArray[np.float32]
     slack_m: NDArray[np.float32]
     known: NDArray[np.float32]
@@ -133,7 +117,7 @@ def _heights_of(surface: Surface, known: NDArray[np.bool_], highest_m: float) ->
 
 @kernel
 def _upward(points, normals, sigma, known, least, highest):
-    """Return (N, 3) the points that face upward below a height, (N,) their noise, and whether they are known."""
+    # (N, 3) the points that face upward below a height, (N,) their noise, and whether they are known.
     height, width = known.shape
     at, noise = np.empty((height * width, 3), dtype=np.float32), np.empty(height * width, dtype=np.float32)
     is_known = np.empty(height * width, dtype=np.bool_)
@@ -149,7 +133,7 @@ def _upward(points, normals, sigma, known, least, highest):
 
 @kernel
 def _lowest(points, sigma, known, eye, low, cell, nx, ny):
-    """Return the mean height (nx, ny) of the lowest layer of points in each cell, its noise, and its known share."""
+    # The mean height (nx, ny) of the lowest layer of points in each cell, its noise, and its known share.
     least = np.full((nx, ny), np.float32(np.inf), dtype=np.float32)
     places = np.empty((len(points), 2), dtype=np.int32)
     noise = np.empty(len(points), dtype=np.float32)
@@ -182,7 +166,7 @@ def _lowest(points, sigma, known, eye, low, cell, nx, ny):
 
 @kernel
 def _regions(z, slack, rise):
-    """Return (nx, ny) the region of each cell, from 1 (0: no height): connected cells within the slope limit."""
+    # (nx, ny) the region of each cell, from 1 (0: no height): connected cells within the slope limit.
     nx, ny = z.shape
     out = np.zeros((nx, ny), dtype=np.int32)
     queue = np.empty((nx * ny, 2), dtype=np.int32)
@@ -213,7 +197,7 @@ def _regions(z, slack, rise):
 def _is_ground(
     regions: NDArray[np.int32], grid: _Grid, floor_z_m: float | None, config: GroundConfig, least_m2: float
 ) -> NDArray[np.bool_]:
-    """Return (nx, ny) which cells are ground: regions of the floor, and regions one step away from ground."""
+    # (nx, ny) which cells are ground: regions of the floor, and regions one step away from ground.
     cells = np.bincount(regions.ravel())
     cells[0] = 0
     large = np.flatnonzero(cells * _CELL_M * _CELL_M >= least_m2)
@@ -240,7 +224,6 @@ _AT_FLOOR_CELLS = 3
 
 
 def _known_regions(regions: NDArray[np.int32], grid: _Grid, cells: NDArray[np.int64]) -> set[int]:
-    """Return the regions of at least a few cells that are mostly structure in the map."""
     known = np.bincount(regions.ravel(), weights=grid.known.ravel(), minlength=len(cells))
     return {int(i) for i in np.flatnonzero((cells >= _AT_FLOOR_CELLS) & (known >= _SURELY_KNOWN * cells))} - {0}
 
@@ -248,7 +231,7 @@ def _known_regions(regions: NDArray[np.int32], grid: _Grid, cells: NDArray[np.in
 def _first_regions(
     regions: NDArray[np.int32], grid: _Grid, floor_z_m: float | None, large: NDArray[np.int64]
 ) -> set[int]:
-    """Return the large regions at the height of the floor; if there are none, the lowest one on known structure."""
+    # The large regions at the height of the floor; if there are none, the lowest one on known structure.
     if len(large) == 0:
         return set()
     if floor_z_m is not None:
@@ -266,10 +249,7 @@ def _first_regions(
 def _is_a_step_away(
     region: NDArray[np.bool_], ground: NDArray[np.bool_], was_ground: bool, grid: _Grid, config: GroundConfig
 ) -> bool:
-    """Return whether a region begins at most a step above, or two below, ground that is near.
-
-    A higher level must have the minimum area, unless it was known as ground before.
-    """
+    # At most a step above, or two below, ground that is near; a higher level must be large, or known before.
     at, there = np.argwhere(region), np.argwhere(ground)
     rise_m, gap_m = _nearest_step(at, there, grid.z_m, np.float32(_CELL_M))
     if not gap_m <= _GAP_M:
@@ -282,7 +262,6 @@ def _is_a_step_away(
 
 @kernel
 def _nearest_step(at, there, z, cell):
-    """Return the mean rise from the ground to the cells of a region that are nearest to it, and their distance."""
     nearest = np.float32(np.inf)
     for i in range(len(at)):
         for j in range(len(there)):
@@ -300,7 +279,7 @@ def _nearest_step(at, there, z, cell):
 
 @kernel
 def _filled(z, steps):
-    """Return heights (nx, ny) with unknown cells filled by the mean of their known neighbours, `steps` times."""
+    # Heights (nx, ny) with unknown cells filled by the mean of their known neighbours, `steps` times.
     out = z.copy()
     for _ in range(steps):
         before = out.copy()
@@ -321,10 +300,7 @@ def _filled(z, steps):
 
 @kernel
 def _above(points, z, low, cell, step):
-    """Return (h, w) the height of points above the ground, interpolated between cells of one level.
-
-    At the edge of a step the higher level counts, also in a cell that contains both: the face of a kerb is ground.
-    """
+    # At the edge of a step the higher level counts, also in a cell with both: the face of a kerb is ground.
     height, width, _ = points.shape
     nx, ny = z.shape
     out = np.full((height, width), np.float32(np.nan), dtype=np.float32)

@@ -1,8 +1,7 @@
 """Patches raised off a floor or wall plane by less than the depth noise of a pixel: a lamp's foot, a shelf's back.
 
-A single pixel cannot be separated from the plane, but the mean depth over a window has a fraction of the noise. Depth
-of real cameras also has low-frequency errors as high as such a patch, so that a patch must differ in colour, too, from
-the plane around it.
+The mean depth over a window has a fraction of the noise. Depth cameras also have low-frequency errors as high as such a
+patch, so a patch must differ in colour, too, from the plane around it.
 """
 
 from __future__ import annotations
@@ -43,19 +42,15 @@ _MIN_BORDER_PX = 2
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class NearPlane:
-    """A floor or wall plane: the pixels `near` it (h, w), and the signed distance of each to its front, in m (h, w)."""
+    """A floor or wall plane: the pixels `near` it (h, w), and the signed distance of each to its front (h, w)."""
 
     distance_m: NDArray[np.float32]
     near: NDArray[np.bool_]
     is_floor: bool
 
 
-def raised_patches(
-    planes: Sequence[NearPlane],
-    structure: NDArray[np.bool_],
-    surface: Surface,
-) -> NDArray[np.bool_]:
-    """Return (h, w) which pixels of `structure` belong to objects: those raised off every plane near them."""
+def raised_patches(planes: Sequence[NearPlane], structure: NDArray[np.bool_], surface: Surface) -> NDArray[np.bool_]:
+    """Return (h, w) the pixels of `structure` that belong to objects: they are raised off every plane near them."""
     things = (~structure & np.isfinite(surface.depth_m)).astype(np.uint8)
     off, on = np.zeros(structure.shape, dtype=bool), np.zeros(structure.shape, dtype=bool)
     for plane in planes:
@@ -76,8 +71,8 @@ def _raised(
     values, marks = _marked(plane.distance_m, plane.near)
     total = cv2.blur(values, side, borderType=cv2.BORDER_CONSTANT)
     share = cv2.blur(marks, side, borderType=cv2.BORDER_CONSTANT)
-    area, least_m, sigmas = (np.float32(x) for x in (_WINDOW_PX * _WINDOW_PX, _MIN_OFFSET_M, _MIN_OFFSET_SIGMAS))
-    high = _is_high(plane.near, total, share, sigma_m, area, least_m, sigmas)
+    limits = (np.float32(x) for x in (_WINDOW_PX * _WINDOW_PX, _MIN_OFFSET_M, _MIN_OFFSET_SIGMAS))
+    high = _is_high(plane.near, total, share, sigma_m, *limits)
     if np.count_nonzero(high) < _MIN_AREA_PX:
         return mask
     # Opening removes rims of a few pixels along the foot of an object.
@@ -95,13 +90,13 @@ def _raised(
             continue
         around = ground[window]
         color = lab[window][around] if int(around.sum()) >= _MIN_AREA_PX else lab[ground]
-        if len(color) and _color_step(lab[window][patch], color) > _COLOR_STEP:
+        colors = (lab[window][patch], color)
+        if len(color) and portable.norm(np.subtract(*(np.median(c, axis=0) for c in colors))) > _COLOR_STEP:
             mask[window] |= patch
     return mask
 
 
 def _borders_objects(patch: NDArray[np.bool_], things: NDArray[np.uint8], *, is_floor: bool) -> bool:
-    """Return whether enough of a patch's outline borders on objects."""
     outline = (cv2.dilate(patch.astype(np.uint8), _NEXT) > 0) & ~patch
     touch = int(things[outline].sum())
     return touch >= _MIN_BORDER_PX if is_floor else touch > _MIN_BORDER_SHARE * int(outline.sum())
@@ -109,7 +104,7 @@ def _borders_objects(patch: NDArray[np.bool_], things: NDArray[np.uint8], *, is_
 
 @kernel
 def _marked(values, mask):
-    """Return (h, w) the values inside a mask, 0 elsewhere, and the mask as float."""
+    # (h, w) the values inside a mask, 0 elsewhere, and the mask as float.
     out, marks = np.zeros(values.shape, dtype=np.float32), np.zeros(values.shape, dtype=np.float32)
     for y in range(values.shape[0]):
         for x in range(values.shape[1]):
@@ -120,11 +115,8 @@ def _marked(values, mask):
 
 @kernel
 def _is_high(near, total, share, sigma, area, least, sigmas):
-    """Return (h, w) which pixels near a plane lie in windows whose mean offset exceeds the noise.
-
-    `total` and `share` (h, w) are window means, over `area` pixels, of the distance to the plane (0 for pixels that are
-    not near it) and of the mask of pixels near it.
-    """
+    # `total` and `share` (h, w) are window means, over `area` pixels, of the distance to the plane (0 beyond) and of
+    # the mask of pixels near it.
     out = np.zeros(near.shape, dtype=np.bool_)
     for y in range(near.shape[0]):
         for x in range(near.shape[1]):
@@ -133,10 +125,6 @@ def _is_high(near, total, share, sigma, area, least, sigmas):
                 noise = sigma[y, x] / np.sqrt(max(share[y, x] * area, np.float32(1.0)))
                 out[y, x] = mean > max(least, sigmas * noise)
     return out
-
-
-def _color_step(patch: NDArray[np.float32], plane: NDArray[np.float32]) -> float:
-    return portable.norm(np.median(patch, axis=0) - np.median(plane, axis=0))
 
 
 _NEXT, _WIDE = np.ones((3, 3), dtype=np.uint8), np.ones((5, 5), dtype=np.uint8)

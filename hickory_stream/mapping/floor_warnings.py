@@ -1,7 +1,7 @@
-"""Notes for the operator on the floor of a map and on gravity: what is unknown, and what looks wrong.
+"""Warnings about the floor of a map and about gravity.
 
-The tilt is that of a plane fitted to the whole floor: to the lowest structure voxel of each column near the floor's
-height, then again to the inliers. Uneven ground, which is not a plane, has no tilt.
+The tilt comes from a plane fitted to the lowest structure voxel of each column near the floor's height, then to the
+inliers again. Uneven ground has no tilt.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _PLANE_VOXELS, _LEAST_M2, _LEAST_DEG = 0.8, 2.0, 1.0
 _TABLE_M2 = 2.0
 
 
-def floor_notes(snapshot: MapSnapshot) -> tuple[str, ...]:
-    """Return the notes on the floor of a map; none if the map has one level floor."""
+def floor_warnings(snapshot: MapSnapshot) -> tuple[str, ...]:
+    """Return the warnings about the floor of a map; none for one level floor."""
     floors = [submap for submap in snapshot.submaps if submap.observed_space.floor_z_m is not None]
     if not floors:
         if not any(len(submap.observed_space.free) for submap in snapshot.submaps):
@@ -48,15 +48,15 @@ def floor_notes(snapshot: MapSnapshot) -> tuple[str, ...]:
         )
     levels = floors_of(snapshot)
     if len(levels) > 1:
-        told = ", ".join(f"{z_m:.2f} m" for z_m in levels)
-        notes.append(f"the floor has {len(levels)} levels, at z = {told}: each submap uses its own")
+        heights = ", ".join(f"{z_m:.2f} m" for z_m in levels)
+        notes.append(f"the floor has {len(levels)} levels, at z = {heights}: each submap uses its own")
     largest = max(floors, key=lambda submap: _area_m2(submap.observed_space))
-    tilted = tilt_note(largest.observed_space)
+    tilted = tilt_warning(largest.observed_space)
     return (*notes, tilted) if tilted is not None else tuple(notes)
 
 
-def tilt_note(space: ObservedSpace) -> str | None:
-    """Return a note on the tilt of the floor of a space; None if it is level or not a plane."""
+def tilt_warning(space: ObservedSpace) -> str | None:
+    """Return a warning about the tilt of the floor of a space; None if it is level or not a plane."""
     places, voxel_m = _columns(space, _REACH_M), space.voxel_m
     slope = _slope(places, voxel_m)
     if slope is None:
@@ -78,7 +78,7 @@ def _area_m2(space: ObservedSpace) -> float:
 
 
 def _columns(space: ObservedSpace, reach_m: float) -> NDArray[np.float64]:
-    """Return (N, 3) the centres of the lowest structure voxels of columns near the floor, without columns of walls."""
+    # (N, 3) the centres of the lowest structure voxels of columns near the floor, without walls.
     middles = (cells_of_keys(space.structure) + 0.5) * space.voxel_m
     above_m = middles[:, 2] - (space.floor_z_m or 0.0)
     near = middles[(above_m > -reach_m) & (above_m < reach_m + WALL_M)]
@@ -90,7 +90,7 @@ def _columns(space: ObservedSpace, reach_m: float) -> NDArray[np.float64]:
 
 
 def _slope(places: NDArray[np.float64], voxel_m: float) -> tuple[NDArray[np.float64], float] | None:
-    """Return the slope along x and y of a plane fitted to (N, 3) points, and its share of inliers; None if too few."""
+    # The slope along x and y of a plane fitted to (N, 3) points, and its share of inliers; None if too few.
     rise, level, near = np.zeros(2), float(np.median(places[:, 2])) if len(places) else 0.0, np.ones(len(places), bool)
     middle = places[:, :2].mean(axis=0) if len(places) else np.zeros(2)
     for reach_m in (_REACH_M, 6 * voxel_m, 3 * voxel_m, 2 * voxel_m, 2 * voxel_m):
@@ -109,7 +109,7 @@ def _slope(places: NDArray[np.float64], voxel_m: float) -> tuple[NDArray[np.floa
 
 
 def _fitted(flat: NDArray[np.float64], z: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
-    """Return the least squares plane z = rise . (x, y) + level; None if the points are on one line."""
+    # The least squares plane z = rise . (x, y) + level; None if the points are on one line.
     x, y = flat[:, 0] - flat[:, 0].mean(), flat[:, 1] - flat[:, 1].mean()
     h = z - z.mean()
     xx, xy, yy, xh, yh = (float((a * b).sum()) for a, b in ((x, x), (x, y), (y, y), (x, h), (y, h)))
