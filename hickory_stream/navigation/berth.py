@@ -1,4 +1,4 @@
-"""A wide berth for objects that tend to move: where there is a way, it keeps off the places to which they may go."""
+"""Wider obstacles for objects that tend to move, so that a path avoids the places to which they may go."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STEP_M = 0.05
 
 
 def keep_off(space: FreeSpace, snapshot: MapSnapshot, ids: Collection[int], berth_m: float) -> None:
-    """Make objects obstacles that are wider: beside what they are, their boxes with `berth_m` on every side."""
+    """Make objects wider obstacles: their body, and their box with `berth_m` on every side."""
     for item in snapshot.objects:
         if item.id in ids:
             wide = box_as_superquadric(item.box, berth_m)

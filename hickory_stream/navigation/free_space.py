@@ -1,9 +1,6 @@
 """The configuration space of a robot, for every posture and range of headings: the grids that a planner searches.
 
-There is one `Occupancy` per posture and range of headings; a round robot has one heading. Places outside of the grid,
-and unobserved ones, are blocked, unless unknown space is declared free.
-
-Where a robot can stand beside an object: the goal of a way to it.
+Places outside of the grid, and unobserved ones, are blocked, unless unknown space is declared free.
 """
 
 from __future__ import annotations
@@ -63,10 +60,7 @@ class HullGroup:
 
 
 class FreeSpace:
-    """The cells of a robot, layer by layer, and the obstacles that block them.
-
-    Hulls (walls, meshes) are grown by `hull_margin_m`; inflated superquadrics already include their margin.
-    """
+    """The cells of a robot, layer by layer, and their obstacles; only hulls are grown by `hull_margin_m`."""
 
     def __init__(self, robot: Robot, frame: GridFrame, floor_z_m: float, *, hull_margin_m: float = 0.0) -> None:
         self.robot = robot
@@ -136,8 +130,7 @@ class FreeSpace:
     def labels(self) -> NDArray[np.int32]:
         """Return (postures, headings, rows, columns): 0 where blocked, else a number per connected piece of free space.
 
-        Cells are connected by their sides, neighbouring headings and all postures by the cell itself. The robot may
-        move in any direction here, whatever its heading: two places in different pieces are surely not connected.
+        Headings do not limit directions here: two places in different pieces are surely not connected.
         """
         if self._labels is None:
             self._labels = _connected(~self.blocked())
@@ -173,10 +166,6 @@ class FreeSpace:
             )
         return self._reachable[key]
 
-    def free_ratio(self) -> float:
-        """Return the share of the grid's cells where the robot may be, in some posture and heading."""
-        return float((~self.blocked()).any(axis=(0, 1)).mean())
-
     def _forget(self) -> None:
         self._blocked = self._labels = None
         self._reachable = {}
@@ -203,10 +192,9 @@ def free_space_of(
     seen: SeenSurface | None = None,
     floor_m: float | None = None,
 ) -> FreeSpace:
-    """Return the free space of one storey of a map, for a robot: that of the floor at `floor_m`, else the most seen.
+    """Return the free space of one storey of a map, for a robot: at `floor_m`, else the most observed one.
 
-    In a live run `seen` is the surface observed by keyframes: objects without a layer 4 then have provisional shapes
-    from their first sighting on, and surface that belongs to no object is occupied.
+    With `seen`, the surface observed in a live run, objects without a layer 4 have provisional shapes.
 
     Raises:
         InputError: the map is empty, the robot does not fit into it, or the grid would take too much memory.
@@ -238,17 +226,9 @@ def free_space_of(
 
 
 def obstacle_grid(
-    snapshot: MapSnapshot,
-    robot: Robot,
-    *,
-    cell_m: float,
-    most_bytes: int = MOST_BYTES,
-    floor_m: float | None = None,
+    snapshot: MapSnapshot, robot: Robot, *, cell_m: float, most_bytes: int = MOST_BYTES, floor_m: float | None = None
 ) -> Occupancy:
-    """Return the cells that hold an obstacle at the heights of a robot, without its footprint: for other planners.
-
-    Such planners have no postures: an obstacle to any posture counts. The storey is that of the floor at `floor_m`,
-    without it the one that was seen most.
+    """Return the cells with an obstacle to any posture of a robot, without its footprint, for other planners.
 
     Raises:
         InputError: the map is empty, or the grid would take too much memory.
@@ -335,7 +315,7 @@ def extent_of(snapshot: MapSnapshot, obstacles: Sequence[Obstacle]) -> tuple[NDA
 
 
 def _connected(is_free: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the pieces of (P, H, R, C) free cells; the last heading is beside the first one."""
+    # (P, H, R, C) free cells; the last heading is beside the first one.
     sides = np.zeros((3, 3, 3, 3), bool)
     sides[1, 1, 1], sides[1, 1, :, 1], sides[1, :, 1, 1] = True, True, True
     pieces, count = label(is_free, structure=sides)
@@ -352,7 +332,6 @@ def _connected(is_free: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def _touching_pairs(first: NDArray[np.int32], second: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return (2, N) the pieces of two layers that share a cell."""
     both = (first > 0) & (second > 0)
     count = int(second.max(initial=0)) + 1
     # As one number each: pairs take ten times as long to sort.
@@ -365,10 +344,9 @@ _BESIDE_M = 0.6
 
 
 def place_beside(space: FreeSpace, start: NDArray[np.float64], box: OrientedBox) -> NDArray[np.float64] | None:
-    """Return the place (2,) nearest to an object that can be reached from `start` (2,), None if none is beside it.
+    """Return the place (2,) nearest to an object that is connected with `start` (2,), None if none is near.
 
-    Of equally near places, to within a cell, it is the one nearest to the start. Cells that are connected with the
-    start count, so that a path to the place is likely, but not proven: a robot that is no disc has to turn.
+    A path to it is likely, but not proven: a robot that is no disc has to turn.
     """
     frame = space.frame
     cells, _ = space.reachable_cells((start - frame.origin_m) / frame.cell_m)

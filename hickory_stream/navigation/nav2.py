@@ -78,7 +78,6 @@ def read_served_map(yaml_path: Path) -> ServedMap:
 
 
 def _parsed(text: str) -> dict[str, str]:
-    """Return the keys and values of a flat YAML file, which is all that map_server takes."""
     lines = (line.split("#", 1)[0] for line in text.splitlines())
     pairs = (line.split(":", 1) for line in lines if ":" in line)
     return {key.strip(): value.strip() for key, value in pairs}

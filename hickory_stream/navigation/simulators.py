@@ -1,8 +1,7 @@
 """A map for physics simulators: MJCF for MuJoCo, URDF for the rest, each a folder of one XML file and meshes.
 
-The visual geometry is layer 2. The collision geometry is layer 4, one convex mesh for each primitive, since neither
-format has superquadrics; the polyhedron is circumscribed, so that it still contains the object. Walls are boxes, where
-they were observed. All bodies are static.
+Layer 2 is the visual geometry. Layer 4 is the collision geometry: one circumscribed convex mesh for each primitive,
+since neither format has superquadrics. All bodies are static.
 """
 
 from __future__ import annotations
@@ -34,9 +33,7 @@ _WALL_RGBA = "0.84 0.86 0.89 1"
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SimulatedObject:
-    """One object: its mesh in its own frame (or None), its pose, and its layer 4 in the world.
-
-    Where it has a `texture`, that is what is seen. Its name is used for file names.
+    """One object: its mesh in its own frame, its pose, its layer 4 in the world; `texture` replaces the mesh's colours.
 
     Raises:
         ValueError: the name has characters that are not allowed in file names.
@@ -133,7 +130,7 @@ def urdf_files(
 
 
 def _around(item: SimulatedObject) -> list[tuple[NDArray[np.float64], NDArray[np.int32]]]:
-    """Return for each primitive a convex polyhedron, in the object's frame, that contains it."""
+    # A convex polyhedron around each primitive, in the object's frame.
     local = moved(item.inflated, invert(item.world_from_object))
     return [polyhedron_around(local, i) for i in range(len(local))]
 
@@ -141,7 +138,7 @@ def _around(item: SimulatedObject) -> list[tuple[NDArray[np.float64], NDArray[np
 def polyhedron_around(primitives: Superquadrics, index: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Return vertices (V, 3) and faces (F, 3) of a convex polyhedron slightly larger than a primitive.
 
-    It is the polyhedron with vertices on the surface, scaled about the centre until its faces lie outside.
+    Its vertices on the surface are scaled about the centre until its faces lie outside.
     """
     from scipy.spatial import ConvexHull
 
@@ -166,10 +163,8 @@ def _support(primitives: Superquadrics, index: int, directions: NDArray[np.float
     return support(primitives, index, directions) - directions @ primitives.world_from_local[index, :3, 3]
 
 
-def _boxes(
-    hulls: NDArray[np.float64],
-) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
-    """Return centre, half extents and quaternion (w first) of boxes given by corners in the order of `box_corners`."""
+def _boxes(hulls: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
+    # Centre, half extents, quaternion (w first); corners in the order of `box_corners`.
     out = []
     for corners in hulls:
         edges = corners[[1, 2, 4]] - corners[0]
@@ -203,7 +198,6 @@ def _obj(vertices: NDArray[np.float64] | NDArray[np.float32], faces: NDArray[np.
 
 
 def _seen_files(item: SimulatedObject, mesh: Mesh) -> dict[str, bytes]:
-    """Return the files of layer 2 by name: an OBJ, and with a texture its material and its picture."""
     if item.texture is None:
         return {f"meshes/{item.name}.obj": _obj(mesh.vertices, mesh.faces)}
     textured = item.texture
