@@ -8,12 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.alignment.acceptance import Chance, effective_volume_m3
-from hickory_stream.alignment.affinity import (
-    distinctive_log_ranks,
-    fused_log_ranks,
-    semantic_scores,
-    why_no_semantics,
-)
+from hickory_stream.alignment.affinity import distinctive_log_ranks, fused_log_ranks, semantic_scores, why_no_semantics
 from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
 from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.grouping import grouped_probability
@@ -66,14 +61,7 @@ def align(
     config: AlignConfig | None = None,
     shape_scores: ShapeScores | None = superquadric_scores,
 ) -> Alignment | NoAlignment:
-    """Return the pose of map b in map a, or `NoAlignment` with the reason why it is not determined.
-
-    Args:
-        map_a: N objects; the result is in its frame.
-        map_b: M objects.
-        config: None for the defaults.
-        shape_scores: the function that compares shapes; None if they are not compared.
-    """
+    """Return the pose of map b in map a, or `NoAlignment` with the reason; without `shape_scores`, by semantics."""
     config = AlignConfig() if config is None else config
     refusal = _too_small(map_a, map_b, config)
     if refusal is not None:
@@ -101,9 +89,6 @@ def evidence_of(
     return _evidence(map_a, map_b, scores, config), scores
 
 
-# ---- the steps ------------------------------------------------------------------------------------------------------
-
-
 def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None) -> PairScores:
     semantic = semantic_scores(map_a, map_b)
     geometric = None if shape_scores is None else shape_scores(map_a, map_b)
@@ -114,10 +99,7 @@ def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None
         notes.append("no two objects have shapes that can be compared: aligned without shapes")
     ranks = fused_log_ranks((semantic, geometric), (len(map_a), len(map_b)))
     return PairScores(
-        semantic=semantic,
-        geometric=geometric,
-        log_ranks=ranks,
-        notes=tuple(note for note in notes if note is not None),
+        semantic=semantic, geometric=geometric, log_ranks=ranks, notes=tuple(note for note in notes if note is not None)
     )
 
 
@@ -157,7 +139,7 @@ def _answered(
     common = common_covariance(points, center_a, common_m, max_turn_rad)
     return Alignment(
         a_from_b=settled.a_from_b,
-        pairs=_matched_pairs(map_a, map_b, scores, best),
+        pairs=matched_pairs(map_a, map_b, best, scores.semantic, scores.geometric),
         covariance=settled.covariance + common,
         center_a=center_a,
         log10_chance=judged[0].log10_chance,
@@ -173,8 +155,7 @@ def _answered(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Placed:
-    """The best hypothesis by its objects alone, and where map b lies: by their surfaces where those were refined."""
-
+    # Where map b lies: by the surfaces of the pairs where those were refined, else by their centroids.
     best: Hypothesis
     settled: Levelled
     is_refined: bool
@@ -203,7 +184,6 @@ def _placed(map_a: ObjectMap, map_b: ObjectMap, evidence: Evidence, found: Hypot
 
 
 def _settled(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> tuple[Hypothesis, Levelled]:
-    """Return the best hypothesis by its objects alone, tilted as they say, and with what is known of the tilt."""
     pairs = best.pairs
     for _ in range(_ROUNDS):
         points_a, points_b = evidence.centroids_a[pairs[:, 0]], evidence.centroids_b[pairs[:, 1]]
@@ -218,9 +198,15 @@ def _settled(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> tuple
     return judged_as(evidence, own, pairs, is_level=False), settled
 
 
-def _matched_pairs(
-    map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, hypothesis: Hypothesis
+def matched_pairs(
+    map_a: ObjectMap,
+    map_b: ObjectMap,
+    hypothesis: Hypothesis,
+    semantic: NDArray[np.float64] | None = None,
+    geometric: NDArray[np.float64] | None = None,
 ) -> tuple[MatchedPair, ...]:
+    """Return the pairs of a hypothesis with their scores (N, M), if known."""
+
     def known(values: NDArray[np.float64] | None, i: int, j: int) -> float | None:
         return None if values is None or not np.isfinite(values[i, j]) else float(values[i, j])
 
@@ -228,8 +214,8 @@ def _matched_pairs(
         MatchedPair(
             id_a=int(map_a.ids[i]),
             id_b=int(map_b.ids[j]),
-            semantic=known(scores.semantic, i, j),
-            geometric=known(scores.geometric, i, j),
+            semantic=known(semantic, i, j),
+            geometric=known(geometric, i, j),
             rank=float(np.exp(rank)),
             residual_m=float(residual),
         )
