@@ -3,7 +3,6 @@
 import itertools
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,7 +18,6 @@ from hickory_stream.geometry.voxels import (
     in_company,
     keys_of_cells,
     keys_of_points,
-    overlap_share,
     places,
     sorted_unique,
     sums_of_equal,
@@ -87,14 +85,6 @@ def test_dilation_keeps_unions_and_order(a: np.ndarray, b: np.ndarray) -> None:
     union = dilate(sorted_keys(np.concatenate([a, b])))
     assert np.array_equal(union, np.union1d(dilate(sorted_keys(a)), dilate(sorted_keys(b))))
     assert contains(union, dilate(sorted_keys(a))).all()
-
-
-@given(few_cells, few_cells)
-def test_the_overlap_share_is_the_share_of_cells_with_a_neighbour(a: np.ndarray, b: np.ndarray) -> None:
-    near = neighbours(b)
-    cells = {tuple(int(v) for v in c) for c in a}
-    expected = sum(cell in near for cell in cells) / len(cells) if cells else 0.0
-    assert overlap_share(sorted_keys(a), dilate(sorted_keys(b))) == pytest.approx(expected)
 
 
 def test_stray_points_have_no_company_and_a_tables_leg_has() -> None:
