@@ -1,6 +1,6 @@
-"""What the kept views and layer 1 say of where an object's surface is, and where it is not, as a placement uses it.
+"""The evidence of kept views and layer 1 for a placement: where an object's surface is, and where it is not.
 
-Images are taken at a stride that leaves a few thousand pixels of each view: a placement asks them ten thousand times.
+Images have a stride that leaves a few thousand pixels a view: a placement reads them ten thousand times.
 """
 
 from __future__ import annotations
@@ -30,24 +30,26 @@ _FAR_SIGMAS = 3.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """`surface` (N, 3), points of the object's surface in the world, even over it; views as stacks of K.
+    """The surface seen, evenly thinned, and K views as stacks."""
 
-    `depth` and `beside` (K, H, W) float32: the depth, NaN where there is none, and the pixels to the nearest one of the
-    mask, 0 in it. `sizes` (K, 2) rows and columns that are used; `intrinsics` (K, 4) fx, fy, cx, cy;
-    `camera_from_world` (K, 4, 4). `is_cut` (K, 4): the mask reaches the top, bottom, left, right border, beyond which
-    the object may go on. `support_z_m` is NaN where unknown; `noise_m` is sigma of the depth, `size_m` the diagonal of
-    the surface seen.
-    """
-
+    #: (N, 3) in the world
     surface: NDArray[np.float64]
+    #: (K, H, W), NaN without a return
     depth: NDArray[np.float32]
+    #: (K, H, W) pixels to the nearest one of the mask, 0 in it
     beside: NDArray[np.float32]
+    #: (K, 2) rows and columns that are used
     sizes: NDArray[np.int64]
+    #: (K, 4) fx, fy, cx, cy
     intrinsics: NDArray[np.float64]
     camera_from_world: NDArray[np.float64]
+    #: (K, 4) the mask reaches top, bottom, left, right, beyond which the object may go on
     is_cut: NDArray[np.bool_]
+    #: NaN where unknown
     support_z_m: float
+    #: sigma of the depth
     noise_m: float
+    #: the diagonal of the surface
     size_m: float
 
 
@@ -111,7 +113,6 @@ def _without_outliers(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _evenly(points: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
-    """Return the mean of the points in each cell."""
     _, which, counts = np.unique(keys_of_points(points, cell_m), return_inverse=True, return_counts=True)
     sums = np.stack([np.bincount(which.reshape(-1), weights=points[:, i]) for i in range(3)], axis=1)
     kept = counts >= min(2, int(counts.max()))
