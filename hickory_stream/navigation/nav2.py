@@ -56,13 +56,13 @@ def read_served_map(yaml_path: Path) -> ServedMap:
         InputError: a file is missing, or not in the format of map_server.
     """
     try:
-        told = _parsed(yaml_path.read_text(encoding="utf-8"))
-        image = (yaml_path.parent / str(told["image"])).read_bytes()
+        found = _parsed(yaml_path.read_text(encoding="utf-8"))
+        image = (yaml_path.parent / str(found["image"])).read_bytes()
         grey = _picture(image)
-        negate, mode = int(told["negate"]), str(told.get("mode", "trinary"))
-        occupied, free = float(told["occupied_thresh"]), float(told["free_thresh"])
-        x, y, _ = (float(part) for part in told["origin"].strip("[]").split(","))
-        cell_m = float(told["resolution"])
+        negate, mode = int(found["negate"]), str(found.get("mode", "trinary"))
+        occupied, free = float(found["occupied_thresh"]), float(found["free_thresh"])
+        x, y, _ = (float(part) for part in found["origin"].strip("[]").split(","))
+        cell_m = float(found["resolution"])
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{yaml_path} is no map of map_server: {error!r}") from error
     if mode != "trinary":

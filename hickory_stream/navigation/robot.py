@@ -173,9 +173,9 @@ def robot_of(record: dict[str, Any], default_name: str = "robot") -> Robot:
 
 def _posture_of(record: dict[str, Any]) -> Posture:
     _only(record, {"name", "low_m", "high_m", "radius_m", "footprint_m", "spheres_m", "cost"})
-    for key, told in _IN_A_FILE.items():
-        for value in record[key] if isinstance(record.get(key), list) else [record.get(key, told.low)]:
-            told.check(key, value)
+    for key, limits in _IN_A_FILE.items():
+        for value in record[key] if isinstance(record.get(key), list) else [record.get(key, limits.low)]:
+            limits.check(key, value)
     if "spheres_m" in record:
         parts = tuple(
             Part(low_m=z, high_m=z, corners_m=np.array([[x, y]]), ball_m=radius)

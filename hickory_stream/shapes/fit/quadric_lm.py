@@ -33,6 +33,8 @@ from hickory_stream.shapes.fit.tangent_planes import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.superquadric import Superquadrics
+
 # A primitive is a row of 17 numbers: e1, e2, ln a1..a3, the centre, the rotation row by row.
 ROW = 17
 # Outside, distances are cut off early: near an edge the tangent planes understate them, which would round every box.
@@ -53,6 +55,17 @@ def row_of(
 ) -> NDArray[np.float64]:
     """Return the (17,) row of a primitive; `rotation` (3, 3) turns local into grid directions."""
     return np.concatenate([exponents, portable.log(semi_axes), center, rotation.ravel()])
+
+
+def rows_in(primitives: Superquadrics, unit_m: float, offset_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (K, 17) rows of primitives, in a unit, off an offset (3,)."""
+    parts = zip(primitives.exponents.tolist(), primitives.semi_axes_m, primitives.world_from_local, strict=True)
+    return np.stack(
+        [
+            row_of((e1, e2), axes / unit_m, (pose[:3, 3] - offset_m) / unit_m, pose[:3, :3])
+            for (e1, e2), axes, pose in parts
+        ]
+    )
 
 
 def refined(

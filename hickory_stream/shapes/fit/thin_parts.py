@@ -12,7 +12,7 @@ import numpy as np
 
 from hickory_stream.geometry.superquadric import Superquadrics, joined
 from hickory_stream.shapes.fit.panels import areas_of, loose_panels
-from hickory_stream.shapes.fit.quadric_lm import row_of
+from hickory_stream.shapes.fit.quadric_lm import rows_in
 from hickory_stream.shapes.fit.surface_partition import owned_pieces
 
 if TYPE_CHECKING:
@@ -37,14 +37,7 @@ def with_thin_parts(
 
     `step_m` is the side of the fit's cells; a part has at least the share `least_area` of the surface.
     """
-    rows = np.stack(
-        [
-            row_of(tuple(exponents), axes / step_m, pose[:3, 3] / step_m, pose[:3, :3])
-            for exponents, axes, pose in zip(
-                primitives.exponents, primitives.semi_axes_m, primitives.world_from_local, strict=True
-            )
-        ]
-    )
+    rows = rows_in(primitives, step_m, np.zeros(3))
     points, pieces, _, distances = owned_pieces(vertices / step_m, faces.astype(np.int64), rows, _OUTSIDE, _PIECE)
     pieces = pieces[distances > _OUTSIDE].astype(np.int32)
     if len(pieces) == 0 or len(primitives) >= most:
