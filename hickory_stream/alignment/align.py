@@ -86,28 +86,10 @@ def evidence_of(
 ) -> tuple[Evidence, PairScores]:
     """Return the evidence for judging hypotheses about two maps, and the scores of all pairs of objects."""
     scores = _scored(map_a, map_b, shape_scores)
-    return _evidence(map_a, map_b, scores, config), scores
-
-
-def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None) -> PairScores:
-    semantic = semantic_scores(map_a, map_b)
-    geometric = None if shape_scores is None else shape_scores(map_a, map_b)
-    if geometric is not None and not np.isfinite(geometric).any():
-        geometric = None
-    notes = [why_no_semantics(map_a, map_b)]
-    if geometric is None and shape_scores is not None:
-        notes.append("no two objects have shapes that can be compared: aligned without shapes")
-    ranks = fused_log_ranks((semantic, geometric), (len(map_a), len(map_b)))
-    return PairScores(
-        semantic=semantic, geometric=geometric, log_ranks=ranks, notes=tuple(note for note in notes if note is not None)
-    )
-
-
-def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, config: AlignConfig) -> Evidence:
     ranks = distinctive_log_ranks(scores.log_ranks)
     share = min(max(int(config.affinity.candidate_share * ranks.size), 1), ranks.size) - 1
     volume_m3 = np.sqrt(effective_volume_m3(map_a.centroids) * effective_volume_m3(map_b.centroids))
-    return Evidence(
+    evidence = Evidence(
         centroids_a=map_a.centroids,
         centroids_b=map_b.centroids,
         log_ranks=scores.log_ranks,
@@ -124,6 +106,21 @@ def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, config: Al
             grouped=grouped_probability((map_a.centroids, map_b.centroids)),
         ),
         looks=tuple(score for score in (scores.semantic, scores.geometric) if score is not None),
+    )
+    return evidence, scores
+
+
+def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None) -> PairScores:
+    semantic = semantic_scores(map_a, map_b)
+    geometric = None if shape_scores is None else shape_scores(map_a, map_b)
+    if geometric is not None and not np.isfinite(geometric).any():
+        geometric = None
+    notes = [why_no_semantics(map_a, map_b)]
+    if geometric is None and shape_scores is not None:
+        notes.append("no two objects have shapes that can be compared: aligned without shapes")
+    ranks = fused_log_ranks((semantic, geometric), (len(map_a), len(map_b)))
+    return PairScores(
+        semantic=semantic, geometric=geometric, log_ranks=ranks, notes=tuple(note for note in notes if note is not None)
     )
 
 

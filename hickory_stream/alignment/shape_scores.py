@@ -58,7 +58,7 @@ def literal_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
         weight = (weights_a[:, None, k] + weights_b[None, :, k]) / 2
         both = np.minimum.outer(counts_a, counts_b) > k
         scores += np.where(both, weight * np.exp(-difference / _SIGMA_EXPONENTS) * ratio, 0.0)
-    return _known(scores, counts_a > 0, counts_b > 0)
+    return np.where(np.logical_and.outer(counts_a > 0, counts_b > 0), scores, np.nan)
 
 
 def box_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
@@ -151,7 +151,3 @@ def _point_attributes(objects: ObjectMap) -> NDArray[np.float64]:
             third, second, first = np.maximum(np.linalg.eigvalsh(np.cov(points.T.astype(np.float64))), 1e-12)
             row[:] = (first - second) / first, (second - third) / first, third / first, box.volume_m3
     return rows
-
-
-def _known(scores: NDArray[np.float64], has_a: NDArray[np.bool_], has_b: NDArray[np.bool_]) -> NDArray[np.float64]:
-    return np.where(np.logical_and.outer(has_a, has_b), scores, np.nan)

@@ -59,7 +59,8 @@ def sketch(points_world: NDArray[Any], box: OrientedBox) -> Superquadrics | None
     center = portable.matmul(axes, (low + high) / 2)
     leaning = _best(points, axes, center, np.maximum((high - low) / 2, thinnest))
     chosen = leaning if leaning.cost < _CLEARLY * upright.cost else upright
-    return canonical(_as_superquadrics(chosen.exponents, chosen.semi_axes_m, chosen.pose))
+    exponents, axes, pose = np.array([chosen.exponents]), chosen.semi_axes_m[None], chosen.pose[None]
+    return canonical(Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=pose))
 
 
 def _best(
@@ -129,9 +130,3 @@ def _principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:
     centered = points - points.mean(axis=0)
     _, axes = portable.eigh(portable.matmul(centered.T, centered))
     return np.asarray(axes * np.array([np.sign(portable.det3(axes)), 1.0, 1.0]))
-
-
-def _as_superquadrics(
-    exponents: tuple[float, float], semi_axes_m: NDArray[np.float64], pose: NDArray[np.float64]
-) -> Superquadrics:
-    return Superquadrics(exponents=np.array([exponents]), semi_axes_m=semi_axes_m[None], world_from_local=pose[None])

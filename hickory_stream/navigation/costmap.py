@@ -42,23 +42,18 @@ class Stamped(Protocol):
     @property
     def frame(self) -> GridFrame:
         """The position of the cells in the world."""
-        ...
 
     def put(self, object_id: int, inflated: Superquadrics) -> None:
         """Add an object, or replace its former shape."""
-        ...
 
     def put_hulls(self, object_id: int, hulls: NDArray[np.float64]) -> None:
         """Add an object that is a union of convex hulls, or replace its former shape."""
-        ...
 
     def remove(self, object_id: int) -> None:
         """Remove an object."""
-        ...
 
     def observe(self, walls: NDArray[np.float64], unknown: NDArray[np.float64]) -> None:
         """Set the convex hulls of structure and of unobserved space."""
-        ...
 
 
 Grid = TypeVar("Grid", bound=Stamped)

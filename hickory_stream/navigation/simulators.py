@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
+from xml.etree.ElementTree import SubElement
 
 import numpy as np
 
@@ -55,11 +56,11 @@ def mjcf_files(
     """Return the files of an MJCF model by name, `scene.xml` and meshes; `walls` (N, 8, 3) are corners of boxes."""
     files: dict[str, bytes] = {}
     root = ElementTree.Element("mujoco", model=model)
-    ElementTree.SubElement(root, "compiler", angle="radian", meshdir="meshes", texturedir="meshes")
-    asset = ElementTree.SubElement(root, "asset")
-    world = ElementTree.SubElement(root, "worldbody")
-    ElementTree.SubElement(world, "light", pos=f"0 0 {floor_z_m + 6:g}", dir="0 0 -1", directional="true")
-    ElementTree.SubElement(
+    SubElement(root, "compiler", angle="radian", meshdir="meshes", texturedir="meshes")
+    asset = SubElement(root, "asset")
+    world = SubElement(root, "worldbody")
+    SubElement(world, "light", pos=f"0 0 {floor_z_m + 6:g}", dir="0 0 -1", directional="true")
+    SubElement(
         world,
         "geom",
         name="floor",
@@ -69,28 +70,28 @@ def mjcf_files(
     )
     for i, (center, half, quaternion) in enumerate(_boxes(walls)):
         place = {"pos": _numbers(center), "quat": _numbers(quaternion), "size": _numbers(half)}
-        ElementTree.SubElement(world, "geom", {"name": f"wall-{i}", "type": "box", "rgba": _WALL_RGBA, **place})
+        SubElement(world, "geom", {"name": f"wall-{i}", "type": "box", "rgba": _WALL_RGBA, **place})
     for item in objects:
         quaternion = _wxyz(item.world_from_object)
-        body = ElementTree.SubElement(
+        body = SubElement(
             world, "body", name=item.name, pos=_numbers(item.world_from_object[:3, 3]), quat=_numbers(quaternion)
         )
         if item.mesh is not None:
             files |= _seen_files(item, item.mesh)
-            ElementTree.SubElement(asset, "mesh", name=item.name, file=f"{item.name}.obj", inertia="shell")
+            SubElement(asset, "mesh", name=item.name, file=f"{item.name}.obj", inertia="shell")
             seen = {"type": "mesh", "mesh": item.name}
             if item.texture is None:
-                seen["rgba"] = _mean_rgba(item.mesh)
+                seen["rgba"] = _numbers(np.append(item.mesh.colors.mean(axis=0) / 255, 1.0))
             else:
                 seen["material"] = item.name
-                ElementTree.SubElement(asset, "texture", type="2d", name=item.name, file=f"{item.name}.png")
-                ElementTree.SubElement(asset, "material", name=item.name, texture=item.name)
-            ElementTree.SubElement(body, "geom", {**seen, "contype": "0", "conaffinity": "0", "group": "1"})
+                SubElement(asset, "texture", type="2d", name=item.name, file=f"{item.name}.png")
+                SubElement(asset, "material", name=item.name, texture=item.name)
+            SubElement(body, "geom", {**seen, "contype": "0", "conaffinity": "0", "group": "1"})
         for i, (vertices, _) in enumerate(_around(item)):
             name = f"{item.name}-{i}"
-            ElementTree.SubElement(asset, "mesh", name=name, vertex=_numbers(vertices.ravel()), inertia="convex")
+            SubElement(asset, "mesh", name=name, vertex=_numbers(vertices.ravel()), inertia="convex")
             touched = {"name": name, "type": "mesh", "mesh": name, "rgba": "0.3 0.6 0.9 0.25", "group": "3"}
-            ElementTree.SubElement(body, "geom", touched)
+            SubElement(body, "geom", touched)
     files["scene.xml"] = _xml(root)
     return files
 
@@ -101,18 +102,18 @@ def urdf_files(
     """Return the files of a URDF model by name, `scene.urdf` and meshes: links fixed to the link `world`."""
     files: dict[str, bytes] = {}
     root = ElementTree.Element("robot", name=model)
-    world = ElementTree.SubElement(root, "link", name="world")
-    floor = ElementTree.SubElement(world, "collision", name="floor")
-    ElementTree.SubElement(floor, "origin", xyz=f"0 0 {floor_z_m - 0.05:g}", rpy="0 0 0")
+    world = SubElement(root, "link", name="world")
+    floor = SubElement(world, "collision", name="floor")
+    SubElement(floor, "origin", xyz=f"0 0 {floor_z_m - 0.05:g}", rpy="0 0 0")
     size = f"{2 * _FLOOR_HALF_M:g} {2 * _FLOOR_HALF_M:g} 0.1"
-    ElementTree.SubElement(ElementTree.SubElement(floor, "geometry"), "box", size=size)
+    SubElement(SubElement(floor, "geometry"), "box", size=size)
     for i, (center, half, quaternion) in enumerate(_boxes(walls)):
         for kind in ("visual", "collision"):
-            wall = ElementTree.SubElement(world, kind, name=f"wall-{i}")
-            ElementTree.SubElement(wall, "origin", xyz=_numbers(center), rpy=_numbers(_rpy(quaternion)))
-            ElementTree.SubElement(ElementTree.SubElement(wall, "geometry"), "box", size=_numbers(2 * half))
+            wall = SubElement(world, kind, name=f"wall-{i}")
+            SubElement(wall, "origin", xyz=_numbers(center), rpy=_numbers(_rpy(quaternion)))
+            SubElement(SubElement(wall, "geometry"), "box", size=_numbers(2 * half))
     for item in objects:
-        link = ElementTree.SubElement(root, "link", name=item.name)
+        link = SubElement(root, "link", name=item.name)
         if item.mesh is not None:
             files |= _seen_files(item, item.mesh)
             _mesh_of(link, "visual", f"meshes/{item.name}.obj", item.name)
@@ -120,11 +121,11 @@ def urdf_files(
             name = f"{item.name}-{i}"
             files[f"meshes/{name}.obj"] = _obj(vertices, faces)
             _mesh_of(link, "collision", f"meshes/{name}.obj", name)
-        joint = ElementTree.SubElement(root, "joint", name=f"world-{item.name}", type="fixed")
-        ElementTree.SubElement(joint, "parent", link="world")
-        ElementTree.SubElement(joint, "child", link=item.name)
+        joint = SubElement(root, "joint", name=f"world-{item.name}", type="fixed")
+        SubElement(joint, "parent", link="world")
+        SubElement(joint, "child", link=item.name)
         place = {"xyz": _numbers(item.world_from_object[:3, 3]), "rpy": _numbers(_rpy(_wxyz(item.world_from_object)))}
-        ElementTree.SubElement(joint, "origin", place)
+        SubElement(joint, "origin", place)
     files["scene.urdf"] = _xml(root)
     return files
 
@@ -147,7 +148,7 @@ def polyhedron_around(primitives: Superquadrics, index: int) -> tuple[NDArray[np
     offsets = vertices.astype(np.float64) - center
     hull = ConvexHull(offsets)
     normals, distances = hull.equations[:, :3], -hull.equations[:, 3]
-    reach = _support(primitives, index, normals)
+    reach = support(primitives, index, normals) - normals @ center
     grown = offsets * float(np.max(reach / distances)) * (1 + 1e-6)
     kept = np.unique(hull.simplices)
     number = np.full(len(vertices), -1, np.int32)
@@ -157,10 +158,6 @@ def polyhedron_around(primitives: Superquadrics, index: int) -> tuple[NDArray[np
     inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), normals) < 0
     faces[inwards] = faces[inwards][:, ::-1]
     return grown[kept] + center, faces
-
-
-def _support(primitives: Superquadrics, index: int, directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    return support(primitives, index, directions) - directions @ primitives.world_from_local[index, :3, 3]
 
 
 def _boxes(hulls: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
@@ -187,8 +184,8 @@ def _rpy(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _mesh_of(link: ElementTree.Element, kind: str, path: str, name: str) -> None:
-    element = ElementTree.SubElement(link, kind, name=name)
-    ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), "mesh", filename=path)
+    element = SubElement(link, kind, name=name)
+    SubElement(SubElement(element, "geometry"), "mesh", filename=path)
 
 
 def _obj(vertices: NDArray[np.float64] | NDArray[np.float32], faces: NDArray[np.int32]) -> bytes:
@@ -212,10 +209,6 @@ def _seen_files(item: SimulatedObject, mesh: Mesh) -> dict[str, bytes]:
         f"meshes/{item.name}.mtl": material.encode(),
         f"meshes/{item.name}.png": png_bytes(textured),
     }
-
-
-def _mean_rgba(mesh: Mesh) -> str:
-    return _numbers(np.append(mesh.colors.mean(axis=0) / 255, 1.0))
 
 
 def _numbers(values: NDArray[np.float64]) -> str:

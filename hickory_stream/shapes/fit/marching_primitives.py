@@ -194,13 +194,9 @@ def marching(field: FitField, config: FitConfig) -> list[NDArray[np.float64]]:
         before = rows = polished(field, rows, config)
         rows = pruned(field, merged(field, rows, config), config)
     rows = with_protruding(field, rows, config)
-    if not _are_same(rows, before):
+    if len(rows) != len(before) or any(row is not other for row, other in zip(rows, before, strict=True)):
         rows = polished(field, rows, config)
     return rows
-
-
-def _are_same(rows: list[NDArray[np.float64]], others: list[NDArray[np.float64]]) -> bool:
-    return len(rows) == len(others) and all(row is other for row, other in zip(rows, others, strict=True))
 
 
 def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:

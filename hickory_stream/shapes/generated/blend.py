@@ -17,8 +17,7 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import NoShape, Reconstruction
 from hickory_stream.shapes.reconstruct.completion import large_pieces
-from hickory_stream.shapes.reconstruct.fused import SEEN_VOXELS, SMOOTHING, VolumeConfig, view_of, voxel_over
-from hickory_stream.shapes.reconstruct.meshing import extract, in_object_frame, painted, taubin_smoothed
+from hickory_stream.shapes.reconstruct.fused import VolumeConfig, mesh_of_field, view_of, voxel_over
 from hickory_stream.shapes.reconstruct.tsdf import VoxelGrid, gaussian_blurred, integrate
 from hickory_stream.shapes.sdf import distance_grid
 
@@ -56,11 +55,7 @@ def blended(placed: Reconstruction, inputs: ShapeInputs, volume: VolumeConfig) -
     if not solid.any():
         return NoShape(reason="nothing of the generated shape is outside of free space")
     field = np.where(solid, field, np.maximum(field, np.float32(1e-3)))
-    vertices, faces = extract(field, grid)
-    vertices = taubin_smoothed(vertices, faces, SMOOTHING)
-    reach = SEEN_VOXELS * grid.voxel_m
-    colors, is_seen = painted(vertices, inputs.crops, inputs.points_world, inputs.colors, reach)
-    return in_object_frame(vertices, faces, colors, is_seen)
+    return mesh_of_field(field, grid, inputs)
 
 
 def _with_silhouette(view: DepthView) -> DepthView:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Crop, ShapeInputs
 
 _SIDE_PX = 96
+_SIDES = (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])
 _SLACK_PX = 1.0
 _CELLS = 24
 _FAR_SIGMAS = 3.0
@@ -72,6 +73,7 @@ def evidence_of(inputs: ShapeInputs) -> Evidence | None:
     for k, (depth, beside, _) in enumerate(small):
         depth_stack[k, : depth.shape[0], : depth.shape[1]] = depth
         beside_stack[k, : beside.shape[0], : beside.shape[1]] = beside
+    masks = [crop.mask for crop in inputs.crops]
     return Evidence(
         surface=_evenly(surface, size_m / _CELLS),
         depth=depth_stack,
@@ -79,16 +81,11 @@ def evidence_of(inputs: ShapeInputs) -> Evidence | None:
         sizes=np.array([depth.shape for depth, _, _ in small], dtype=np.int64).reshape(count, 2),
         intrinsics=np.array([intrinsics for _, _, intrinsics in small]).reshape(count, 4),
         camera_from_world=np.array([invert(crop.world_from_camera) for crop in inputs.crops]).reshape(count, 4, 4),
-        is_cut=np.array([_cut_sides(crop.mask) for crop in inputs.crops], dtype=bool).reshape(count, 4),
+        is_cut=np.array([[m[i].any() for i in _SIDES] for m in masks], dtype=bool).reshape(count, 4),
         support_z_m=np.nan if inputs.support_z_m is None else inputs.support_z_m,
-        noise_m=max((noise_of(crop) for crop in inputs.crops), default=inputs_noise_m(size_m)),
+        noise_m=max((noise_of(crop) for crop in inputs.crops), default=0.01 * size_m),
         size_m=size_m,
     )
-
-
-def inputs_noise_m(size_m: float) -> float:
-    """Return what stands for the noise of an object of which there are points alone: a hundredth of its size."""
-    return 0.01 * size_m
 
 
 def surface_of(crop: Crop) -> NDArray[np.float64]:
@@ -129,10 +126,6 @@ def _strided(crop: Crop) -> tuple[NDArray[np.float32], NDArray[np.float32], tupl
     camera = crop.camera
     scaled = (camera.fx / stride, camera.fy / stride, camera.cx / stride, camera.cy / stride)
     return crop.depth_m[::stride, ::stride], beside, scaled
-
-
-def _cut_sides(mask: NDArray[np.bool_]) -> tuple[bool, bool, bool, bool]:
-    return bool(mask[0].any()), bool(mask[-1].any()), bool(mask[:, 0].any()), bool(mask[:, -1].any())
 
 
 def noise_of(crop: Crop) -> float:

@@ -320,7 +320,9 @@ class _Share:
         binding = binding[extremes(binding / scale, _octant_directions())]
         candidates = _candidates(exponents)
         axes = [_least_around(binding, before, rounder, self.config.g) for rounder in candidates]
-        sizes = [_log_size(*tried) for tried in zip(axes, candidates, strict=True)]
+        sizes = [
+            float(portable.log(own).sum()) + _log_share(*e.tolist()) for own, e in zip(axes, candidates, strict=True)
+        ]
         best = int(np.argmin(sizes))
         if by_extremes:
             return candidates[best], axes[best]
@@ -365,10 +367,6 @@ def _least_around(
 ) -> NDArray[np.float64]:
     e1, e2 = float(exponents[0]), float(exponents[1])
     return np.asarray(least_axes(binding, before, e1, e2, e1 / 2 * float(log(g)) - _SLACK))
-
-
-def _log_size(axes: NDArray[np.float64], exponents: NDArray[np.float64]) -> float:
-    return float(portable.log(axes).sum()) + _log_share(float(exponents[0]), float(exponents[1]))
 
 
 def _axes_around(

@@ -20,7 +20,7 @@ from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.reconstruct.completion import classify, solid_of
 from hickory_stream.shapes.reconstruct.meshing import extract, in_object_frame, painted, surface_field, taubin_smoothed
 from hickory_stream.shapes.reconstruct.symmetry import half_turn_of
-from hickory_stream.shapes.reconstruct.tsdf import DepthView, Evidence, VoxelGrid, integrate, smoothed_depth
+from hickory_stream.shapes.reconstruct.tsdf import DepthView, VoxelGrid, integrate, smoothed_depth
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -168,7 +168,7 @@ def reconstruct_views(inputs: ShapeInputs, views: list[DepthView], volume: Volum
     solid = solid_of(states, block.fillable, block.support_index, block.max_gap, is_wide=block.is_wide)
     if not solid.any():
         return NoShape(reason="no voxel of the object's box is solid: its views contradict one another")
-    return _mesh_of(solid, evidence, grid, inputs)
+    return mesh_of_field(surface_field(solid, evidence), grid, inputs)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -219,8 +219,9 @@ def voxel_over(half_m: NDArray[np.float64], volume: VolumeConfig) -> float:
     return float(np.clip(voxel, volume.min_voxel_m, volume.max_voxel_m))
 
 
-def _mesh_of(solid: NDArray[np.bool_], evidence: Evidence, grid: VoxelGrid, inputs: ShapeInputs) -> Reconstruction:
-    vertices, faces = extract(surface_field(solid, evidence), grid)
+def mesh_of_field(field: NDArray[np.float32], grid: VoxelGrid, inputs: ShapeInputs) -> Reconstruction:
+    """Return the smoothed, coloured mesh of the zero of a field in voxels."""
+    vertices, faces = extract(field, grid)
     vertices = taubin_smoothed(vertices, faces, SMOOTHING)
     reach = SEEN_VOXELS * grid.voxel_m
     colors, is_seen = painted(vertices, inputs.crops, inputs.points_world, inputs.colors, reach)
