@@ -204,8 +204,8 @@ def why_refused(findings: Findings, config: AlignConfig) -> NoAlignment | None:
         return refusal(Refusal.MIRRORED, reason)
     if judged[0].margin < acceptance.min_margin:
         reason = (
-            f"a different alignment cannot be told from it: what separates the two is worth {judged[0].margin:.1f} "
-            f"decades, {acceptance.min_margin:.1f} are needed"
+            f"a different alignment fits nearly as well: {judged[0].margin:.1f} decades of evidence separate the two, "
+            f"{acceptance.min_margin:.1f} are needed"
         )
         rivals = tuple(rival_of(findings, one, config) for one in open_ones(judged, config))
         return refusal(Refusal.RIVAL, reason, rivals)
@@ -228,7 +228,7 @@ def why_uncertain(findings: Findings, config: AlignConfig) -> NoAlignment | None
 
 
 def open_ones(judged: tuple[Judged, ...], config: AlignConfig) -> tuple[Judged, ...]:
-    """Return the best hypothesis and those that it is not separated from, of which one may be right."""
+    """Return the best hypothesis and the others that are not separated from it."""
     best = judged[0]
     others = [
         one for one, margin in zip(judged[1:], best.margins, strict=False) if margin < config.acceptance.min_margin

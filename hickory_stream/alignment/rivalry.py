@@ -72,7 +72,7 @@ def separation(
 
 
 def alike(evidence: Evidence, hypothesis: Hypothesis) -> NDArray[np.bool_]:
-    """Return which pairs (N, M) look as much alike as those of a hypothesis do: by each score that is known."""
+    """Return which pairs (N, M) look as much alike as the pairs of a hypothesis, by each known score."""
     is_alike = np.ones(evidence.log_ranks.shape, dtype=bool)
     for looks in evidence.looks:
         own = looks[hypothesis.pairs[:, 0], hypothesis.pairs[:, 1]]

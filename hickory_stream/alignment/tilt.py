@@ -67,7 +67,7 @@ def levelled(
 
 
 def tilt_vector(a_from_b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the level turn (2,) in radians that takes the vertical of a to that of b."""
+    """Return the level turn (2,) in radians from the vertical of a to the vertical of b."""
     up = apply(a_from_b, np.array([0.0, 0.0, 1.0])) - a_from_b[:3, 3]
     level = float(np.hypot(up[0], up[1]))
     if level < 1e-12:

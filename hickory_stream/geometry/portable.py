@@ -69,13 +69,6 @@ def eigh(matrix: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return work.diagonal().copy(), vectors
 
 
-def eigenvalues(matrices: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the (N, n) eigenvalues of symmetric matrices (N, n, n), ascending."""
-    work = np.array(matrices, dtype=np.float64, order="C")
-    _diagonalise_each(work)
-    return work.diagonal(axis1=1, axis2=2).copy()
-
-
 def det3(matrix: NDArray[Any]) -> float:
     """Return the determinant of a (3, 3) matrix."""
     (a, b, c), (d, e, f), (g, h, i) = np.asarray(matrix, dtype=np.float64).tolist()
@@ -248,13 +241,6 @@ def _dot(a, b):
     for i in range(len(a)):
         total += a[i] * b[i]
     return total
-
-
-@kernel
-def _diagonalise_each(matrices):
-    vectors = np.empty(matrices.shape[1:])
-    for i in range(len(matrices)):
-        kernels.diagonalise(matrices[i], vectors)
 
 
 @kernel(error_model="numpy")

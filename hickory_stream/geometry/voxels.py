@@ -48,7 +48,7 @@ def bounds_of_keys(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[
 
 
 def within_bounds(sorted_keys: NDArray[np.int64], low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return those of sorted keys whose cells are within bounds (3,), both included."""
+    """Return the sorted keys whose cells are within bounds (3,), both included."""
     low, high = (np.clip(cell, -_OFFSET, _MASK - _OFFSET) + _OFFSET for cell in (low, high))
     first, last = np.searchsorted(sorted_keys, [low[0] << (2 * _BITS), (high[0] + 1) << (2 * _BITS)])
     keys = sorted_keys[first:last]
@@ -253,18 +253,17 @@ def dilate(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.unique(keys_of_cells((cells[:, None, :] + steps[None]).reshape(-1, 3)))
 
 
-def in_company(points: NDArray[Any], cell_m: float = 0.04, min_points: int = 4) -> NDArray[np.bool_]:
-    """Return which of (N, 3) points lie in cells of at least `min_points`; all of them where few cells are so dense.
+def without_outliers(points: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which of (N, 3) points lie in cells of 4 cm with at least four; all where few cells are so dense.
 
     A box goes around these: quantiles would cut off a table's legs, a small share of its points.
     """
-    counts = sums_of_equal(keys_of_points(points, cell_m))
-    dense = counts >= min_points
+    dense = sums_of_equal(keys_of_points(points, 0.04)) >= 4
     return dense if dense.mean() > 0.7 else np.ones(len(points), dtype=bool)
 
 
 def sums_of_equal(keys: NDArray[np.int64], weights: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
-    """Return for each of (N,) keys the sum of the weights of all that are equal to it; their number without weights."""
+    """Return for each of (N,) keys the sum of the weights of equal keys, or their number without weights."""
     groups, distinct = groups_of(keys)
     totals = np.zeros(len(distinct), dtype=np.int64)
     return _sums(groups, totals, np.ones(0, dtype=np.int64) if weights is None else weights)

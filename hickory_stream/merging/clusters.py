@@ -27,7 +27,7 @@ Member = tuple[int, int]
 _NEAR_M, _SAMPLE = 0.03, 400
 # Objects of another map that lie on one object before it counts as several; two are what one thing may break into.
 _SEVERAL = 3
-# Boxes of so much IoU are those of one thing.
+# Boxes of one thing have at least this IoU.
 _SAME_IOU = 0.3
 
 

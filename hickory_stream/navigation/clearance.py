@@ -53,13 +53,12 @@ def _seen_shares(shape: ObjectShape) -> NDArray[np.float64]:
 class ClearanceScene:
     """The superquadrics of a scene, by object."""
 
-    def __init__(self, *, block_m: float = _BLOCK_M) -> None:
-        self._block_m = block_m
+    def __init__(self) -> None:
         self._rows: NDArray[np.float64] = np.empty((0, kernels.ROW))
         self._kinds = np.empty(0, np.uint8)
         self._rows_of: dict[int, list[int]] = {}
         self._free_rows: list[int] = []
-        self._layout = np.array([0.0, 0.0, 0.0, block_m])
+        self._layout = np.array([0.0, 0.0, 0.0, _BLOCK_M])
         self._top = np.empty((0, 0, 0, 2), np.int32)
         self._bricks = np.empty((0, kernels.CELLS**3), np.int32)
         self._num_bricks = 0
@@ -128,11 +127,9 @@ class ClearanceScene:
         answers = np.asarray(kernel(points, self._rows, self._kinds, *self._grid))
         return answers if self._space is None else self._with_space(points, answers)
 
-    def is_free(
-        self, points_world: NDArray[Any], *, may_touch_generated: bool = False, is_parallel: bool = False
-    ) -> NDArray[np.bool_]:
+    def is_free(self, points_world: NDArray[Any], *, may_touch_generated: bool = False) -> NDArray[np.bool_]:
         """Return (N,) whether each of (N, 3) points is known to be free, optionally ignoring generated surface."""
-        answers = self.classify(points_world, is_parallel=is_parallel)
+        answers = self.classify(points_world)
         return (answers == Answer.FREE) | (may_touch_generated & (answers == Answer.HIT_GENERATED))
 
     def clearance_m(
@@ -183,7 +180,7 @@ class ClearanceScene:
         low = self._rows[used, kernels.LOW : kernels.LOW + 3].min(axis=0)
         high = self._rows[used, kernels.HIGH : kernels.HIGH + 3].max(axis=0)
         # A scene of kilometres gets coarser blocks rather than endless memory.
-        side = max(self._block_m, float(np.prod((high - low) / _MOST_BLOCKS ** (1 / 3) + 1e-9)) ** (1 / 3))
+        side = max(_BLOCK_M, float(np.prod((high - low) / _MOST_BLOCKS ** (1 / 3) + 1e-9)) ** (1 / 3))
         shape = np.floor((high - low) / side).astype(np.int64) + 1 + 2 * _ROOM
         self._layout = np.array([*(low - _ROOM * side), side])
         self._top = np.full((*shape, 2), -1, np.int32)

@@ -19,7 +19,7 @@ from hickory_stream.geometry.superquadric import Superquadrics, world_bounds
 from hickory_stream.geometry.voxels import cells_of_keys
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
-from hickory_stream.navigation.occupancy import MOST_BYTES, Cell, GridFrame, Occupancy, distance_field_m, frame_around
+from hickory_stream.navigation.occupancy import Cell, GridFrame, Occupancy, distance_field_m, frame_around
 from hickory_stream.navigation.robot import Part, Robot, raised, turned
 from hickory_stream.navigation.stand_ins import MARGIN_M, SEEN_SURFACE, Obstacle, box_as_superquadric, early_obstacles
 from hickory_stream.records import Phase
@@ -44,7 +44,7 @@ _FEW_HEADINGS = 0.4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class HullGroup:
-    """Consecutive hulls (N, M, 3); `lows`, `highs` (N, 2) are their bounds, `low`, `high` (2,) those of all."""
+    """Consecutive hulls (N, M, 3), their bounds `lows`, `highs` (N, 2), and the bounds `low`, `high` (2,) of all."""
 
     hulls: NDArray[np.float64]
     lows: NDArray[np.float64]
@@ -112,7 +112,7 @@ class FreeSpace:
             layer.remove(object_id)
 
     def observe(self, walls: NDArray[np.float64], unknown: NDArray[np.float64]) -> None:
-        """Replace the structure by hulls of (N, M, 3) corners, and the unobserved space by those of (K, 8, 3)."""
+        """Replace structure and unobserved space by hulls of (N, M, 3) and (K, 8, 3) corners."""
         self._forget()
         self.walls, self.unknown = walls, unknown
         for layer in self.all_layers():
@@ -188,7 +188,6 @@ def free_space_of(
     *,
     cell_m: float = CELL_M,
     unknown: UnknownSpace = "blocked",
-    most_bytes: int = MOST_BYTES,
     seen: SeenSurface | None = None,
     floor_m: float | None = None,
 ) -> FreeSpace:
@@ -204,7 +203,7 @@ def free_space_of(
     obstacles = bodies_of(snapshot, early=seen is not None)
     low, high = extent_of(snapshot, obstacles)
     layers = len(robot.postures) * robot.num_headings
-    frame = frame_around(low, high, cell_m, num_layers=layers, most_bytes=most_bytes)
+    frame = frame_around(low, high, cell_m, num_layers=layers)
     room_m = float(np.min(high - low))
     if 2 * robot.reach_m > room_m and room_m < 1e9:
         raise InputError(
@@ -225,9 +224,7 @@ def free_space_of(
     return space
 
 
-def obstacle_grid(
-    snapshot: MapSnapshot, robot: Robot, *, cell_m: float, most_bytes: int = MOST_BYTES, floor_m: float | None = None
-) -> Occupancy:
+def obstacle_grid(snapshot: MapSnapshot, robot: Robot, *, cell_m: float, floor_m: float | None = None) -> Occupancy:
     """Return the cells with an obstacle to any posture of a robot, without its footprint, for other planners.
 
     Raises:
@@ -237,7 +234,7 @@ def obstacle_grid(
     snapshot = on_storey(snapshot, floor)
     obstacles = bodies_of(snapshot)
     low, high = extent_of(snapshot, obstacles)
-    frame = frame_around(low, high, cell_m, most_bytes=most_bytes)
+    frame = frame_around(low, high, cell_m)
     low_m, high_m = robot.heights_m
     part = Part(low_m=floor + low_m, high_m=floor + high_m)
     grid = Occupancy(frame, [part])

@@ -129,7 +129,7 @@ class Occupancy:
             stamp(self._counts, corners, starts, self.frame.origin_m, self.frame.cell_m, -1)
 
     def observe(self, walls: NDArray[np.float64], unknown: NDArray[np.float64]) -> None:
-        """Replace the structure by hulls of (N, 8, 3) corners, and the unobserved space by those of (M, 8, 3)."""
+        """Replace structure and unobserved space by hulls of (N, 8, 3) and (M, 8, 3) corners."""
         for counts, hulls in ((self._walls, walls), (self._unknown, unknown)):
             counts[:] = 0
             for part in self._grown:

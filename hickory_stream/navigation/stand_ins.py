@@ -64,7 +64,7 @@ class Obstacle:
 
 
 def early_obstacles(objects: Sequence[TrackedObject]) -> list[Obstacle]:
-    """Return the obstacles of all objects, including those that were seen only once."""
+    """Return the obstacles of all objects, also of objects that were seen only once."""
     return _MADE.of(objects)
 
 
@@ -75,7 +75,7 @@ class _Made:
 
     def of(self, objects: Sequence[TrackedObject]) -> list[Obstacle]:
         """Return the obstacles of objects."""
-        known = self._last  # whoever asks at the same time replaces it as a whole
+        known = self._last  # another thread may replace it as a whole
         found: dict[int, tuple[TrackedObject, Obstacle]] = {}
         for tracked in objects:
             before = known.get(tracked.id)
@@ -94,17 +94,17 @@ def _obstacle_of(tracked: TrackedObject) -> Obstacle:
     return Obstacle(id=tracked.id, body=tracked.shape.inflated, is_observed_only=False)
 
 
-def stand_in_of(tracked: TrackedObject, margin_m: float = MARGIN_M) -> Superquadrics:
+def stand_in_of(tracked: TrackedObject) -> Superquadrics:
     """Return superquadrics that contain all points of an object and a margin: its slabs or its sketch, by least volume.
 
     The sketch keeps the margin along its axes, slabs keep it everywhere.
     """
     points = tracked.points_world.astype(np.float64)
-    slabs = _slabs(_around(tracked.box, points), points, margin_m)
-    boxed = sorted_by_volume(joined([box_as_superquadric(slab, margin_m) for slab in slabs]))
+    slabs = _slabs(_around(tracked.box, points), points, MARGIN_M)
+    boxed = sorted_by_volume(joined([box_as_superquadric(slab, MARGIN_M) for slab in slabs]))
     if tracked.sketch is None or len(tracked.sketch) != 1:
         return boxed
-    sketched = _grown(tracked.sketch, points, margin_m)
+    sketched = _grown(tracked.sketch, points, MARGIN_M)
     return sketched if volumes_m3(sketched).sum() < volumes_m3(boxed).sum() else boxed
 
 

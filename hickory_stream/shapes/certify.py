@@ -78,7 +78,7 @@ class Certificate:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Inside:
-    """The cells inside the solid, without those that are within the margin of the surface."""
+    """The cells inside the solid, beyond the margin of the surface."""
 
     #: (N, 3)
     centers: NDArray[np.float64]
@@ -408,7 +408,7 @@ def _holds_corners(center, half, body, limit):
 _G = 1.0
 
 
-def proven_anew(shape: ObjectShape, mesh: Mesh, points_world: NDArray[np.floating]) -> Certificate:
+def certified_again(shape: ObjectShape, mesh: Mesh, points_world: NDArray[np.floating]) -> Certificate:
     """Return the certificate of a stored layer 4, checked again from mesh, points (N, 3) and primitives.
 
     Raises:

@@ -1,7 +1,7 @@
 """Layer 2 with a texture: the pixels of the views that show each place best, their exposures evened.
 
 A high power of their detail weighs the views, so that one view holds most of a side and passes into the next without a
-seam. Unseen surface has a plain colour, which fades between those of the seen surface around it.
+seam. Unseen surface has a plain colour, which fades between the colours of the seen surface around it.
 """
 
 from __future__ import annotations

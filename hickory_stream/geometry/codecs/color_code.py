@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 _MOST_HITS, _MOST_OFF = 255, 7
-# A row that is no such mean is stored as it is; where most of these are none, the array is no array of means.
+# Rows that are no means are stored unchanged; an array of mostly such rows is no array of means.
 _ROW_BYTES, _MEAN_BYTES, _SAMPLED = 12, 10, 64
 
 

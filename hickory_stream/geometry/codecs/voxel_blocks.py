@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_KEYS = 1 << 24
-"""More than a submap has; a few bytes of blocks that somebody made could claim all of the memory."""
+"""More than a submap has; a few bytes of forged blocks could claim all of the memory."""
 
 _BITS = 6
 _LOW = (1 << _BITS) - 1

@@ -1,4 +1,4 @@
-"""One superquadric around a whole surface: of a box, its cylinders and a fitted one, that of least volume."""
+"""One superquadric around a whole surface: of its box, cylinders in it and a fitted one, the one of least volume."""
 
 from __future__ import annotations
 

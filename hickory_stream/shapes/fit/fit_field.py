@@ -94,7 +94,7 @@ class FitField:
         return np.argwhere(piece_around(is_reaching, i, j, k) if is_reaching[farthest] else ~is_reaching)
 
     def cover_with(self, rows: list[NDArray[np.float64]]) -> None:
-        """Set the cover to that of exactly these primitives."""
+        """Set the cover to exactly these primitives."""
         self._covered[...] = 0
         for row in rows:
             self.consume(row)

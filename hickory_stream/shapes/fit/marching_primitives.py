@@ -303,7 +303,7 @@ def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: Fi
 
 
 def pruned(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
-    """Return the primitives without those that add too little to the others; the least useful is dropped first."""
+    """Return the primitives that add enough to the others; the least useful is dropped first."""
     rows = list(rows)
     while len(rows) > 1:
         gains = []

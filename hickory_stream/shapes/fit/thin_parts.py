@@ -1,7 +1,7 @@
 """Thin parts that the fit left out, such as a bin's rim or a chair's rods: little volume, yet seen.
 
-The surface outside of all primitives is cut as that of thin bodies is (`panels`). A part is a few cells thick, and its
-surface goes once around its box: that of a bulge lies on one side, that of a pipe goes round twice.
+The surface outside of all primitives is cut like thin bodies (`panels`). A part is a few cells thick, and its surface
+goes once around its box: a bulge's lies on one side, a pipe's goes round twice.
 """
 
 from __future__ import annotations
