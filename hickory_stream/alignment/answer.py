@@ -47,8 +47,6 @@ class Contradictions:
     """The check against observed space: objects of one map at positions that the other map has observed."""
 
     num_expected: int = 0
-    #: matched, or coincident with surface
-    num_confirmed: int = 0
     #: in free space; `ids_a` and `ids_b` are missing in the other map
     num_missing: int = 0
     ids_a: tuple[int, ...] = ()
@@ -87,7 +85,7 @@ class Alignment:
     covariance: NDArray[np.float64]
     #: (3,) the pairs' centroid
     center_a: NDArray[np.float64]
-    #: of the expected number of equally good sets of pairs between two unrelated maps
+    #: log10 of the expected number of equally good sets of pairs between two unrelated maps
     log10_chance: float
     #: decades of significance of the evidence that separates it from its closest `rival`
     margin: float

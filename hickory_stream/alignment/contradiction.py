@@ -56,7 +56,6 @@ def contradictions(
     num_expected = expected_a + expected_b
     return Contradictions(
         num_expected=num_expected,
-        num_confirmed=num_expected - num_missing,
         num_missing=num_missing,
         ids_a=tuple(int(map_a.ids[i]) for i in missing_a),
         ids_b=tuple(int(map_b.ids[i]) for i in missing_b),

@@ -32,11 +32,10 @@ class Hypothesis:
     pairs: NDArray[np.int64]
     log_ranks: NDArray[np.float64]
     residuals_m: NDArray[np.float64]
-    #: expected number of sets between unrelated maps as good as the best `num_proving` pairs
+    #: log10 of the expected number of sets between unrelated maps as good as the best of these pairs
     log10_chance: float
     #: the same where nothing stands in groups
     log10_uniform: float
-    num_proving: int
     is_level: bool
 
     def __post_init__(self) -> None:
@@ -126,7 +125,6 @@ def judged(
         residuals_m=np.sqrt(squares),
         log10_chance=float(grouped[best] / np.log(10.0)),
         log10_uniform=float(logs.min() / np.log(10.0)),
-        num_proving=best + 1,
         is_level=is_level,
     )
 

@@ -55,12 +55,10 @@ class RefinementConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Refined:
-    """A refined transform, its covariance (6, 6) about the pairs' centroid in a, the shares of coincident surface."""
+    """A refined transform and its covariance (6, 6) about the pairs' centroid in a."""
 
     a_from_b: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    met_before: float
-    met_after: float
 
 
 def refined(
@@ -87,12 +85,11 @@ def refined(
         own, gains = _normal_equations(surfaces, current, center_a, float(scale_m), config)
         gain = gains.sum(axis=0) - prior @ _twist(current, mean, center_a)
         current = moved_about(current, np.asarray(np.linalg.solve(prior + own, gain), dtype=np.float64), center_a)
-    met_after = _met(surfaces, current, config)
-    if met_after <= met_before:
+    if _met(surfaces, current, config) <= met_before:
         return None
     own, gains = _normal_equations(surfaces, current, center_a, config.last_m, config)
     covariance = _covariance(prior + own, gains, np.array([s.center for s in surfaces]), config.alike_m)
-    return Refined(a_from_b=current, covariance=covariance, met_before=met_before, met_after=met_after)
+    return Refined(a_from_b=current, covariance=covariance)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
