@@ -30,17 +30,15 @@ _MIN_VOLUME_M3, _MIN_RESIDUAL_M = 1.0, 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Chance:
-    """The background model of the test: the numbers of objects, and the volume that they occupy.
-
-    A tilted transform, of up to `max_tilt_rad`, has `tilt_price` times the expected false alarms of a level one.
-    `grouped` is the probability that things stand in groups in both places (`grouping.py`).
-    """
+    """The background model of the test: the numbers of objects, and the volume that they occupy."""
 
     num_a: int
     num_b: int
     volume_m3: float
     max_tilt_rad: float
+    #: how many times the expected false alarms of a level transform a tilted one has
     tilt_price: float = 1.0
+    #: the probability that things stand in groups in both places (`grouping`)
     grouped: float = 0.0
 
 
@@ -52,7 +50,7 @@ def log_expected_sets(
     *,
     is_level: bool,
 ) -> NDArray[np.float64]:
-    """Return (K,) natural logarithms of the expected number of sets as good as the first 1, 2, ... K pairs.
+    """Return (K,) ln of the expected number of sets as good as the first 1, 2, ... K pairs.
 
     Args:
         chance: the two maps.
@@ -72,19 +70,9 @@ def log_expected_sets(
 
 
 def log_expected_coincidences(
-    chance: Chance,
-    counts: tuple[int, int],
-    log_ranks: NDArray[np.float64],
-    square_sums_m2: NDArray[np.float64],
+    chance: Chance, counts: tuple[int, int], log_ranks: NDArray[np.float64], square_sums_m2: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return (K,) ln of the expected number of sets as good as the first 1, 2, ... K pairs, the transform being known.
-
-    Args:
-        chance: the two maps.
-        counts: of objects in each map that are free to pair.
-        log_ranks: (K,) of each pair.
-        square_sums_m2: (K,) sums of squared residuals of the first k pairs.
-    """
+    """Return (K,) `log_expected_sets` of a known transform; `counts` of objects in each map are free to pair."""
     k = np.arange(1, len(log_ranks) + 1, dtype=np.float64)
     sets = _log_falling(counts[0], k) + _log_falling(counts[1], k) - gammaln(k + 1)
     looks = _log_upper_gamma(k, -np.cumsum(log_ranks))
@@ -93,11 +81,7 @@ def log_expected_coincidences(
 
 
 def effective_volume_m3(centroids: NDArray[np.float64]) -> float:
-    """Return the effective volume for coincidences of (N, 3) objects: 1 / the integral of their squared density.
-
-    It is estimated from the number of pairs of objects that are near each other, horizontally and vertically; where
-    objects are clustered, it is smaller than the room.
-    """
+    """Return 1 / the integral of the squared density of (N, 3) objects, smaller than the room if clustered."""
     count = len(centroids)
     if count < 2:
         return _MIN_VOLUME_M3
@@ -111,12 +95,12 @@ def effective_volume_m3(centroids: NDArray[np.float64]) -> float:
 
 
 def _log_falling(count: int, k: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ln of count! / (count - k)!."""
+    # ln of count! / (count - k)!.
     return np.asarray(gammaln(count + 1) - gammaln(np.maximum(count - k, 0) + 1))
 
 
 def _log_upper_gamma(k: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ln Q(k, total): how likely k uniform numbers have a product of at most exp(-total)."""
+    # ln Q(k, total): how likely k uniform numbers have a product of at most exp(-total).
     terms = np.arange(len(k))
     logs = terms * np.log(np.maximum(total, 1e-300))[:, None] - gammaln(terms + 1)
     logs = np.where(terms < k[:, None], logs, -np.inf)
@@ -150,6 +134,6 @@ def _log_geometry(
 def _log_ball(
     freedom: NDArray[np.float64], k: NDArray[np.float64], square_sums_m2: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return ln of the volume of the ball of `freedom` dimensions whose radius is the residual of k pairs."""
+    # ln of the volume of the ball of `freedom` dimensions whose radius is the residual of k pairs.
     radius_m = np.sqrt(np.maximum(square_sums_m2, k * _MIN_RESIDUAL_M**2))
     return np.asarray(freedom / 2 * np.log(np.pi) - gammaln(freedom / 2 + 1) + freedom * np.log(radius_m))

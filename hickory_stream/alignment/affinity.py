@@ -1,8 +1,7 @@
 """The affinity of candidate pairs: how similar the two objects are, and which pairs of pairs are consistent.
 
-Unary scores are converted to ranks among all N M pairs of the two maps: the share of pairs with at least this score.
-The significance of a cosine of 0.9 depends on the network and on the maps; that of a rank does not. The graph is built
-by looking up distances, without testing all pairs of pairs.
+Unary scores become ranks among all N M pairs, the share of pairs with at least this score: unlike a cosine, a rank
+means the same for every network and map. Look-ups of distances build the graph, without testing all pairs of pairs.
 """
 
 from __future__ import annotations
@@ -45,18 +44,15 @@ class AffinityConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Affinity:
-    """C candidate pairs and their pairwise consistency.
+    """C candidate pairs; c agrees with `neighbors[starts[c]:starts[c + 1]]`, ascending (compressed rows)."""
 
-    `pairs` (C, 2) are indices into the two maps; `log_ranks` (C,) the logarithms of their ranks, at most 0. The graph
-    is in compressed rows: the neighbours of c are `neighbors[starts[c]:starts[c + 1]]`, ascending, with `weights` in
-    0..1;
-    a candidate that is not listed contradicts c.
-    """
-
+    #: (C, 2) indices into the two maps
     pairs: NDArray[np.int64]
+    #: (C,), at most 0
     log_ranks: NDArray[np.float64]
     starts: NDArray[np.int64]
     neighbors: NDArray[np.int32]
+    #: in 0..1, of each neighbour
     weights: NDArray[np.float32]
 
     def __post_init__(self) -> None:
@@ -117,22 +113,20 @@ def fused_log_ranks(scores: Sequence[NDArray[np.float64] | None], shape: tuple[i
 def distinctive_log_ranks(log_ranks: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (N, M) log ranks among the pairs of either object alone, if these are better than among all pairs.
 
-    If most objects of a map are of one kind, a pair of similar objects of another kind does not rank high among all
-    pairs, but does among the pairs of either of its objects.
+    In a map of mostly one kind, a pair of another kind ranks high only among the pairs of either of its objects.
     """
     by_a, by_b = _row_log_ranks(log_ranks), _row_log_ranks(np.ascontiguousarray(log_ranks.T)).T
     return np.asarray(np.minimum(log_ranks, np.maximum(by_a, by_b)))
 
 
 def _row_log_ranks(log_ranks: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the logarithm of the share of pairs of its row that rank as well as each."""
     ascending = np.sort(log_ranks, axis=1)
     counts = [np.searchsorted(row, own + 1e-12, side="right") for row, own in zip(ascending, log_ranks, strict=True)]
     return np.log(np.array(counts).reshape(log_ranks.shape) / max(log_ranks.shape[1], 1))
 
 
 def _log_ranks(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the logarithm of the share of known scores that are at least as high; 0 for the lowest score."""
+    # ln of the share of known scores that are at least as high; 0 for the lowest score.
     logs = np.full(scores.shape, -1.0)  # The mean of the logarithm of a uniform number.
     is_known = np.isfinite(scores)
     known = scores[is_known]
@@ -156,8 +150,7 @@ def build_affinity(
 ) -> Affinity:
     """Return the graph over the best pairs by rank (N, M) of objects at (N, 3) and (M, 3) places.
 
-    If both maps are gravity-aligned (`is_level`), the horizontal and the vertical part of a distance must agree
-    separately, the vertical one up to the tilt times the horizontal distance; otherwise the distance as a whole.
+    If `is_level`, horizontal and vertical distances must agree separately, the vertical one up to the tilt.
     """
     pairs = _candidates(ranks, config)
     index = np.full(ranks.shape, -1, dtype=np.int32)
@@ -176,16 +169,11 @@ def build_affinity(
     )
     starts, neighbors, weights = _rows(len(pairs), first, second, agreement)
     return Affinity(
-        pairs=pairs,
-        log_ranks=ranks[pairs[:, 0], pairs[:, 1]],
-        starts=starts,
-        neighbors=neighbors,
-        weights=weights,
+        pairs=pairs, log_ranks=ranks[pairs[:, 0], pairs[:, 1]], starts=starts, neighbors=neighbors, weights=weights
     )
 
 
 def _candidates(ranks: NDArray[np.float64], config: AffinityConfig) -> NDArray[np.int64]:
-    """Return the (C, 2) best pairs by rank, in the order of their indices."""
     most = max(config.max_candidates, sum(ranks.shape))
     wanted = min(max(int(config.candidate_share * ranks.size), min(ranks.size, 400)), most)
     flat = ranks.ravel()
@@ -198,7 +186,7 @@ def _candidates(ranks: NDArray[np.float64], config: AffinityConfig) -> NDArray[n
 
 
 def _distances(centroids: NDArray[np.float64], is_level: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (N, N) distances: horizontal and signed vertical, or the whole and zero."""
+    # Horizontal and signed vertical (N, N), or the whole and zero.
     offsets = centroids[:, None] - centroids[None]
     if is_level:
         return np.hypot(offsets[..., 0], offsets[..., 1]), np.ascontiguousarray(offsets[..., 2])
@@ -207,7 +195,6 @@ def _distances(centroids: NDArray[np.float64], is_level: bool) -> tuple[NDArray[
 
 @kernel
 def _bins(sorted_rows, most, bin_m):
-    """Return for each row where the distances of each bin begin: a look-up instead of a search."""
     count = int(most / bin_m) + 2
     bins = np.empty((len(sorted_rows), count), dtype=np.int32)
     for j in range(len(sorted_rows)):
@@ -221,7 +208,7 @@ def _bins(sorted_rows, most, bin_m):
 
 @kernel
 def _edges(along_a, up_a, sorted_up_b, order_b, sorted_b, bins, bin_m, pairs, index, sigma_m, tilt_rad, gate):
-    """Return the pairs (c, d), c < d, of candidates that agree, and how well: by c, unordered in d."""
+    # Pairs (c, d), c < d, of candidates that agree, and how well: by c, unordered in d.
     room = 1024
     first, second = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
     agreement = np.empty(room, dtype=np.float32)
@@ -264,7 +251,7 @@ def _longer(values, room):
 
 @kernel
 def _rows(count, first, second, agreement):
-    """Return the graph in compressed rows, the neighbours of each ascending: two passes of counting sort."""
+    # Compressed rows with ascending neighbours, by two passes of counting sort.
     starts = np.zeros(count + 1, dtype=np.int64)
     for e in range(len(first)):
         starts[first[e] + 1] += 1

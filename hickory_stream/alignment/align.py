@@ -8,12 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.alignment.acceptance import Chance, effective_volume_m3
-from hickory_stream.alignment.affinity import (
-    distinctive_log_ranks,
-    fused_log_ranks,
-    semantic_scores,
-    why_no_semantics,
-)
+from hickory_stream.alignment.affinity import distinctive_log_ranks, fused_log_ranks, semantic_scores, why_no_semantics
 from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
 from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.grouping import grouped_probability
@@ -66,14 +61,7 @@ def align(
     config: AlignConfig | None = None,
     shape_scores: ShapeScores | None = superquadric_scores,
 ) -> Alignment | NoAlignment:
-    """Return the pose of map b in map a, or `NoAlignment` with the reason why it is not determined.
-
-    Args:
-        map_a: N objects; the result is in its frame.
-        map_b: M objects.
-        config: None for the defaults.
-        shape_scores: the function that compares shapes; None if they are not compared.
-    """
+    """Return the pose of map b in map a, or `NoAlignment` with the reason; without `shape_scores`, by semantics."""
     config = AlignConfig() if config is None else config
     refusal = _too_small(map_a, map_b, config)
     if refusal is not None:
@@ -98,34 +86,10 @@ def evidence_of(
 ) -> tuple[Evidence, PairScores]:
     """Return the evidence for judging hypotheses about two maps, and the scores of all pairs of objects."""
     scores = _scored(map_a, map_b, shape_scores)
-    return _evidence(map_a, map_b, scores, config), scores
-
-
-# ---- the steps ------------------------------------------------------------------------------------------------------
-
-
-def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None) -> PairScores:
-    semantic = semantic_scores(map_a, map_b)
-    geometric = None if shape_scores is None else shape_scores(map_a, map_b)
-    if geometric is not None and not np.isfinite(geometric).any():
-        geometric = None
-    notes = [why_no_semantics(map_a, map_b)]
-    if geometric is None and shape_scores is not None:
-        notes.append("no two objects have shapes that can be compared: aligned without shapes")
-    ranks = fused_log_ranks((semantic, geometric), (len(map_a), len(map_b)))
-    return PairScores(
-        semantic=semantic,
-        geometric=geometric,
-        log_ranks=ranks,
-        notes=tuple(note for note in notes if note is not None),
-    )
-
-
-def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, config: AlignConfig) -> Evidence:
     ranks = distinctive_log_ranks(scores.log_ranks)
     share = min(max(int(config.affinity.candidate_share * ranks.size), 1), ranks.size) - 1
     volume_m3 = np.sqrt(effective_volume_m3(map_a.centroids) * effective_volume_m3(map_b.centroids))
-    return Evidence(
+    evidence = Evidence(
         centroids_a=map_a.centroids,
         centroids_b=map_b.centroids,
         log_ranks=scores.log_ranks,
@@ -143,6 +107,21 @@ def _evidence(map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, config: Al
         ),
         looks=tuple(score for score in (scores.semantic, scores.geometric) if score is not None),
     )
+    return evidence, scores
+
+
+def _scored(map_a: ObjectMap, map_b: ObjectMap, shape_scores: ShapeScores | None) -> PairScores:
+    semantic = semantic_scores(map_a, map_b)
+    geometric = None if shape_scores is None else shape_scores(map_a, map_b)
+    if geometric is not None and not np.isfinite(geometric).any():
+        geometric = None
+    notes = [why_no_semantics(map_a, map_b)]
+    if geometric is None and shape_scores is not None:
+        notes.append("no two objects have shapes that can be compared: aligned without shapes")
+    ranks = fused_log_ranks((semantic, geometric), (len(map_a), len(map_b)))
+    return PairScores(
+        semantic=semantic, geometric=geometric, log_ranks=ranks, notes=tuple(note for note in notes if note is not None)
+    )
 
 
 def _answered(
@@ -157,7 +136,7 @@ def _answered(
     common = common_covariance(points, center_a, common_m, max_turn_rad)
     return Alignment(
         a_from_b=settled.a_from_b,
-        pairs=_matched_pairs(map_a, map_b, scores, best),
+        pairs=matched_pairs(map_a, map_b, best, scores.semantic, scores.geometric),
         covariance=settled.covariance + common,
         center_a=center_a,
         log10_chance=judged[0].log10_chance,
@@ -173,8 +152,7 @@ def _answered(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Placed:
-    """The best hypothesis by its objects alone, and where map b lies: by their surfaces where those were refined."""
-
+    # Where map b lies: by the surfaces of the pairs where those were refined, else by their centroids.
     best: Hypothesis
     settled: Levelled
     is_refined: bool
@@ -203,7 +181,6 @@ def _placed(map_a: ObjectMap, map_b: ObjectMap, evidence: Evidence, found: Hypot
 
 
 def _settled(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> tuple[Hypothesis, Levelled]:
-    """Return the best hypothesis by its objects alone, tilted as they say, and with what is known of the tilt."""
     pairs = best.pairs
     for _ in range(_ROUNDS):
         points_a, points_b = evidence.centroids_a[pairs[:, 0]], evidence.centroids_b[pairs[:, 1]]
@@ -218,9 +195,15 @@ def _settled(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> tuple
     return judged_as(evidence, own, pairs, is_level=False), settled
 
 
-def _matched_pairs(
-    map_a: ObjectMap, map_b: ObjectMap, scores: PairScores, hypothesis: Hypothesis
+def matched_pairs(
+    map_a: ObjectMap,
+    map_b: ObjectMap,
+    hypothesis: Hypothesis,
+    semantic: NDArray[np.float64] | None = None,
+    geometric: NDArray[np.float64] | None = None,
 ) -> tuple[MatchedPair, ...]:
+    """Return the pairs of a hypothesis with their scores (N, M), if known."""
+
     def known(values: NDArray[np.float64] | None, i: int, j: int) -> float | None:
         return None if values is None or not np.isfinite(values[i, j]) else float(values[i, j])
 
@@ -228,8 +211,8 @@ def _matched_pairs(
         MatchedPair(
             id_a=int(map_a.ids[i]),
             id_b=int(map_b.ids[j]),
-            semantic=known(scores.semantic, i, j),
-            geometric=known(scores.geometric, i, j),
+            semantic=known(semantic, i, j),
+            geometric=known(geometric, i, j),
             rank=float(np.exp(rank)),
             residual_m=float(residual),
         )

@@ -44,14 +44,10 @@ class MatchedPair:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Contradictions:
-    """The check against observed space: objects of one map at positions that the other map has observed.
-
-    Of `num_expected` such objects, `num_confirmed` are matched or coincide with surface, and `num_missing` lie in free
-    space; `ids_a` and `ids_b` are the ids of those that are missing in the other map.
-    """
+    """The check against observed space: objects of one map at positions that the other map has observed."""
 
     num_expected: int = 0
-    num_confirmed: int = 0
+    #: in free space; `ids_a` and `ids_b` are missing in the other map
     num_missing: int = 0
     ids_a: tuple[int, ...] = ()
     ids_b: tuple[int, ...] = ()
@@ -61,9 +57,7 @@ class Contradictions:
 class Rival:
     """One of several significant transforms between two maps, for a pose graph that can decide between them later.
 
-    `a_from_b`, `covariance` and `center_a` are those of an `Alignment`, from the objects' centroids alone;
-    `log10_chance` is its own. `margin` is the difference in significance to its closest rival, in decades; negative if
-    the rival is better.
+    Fields are as those of an `Alignment`, from the objects' centroids alone.
     """
 
     a_from_b: NDArray[np.float64]
@@ -71,6 +65,7 @@ class Rival:
     center_a: NDArray[np.float64]
     num_pairs: int
     log10_chance: float
+    #: negative if the closest rival is better
     margin: float
 
     def __post_init__(self) -> None:
@@ -81,26 +76,25 @@ class Rival:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Alignment:
-    """The pose of map b in map a.
+    """The pose of map b in map a."""
 
-    `a_from_b` (4, 4); `covariance` (6, 6) of a small rotation (radians) about the pairs' centroid `center_a` (3,) and a
-    translation (metres), in frame a; `log10_chance`: log10 of the expected number of equally good sets of pairs between
-    two unrelated maps; `margin`: the significance, in the same unit, of the evidence that separates it from its closest
-    `rival`; `rivals` are the other significant transforms, which were ruled out; `notes` report missing data and
-    deviations from the configuration.
-    """
-
+    #: (4, 4)
     a_from_b: NDArray[np.float64]
     pairs: tuple[MatchedPair, ...]
+    #: (6, 6) of a small rotation (radians) about `center_a` and a translation (metres), in frame a
     covariance: NDArray[np.float64]
+    #: (3,) the pairs' centroid
     center_a: NDArray[np.float64]
+    #: log10 of the expected number of equally good sets of pairs between two unrelated maps
     log10_chance: float
+    #: decades of significance of the evidence that separates it from its closest `rival`
     margin: float
     rival: Hypothesis | None
     contradictions: Contradictions = field(default_factory=Contradictions)
     is_level: bool = True
     is_refined: bool = False
     notes: tuple[str, ...] = ()
+    #: the other significant transforms, which were ruled out
     rivals: tuple[Rival, ...] = ()
 
     def __post_init__(self) -> None:
@@ -121,10 +115,7 @@ class Alignment:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class NoAlignment:
-    """A refusal: its reason, in a word and in a sentence, and the best hypotheses, most likely first.
-
-    For `Refusal.RIVAL`, `rivals` are the transforms of which one may be right, most likely first.
-    """
+    """A refusal; `hypotheses` and, for `Refusal.RIVAL`, `rivals`, of which one may be right, most likely first."""
 
     refusal: Refusal
     reason: str

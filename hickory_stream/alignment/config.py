@@ -1,4 +1,4 @@
-"""The configuration of alignment: that of each of its steps."""
+"""The configuration of alignment and of each of its steps."""
 
 from __future__ import annotations
 

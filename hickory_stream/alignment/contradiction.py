@@ -56,7 +56,6 @@ def contradictions(
     num_expected = expected_a + expected_b
     return Contradictions(
         num_expected=num_expected,
-        num_confirmed=num_expected - num_missing,
         num_missing=num_missing,
         ids_a=tuple(int(map_a.ids[i]) for i in missing_a),
         ids_b=tuple(int(map_b.ids[i]) for i in missing_b),
@@ -66,7 +65,7 @@ def contradictions(
 def _missing(
     objects: ObjectMap, other_from_here: NDArray[np.float64], other: ObjectMap, config: ContradictionConfig
 ) -> tuple[int, list[int]]:
-    """Return the number of objects that are expected in the other map, and the indices of those missing there."""
+    # The number of objects expected in the other map, and the indices of those missing there.
     known = [(i, thinned(points)) for i, points in enumerate(objects.points) if points is not None]
     if not known or not other.submaps:
         return 0, []
@@ -104,7 +103,6 @@ def thinned(points: NDArray[np.float32], most: int = _MAX_POINTS) -> NDArray[np.
 
 
 def _within(reach_m: float, points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which of (N, 3) points may be within reach of one of (M, 3) others; a point that is not has none there."""
     around = np.array(list(np.ndindex(3, 3, 3))) - 1
     cells = np.unique(np.floor(others / reach_m).astype(np.int64), axis=0)
     keys = np.unique(keys_of_cells((cells[:, None] + around).reshape(-1, 3)))

@@ -1,19 +1,13 @@
-"""How much likelier strangers coincide where furniture stands in groups: what unrelated homes have in common.
+"""How much likelier objects of unrelated homes coincide where furniture stands in groups.
 
-Two homes that share nothing have chairs around a table, cups on it, boxes by a shelf. Lay one such group on another,
-and all of it coincides: as observations these objects are hardly more than one. In terms of point processes, given that
-one pair of like objects coincides, another pair d metres from it does so with the density `_PER_M3`, where in uniform
-places it would be 1 / V, however large the place (a pair correlation function: Ripley 1976; Baddeley, Rubak and Turner
-2015, chapter 7). The probability of a set is the product over its pairs, each given those before it; of these the
-nearest one counts (Chow and Liu 1968).
+One group laid on another coincides as a whole: hardly more than one observation. Given one coincident pair of like
+objects, another pair d metres from it coincides with the density `_PER_M3` instead of 1 / V (a pair correlation
+function: Ripley 1976; Baddeley, Rubak and Turner 2015, chapter 7). The probability of a set is the product over its
+pairs, each given the nearest one before it (Chow and Liu 1968).
 
-The table is measured, by `tools/benchmarks/furniture_groups.py`, on 100 pairs of different furnished apartments of
-`hickory_stream.worlds`, seeds 0 to 31, among the 2 % of all pairs that look most alike. Among pairs that look less
-alike the surplus is thinner: as many coincide, of more.
-
-Whether two maps are of places in which things stand in groups is seen in the maps: how many objects are near one
-another, and how many there are a room's width apart. The probability of it comes from those two counts, each a Poisson
-number, and even odds before; what is usual in either kind of place is measured, too.
+`tools/benchmarks/furniture_groups.py` measured the table on 100 pairs of different furnished apartments, seeds 0 to 31,
+among the 2 % of all pairs that look most alike; less alike pairs have a thinner surplus. Whether a map has groups
+follows from two counts, of objects near one another and a room's width apart: Poisson numbers, even odds before.
 """
 
 from __future__ import annotations
@@ -38,7 +32,7 @@ _GROUPED, _SCATTERED = 2.9, 1.2
 def log_prices(
     points: NDArray[np.float64], log_ranks: NDArray[np.float64], grouped: float, volume_m3: float
 ) -> NDArray[np.float64]:
-    """Return (K,) ln of how many times as often the first 1, 2, ... K pairs coincide as they do in uniform places.
+    """Return (K,) ln of how many times likelier the first 1, 2, ... K pairs coincide than in uniform places.
 
     Args:
         points: (K, 3) where the pairs coincide.

@@ -25,20 +25,17 @@ _FAR = 1e6
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hypothesis:
-    """A transform between two maps with its pairs of objects.
-
-    `a_from_b` (4, 4); `pairs` (K, 2) are indices into the maps, most certain first, with `log_ranks` and `residuals_m`
-    (K,); `log10_chance` is log10 of the expected number of false alarms: sets of pairs between two unrelated maps that
-    are as good as the best `num_proving` of these pairs. `log10_uniform` is the same where nothing stands in groups.
-    """
+    """A transform between two maps with its pairs of objects."""
 
     a_from_b: NDArray[np.float64]
+    #: (K, 2) indices into the maps, most certain first
     pairs: NDArray[np.int64]
     log_ranks: NDArray[np.float64]
     residuals_m: NDArray[np.float64]
+    #: log10 of the expected number of sets between unrelated maps as good as the best of these pairs
     log10_chance: float
+    #: the same where nothing stands in groups
     log10_uniform: float
-    num_proving: int
     is_level: bool
 
     def __post_init__(self) -> None:
@@ -50,29 +47,26 @@ class Hypothesis:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """The data for judging hypotheses: the centroids of both maps, the ranks (N, M) of all pairs, and the chance model.
-
-    Candidates are chosen and weighted by `search_log_ranks` (N, M); `plausible` (P, 2) are the pairs similar enough to
-    be matched; `sigma_m` is the standard deviation of a residual on each axis, and `gate` its maximum in multiples of
-    that. `looks` are the scores (N, M) behind the ranks, NaN if unknown.
-    """
+    """The data for judging hypotheses: the centroids of both maps, the ranks (N, M) of pairs, the chance model."""
 
     centroids_a: NDArray[np.float64]
     centroids_b: NDArray[np.float64]
     log_ranks: NDArray[np.float64]
+    #: (N, M), by which candidates are chosen and weighted
     search_log_ranks: NDArray[np.float64]
+    #: (P, 2) pairs similar enough to be matched
     plausible: NDArray[np.int64]
+    #: standard deviation of a residual on each axis
     sigma_m: float
+    #: the largest residual in multiples of `sigma_m`
     gate: float
     chance: Chance
+    #: the scores (N, M) behind the ranks, NaN if unknown
     looks: tuple[NDArray[np.float64], ...] = ()
 
 
 def grown(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> Hypothesis | None:
-    """Return the hypothesis grown from `pairs` (K, 2) by fitting and matching in turn until nothing changes.
-
-    None if fewer than two pairs remain.
-    """
+    """Return the hypothesis grown from `pairs` (K, 2) by fitting and matching in turn; None below two pairs."""
     for _ in range(_ROUNDS):
         a_from_b = _fitted(evidence, pairs, is_level)
         explained = matched(evidence, a_from_b)
@@ -131,13 +125,12 @@ def judged(
         residuals_m=np.sqrt(squares),
         log10_chance=float(grouped[best] / np.log(10.0)),
         log10_uniform=float(logs.min() / np.log(10.0)),
-        num_proving=best + 1,
         is_level=is_level,
     )
 
 
 def _running_scatters(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (K, 3, 3) the sums of outer products of the first k points about their mean, for every k."""
+    # (K, 3, 3): sums of outer products of the first k points about their mean.
     k = np.arange(1, len(points) + 1)
     offsets = points - points.mean(axis=0)
     products = np.cumsum(offsets[:, :, None] * offsets[:, None], axis=0)

@@ -1,10 +1,7 @@
 """Acceptance of the best hypothesis: by its expected number of false alarms, rivals, geometry and missing objects.
 
-Hypotheses from what a place has but once.
-
-Where a place repeats itself, transforms that lay its copies on one another explain the most, and there are dozens of
-them: the true one is not among the few that are searched for. It is found by the objects of which a map has no second:
-each two of them whose distance both maps have give a transform.
+Where a place repeats itself, transforms that lay its copies on one another explain the most, and hide the true one. It
+is found by the objects of which a map has no second: each two of them at one distance in both maps give a transform.
 """
 
 from __future__ import annotations
@@ -39,11 +36,9 @@ _MOST_LONE = 0.5
 
 
 def unrepeated_hypotheses(evidence: Evidence, is_alike: NDArray[np.bool_]) -> list[Hypothesis]:
-    """Return the hypotheses grown from each two pairs of objects that no others look like; none if most are such.
+    """Return the hypotheses grown from each two pairs of objects without look-alikes; none if most objects are such.
 
-    Args:
-        evidence: about the two maps; what it holds plausible can be matched.
-        is_alike: (N, M) which objects look alike.
+    `is_alike` (N, M): which objects look alike.
     """
     is_lone_a, is_lone_b = (is_alike.sum(axis=axis) <= _MOST_ALIKE for axis in (1, 0))
     if min(is_lone_a.mean(), is_lone_b.mean()) > _MOST_LONE:
@@ -61,7 +56,6 @@ def unrepeated_hypotheses(evidence: Evidence, is_alike: NDArray[np.bool_]) -> li
 
 
 def _agree(evidence: Evidence, two: NDArray[np.int64]) -> bool:
-    """Return whether two pairs (2, 2) are of four objects that are as far apart in both maps, and not in one place."""
     if two[0, 0] == two[1, 0] or two[0, 1] == two[1, 1]:
         return False
     step_a = np.subtract(*evidence.centroids_a[two[:, 0]])
@@ -103,17 +97,14 @@ class Findings:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Judged:
-    """A hypothesis, the evidence against it, and log10 of its expected number of false alarms with that included.
-
-    `log10_uniform` is the same where nothing stands in groups: by it a hypothesis is a rival of others. `margins` are
-    the differences in significance, in decades, to each of the others in their order; `margin` is the least of them, or
-    its own significance if no other hypothesis is significant.
-    """
+    """A hypothesis, the evidence against it, and log10 of its expected number of false alarms with that included."""
 
     hypothesis: Hypothesis
     contradictions: Contradictions
     log10_chance: float
+    #: the same where nothing stands in groups; it decides whether this is a rival of others
     log10_uniform: float
+    #: differences in significance, in decades, to each of the others in their order
     margins: tuple[float, ...] = ()
 
     @property
@@ -127,7 +118,7 @@ def confronted(
 ) -> tuple[Judged, ...]:
     """Return the hypotheses, penalised for missing objects: the best first, then by their expected false alarms.
 
-    The best is the one that is separated from all others or, if there is none, the one of fewest expected false alarms.
+    The best is separated from all others or, if there is none such, has the fewest expected false alarms.
     """
     judged = []
     for hypothesis in _among_look_alikes(evidence, found, config):
@@ -147,10 +138,7 @@ def confronted(
 
 
 def _among_look_alikes(evidence: Evidence, found: list[Hypothesis], config: AlignConfig) -> list[Hypothesis]:
-    """Return the hypotheses, grown again by all that look alike if there are rivals or most pairs do.
-
-    Those of what is not repeated are added.
-    """
+    # If there are rivals, or most pairs look alike, hypotheses are grown again by all pairs that look alike.
     if not found or found[0].log10_uniform > NOTABLE:
         return found
     is_alike = alike(evidence, found[0])
@@ -164,18 +152,13 @@ def _among_look_alikes(evidence: Evidence, found: list[Hypothesis], config: Alig
 
 
 def _with_all_alike(evidence: Evidence, is_alike: NDArray[np.bool_]) -> Evidence:
-    """Return the evidence in which all pairs (N, M) that look alike may be matched, regardless of rank.
-
-    If many objects look the same, ranks among them are noise, and each hypothesis would contain a random few of these
-    pairs.
-    """
+    # If many objects look the same, ranks among them are noise: each hypothesis would hold a random few of these pairs.
     is_plausible = is_alike.copy()
     is_plausible[evidence.plausible[:, 0], evidence.plausible[:, 1]] = True
     return replace(evidence, plausible=np.argwhere(is_plausible))
 
 
 def _compared(evidence: Evidence, judged: list[Judged]) -> tuple[Judged, ...]:
-    """Return the hypotheses, each with its margins to the significant others after it in the result."""
     notable = [one for one in judged if one.log10_uniform <= NOTABLE]
     if len(notable) < 2:
         return tuple(judged)
@@ -221,8 +204,8 @@ def why_refused(findings: Findings, config: AlignConfig) -> NoAlignment | None:
         return refusal(Refusal.MIRRORED, reason)
     if judged[0].margin < acceptance.min_margin:
         reason = (
-            f"a different alignment cannot be told from it: what separates the two is worth {judged[0].margin:.1f} "
-            f"decades, {acceptance.min_margin:.1f} are needed"
+            f"a different alignment fits nearly as well: {judged[0].margin:.1f} decades of evidence separate the two, "
+            f"{acceptance.min_margin:.1f} are needed"
         )
         rivals = tuple(rival_of(findings, one, config) for one in open_ones(judged, config))
         return refusal(Refusal.RIVAL, reason, rivals)
@@ -245,7 +228,7 @@ def why_uncertain(findings: Findings, config: AlignConfig) -> NoAlignment | None
 
 
 def open_ones(judged: tuple[Judged, ...], config: AlignConfig) -> tuple[Judged, ...]:
-    """Return the best hypothesis and those that it is not separated from, of which one may be right."""
+    """Return the best hypothesis and the others that are not separated from it."""
     best = judged[0]
     others = [
         one for one, margin in zip(judged[1:], best.margins, strict=False) if margin < config.acceptance.min_margin
@@ -267,11 +250,8 @@ def rival_of(findings: Findings, one: Judged, config: AlignConfig) -> Rival:
 
 
 def _is_mirrored(findings: Findings, config: AlignConfig) -> bool:
-    """Return whether the mirror image of map b fits better, as it may if the matched objects lie in one plane.
-
-    It is not tried if the pairs are too many to lie in one plane by chance. Where a place repeats itself its mirror
-    image does so, too, and fits as well as any wrong transform does: then it counts as a rival.
-    """
+    # Not tried if the pairs are too many to lie in one plane by chance. A place that repeats itself has a mirror image
+    # that does so, too: then it counts as a rival.
     evidence, best = findings.evidence, findings.judged[0].hypothesis
     if best.log10_uniform < _SURE * config.acceptance.max_log10_chance:
         return False

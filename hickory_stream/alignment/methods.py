@@ -1,9 +1,8 @@
 """The paper's methods and competing methods by name, on the same maps, for comparison only.
 
 `sq`, `bbox` and `semantic` differ in the shape score alone: superquadrics, bounding boxes, none. `sq-paper`,
-`roman-one` and `roman-xl` follow ROMAN (Peterson et al., 2025): its scores and thresholds, gradient ascent, and any
-three pairs are an alignment. `sq-paper` has Eq. (sgeo) as the shape score, the others ROMAN's attributes of the point
-clouds; `roman-xl` aligns submaps by pairs. `ransac` draws triples of look-alikes.
+`roman-one` and `roman-xl` (by pairs of submaps) follow ROMAN (Peterson et al., 2025): its scores, thresholds and
+gradient ascent, and any three pairs are an alignment; `sq-paper` has Eq. (sgeo) as the shape score.
 """
 
 from __future__ import annotations
@@ -12,8 +11,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from hickory_stream.alignment.align import align, evidence_of
-from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
+from hickory_stream.alignment.align import align, evidence_of, matched_pairs
+from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
 from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.consensus import ascended_clique
 from hickory_stream.alignment.hypothesis import judged
@@ -64,15 +63,11 @@ def align_by(
             return _ransac(map_a, map_b, config)
 
 
-# ---- ROMAN ----------------------------------------------------------------------------------------------------------
-
-
 def _roman(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape: ShapeScores) -> Alignment | NoAlignment:
     return _answer(map_a, map_b, _roman_pairs(map_a, map_b, config, shape), config)
 
 
 def _roman_pairs(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig, shape: ShapeScores) -> NDArray[np.int64]:
-    """Return the pairs (K, 2) chosen by ROMAN's scores and gradient ascent."""
     if not len(map_a) or not len(map_b):
         return np.empty((0, 2), dtype=np.int64)
     unary = np.sqrt(_rescaled_cosines(map_a, map_b) * np.nan_to_num(shape(map_a, map_b), nan=1.0))
@@ -99,7 +94,7 @@ def _rescaled_cosines(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]
 
 
 def _gravity_scores(points_a: NDArray[np.float64], points_b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (C, C) pairwise scores, for which horizontal and vertical distances must agree separately."""
+    # (C, C): horizontal and vertical distances must agree separately.
     offsets_a, offsets_b = points_a[:, None] - points_a[None], points_b[:, None] - points_b[None]
     level = np.abs(np.hypot(*offsets_a[..., :2].T) - np.hypot(*offsets_b[..., :2].T)).T
     up = np.abs(offsets_a[..., 2] - offsets_b[..., 2])
@@ -109,7 +104,6 @@ def _gravity_scores(points_a: NDArray[np.float64], points_b: NDArray[np.float64]
 
 
 def _roman_submaps(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig) -> Alignment | NoAlignment:
-    """Return the alignment of the pair of submaps with the most matches."""
     best = np.empty((0, 2), dtype=np.int64)
     for members_a in _submaps(map_a):
         for members_b in _submaps(map_b):
@@ -120,7 +114,6 @@ def _roman_submaps(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig) -> A
 
 
 def _submaps(objects: ObjectMap) -> list[NDArray[np.int64]]:
-    """Return the indices of overlapping submaps: centres at least 10 m apart, the 40 nearest objects within 15 m."""
     centers: list[NDArray[np.float64]] = []
     for place in objects.centroids:
         if all(np.linalg.norm(place - center) >= _SUBMAP_STEP_M for center in centers):
@@ -133,11 +126,7 @@ def _submaps(objects: ObjectMap) -> list[NDArray[np.int64]]:
     return pieces
 
 
-# ---- RANSAC ---------------------------------------------------------------------------------------------------------
-
-
 def _ransac(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig) -> Alignment | NoAlignment:
-    """Return the transform of 2000 random triples of semantically similar pairs with most pairs within 0.3 m."""
     if min(len(map_a), len(map_b)) < _MIN_MATCHES:
         return _answer(map_a, map_b, np.empty((0, 2), dtype=np.int64), config)
     evidence, _ = evidence_of(map_a, map_b, config, None)
@@ -164,9 +153,6 @@ def _ransac(map_a: ObjectMap, map_b: ObjectMap, config: AlignConfig) -> Alignmen
     return _answer(map_a, map_b, best, config)
 
 
-# ---- the answer -----------------------------------------------------------------------------------------------------
-
-
 def _answer(
     map_a: ObjectMap, map_b: ObjectMap, pairs: NDArray[np.int64], config: AlignConfig
 ) -> Alignment | NoAlignment:
@@ -178,20 +164,9 @@ def _answer(
     evidence, _ = evidence_of(map_a, map_b, config, None)
     found = judged(evidence, a_from_b, pairs, is_level=False)
     center_a = points_a.mean(axis=0)
-    matched = tuple(
-        MatchedPair(
-            id_a=int(map_a.ids[i]),
-            id_b=int(map_b.ids[j]),
-            semantic=None,
-            geometric=None,
-            rank=float(np.exp(rank)),
-            residual_m=float(residual),
-        )
-        for (i, j), rank, residual in zip(found.pairs, found.log_ranks, found.residuals_m, strict=True)
-    )
     return Alignment(
         a_from_b=a_from_b,
-        pairs=matched,
+        pairs=matched_pairs(map_a, map_b, found),
         covariance=np.asarray(
             np.linalg.pinv(information(points_a, np.full(len(pairs), evidence.sigma_m), center_a)), dtype=np.float64
         ),

@@ -1,12 +1,8 @@
-"""The input of alignment: the objects of a map as arrays, in one frame.
-
-Data that a map lacks (layer 3, features, observed space) are absent here and never filled in: scores that need them are
-undefined.
-"""
+"""The input of alignment: the objects of a map as arrays, in one frame; data that a map lacks are never filled in."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,23 +22,23 @@ _MIN_HALF_EXTENT_M = 0.005
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ObjectMap:
-    """N objects in one frame, z up, metres.
-
-    `ids` (N,); `centroids` (N, 3) of layer 3 (in closed form), else of layer 1; `features` (N, D) of unit norm, with
-    rows of NaN for objects without, None if no object has any; `shapes` and `points` are layer 3 (or the sketch fitted
-    to the points) and layer 1 of each object, None if missing; `boxes` are upright boxes around them. `submap_ids` (N,)
-    is the submap of each object; `submaps` have the observed space. `extractor` is the name of the feature extractor,
-    "" if unknown.
-    """
+    """N objects in one frame, z up, metres; None where an object or the map lacks the data."""
 
     ids: NDArray[np.int64]
+    #: (N, 3) of layer 3 in closed form, else of layer 1
     centroids: NDArray[np.float64]
+    #: (N, D) of unit norm, NaN for objects without
     features: NDArray[np.float32] | None
+    #: layer 3, or the sketch fitted to the points
     shapes: tuple[Superquadrics | None, ...]
+    #: upright
     boxes: tuple[OrientedBox, ...]
+    #: layer 1
     points: tuple[NDArray[np.float32] | None, ...]
     submap_ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    #: with the observed space
     submaps: tuple[Submap, ...] = ()
+    #: of the features, "" if unknown
     extractor: str = ""
 
     def __post_init__(self) -> None:
@@ -63,10 +59,7 @@ class ObjectMap:
 
 
 def object_map(snapshot: MapSnapshot, extractor: str = "") -> ObjectMap:
-    """Return the objects of a snapshot in its world; tracks that are still tentative are left out.
-
-    `extractor` is the name of the feature extractor, if known: features of different extractors are not comparable.
-    """
+    """Return the objects of a snapshot in its world, without tentative ones; features compare by `extractor`."""
     objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
     shapes = tuple(tracked.superquadrics for tracked in objects)
     points = tuple(tracked.points_world if len(tracked.points_world) else None for tracked in objects)
@@ -87,7 +80,8 @@ def object_map(snapshot: MapSnapshot, extractor: str = "") -> ObjectMap:
 
 def taken(objects: ObjectMap, indices: NDArray[np.int64]) -> ObjectMap:
     """Return the map of the objects at `indices`, in that order; its observed space is the whole map's."""
-    return ObjectMap(
+    return replace(
+        objects,
         ids=objects.ids[indices],
         centroids=objects.centroids[indices],
         features=None if objects.features is None else objects.features[indices],
@@ -95,8 +89,6 @@ def taken(objects: ObjectMap, indices: NDArray[np.int64]) -> ObjectMap:
         boxes=tuple(objects.boxes[i] for i in indices),
         points=tuple(objects.points[i] for i in indices),
         submap_ids=objects.submap_ids[indices],
-        submaps=objects.submaps,
-        extractor=objects.extractor,
     )
 
 

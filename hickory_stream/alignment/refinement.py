@@ -1,8 +1,7 @@
 """Refinement of an alignment: the surfaces of matched objects are registered (point to plane).
 
-Points of each object are paired with the nearest points of its partner only, and their distances along its normals are
-minimised with a robust loss, since each map saw other sides of an object. The centroids remain as priors.
-The result is kept only if a larger share of the surfaces coincides than before.
+Only partners' points are paired, with a robust loss, since each map saw other sides of an object. Centroids remain as
+priors. The result is kept only if a larger share of the surfaces coincides than before.
 """
 
 from __future__ import annotations
@@ -15,8 +14,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.alignment.contradiction import thinned
+from hickory_stream.alignment.registration import moved_about
 from hickory_stream.base.ranges import Ranged, number
-from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
+from hickory_stream.geometry.rigid import apply, invert
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -55,15 +55,10 @@ class RefinementConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Refined:
-    """A refined transform and its covariance (6, 6) about the pairs' centroid in a.
-
-    `met_before` and `met_after` are the shares of surface points that coincide before and after.
-    """
+    """A refined transform and its covariance (6, 6) about the pairs' centroid in a."""
 
     a_from_b: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    met_before: float
-    met_after: float
 
 
 def refined(
@@ -78,14 +73,7 @@ def refined(
 ) -> Refined | None:
     """Return the refined transform; None if there are too few points, or fewer of them coincide afterwards.
 
-    Args:
-        map_a: the fixed map.
-        map_b: the map to be moved.
-        pairs: (K, 2) indices of matched objects.
-        start: (4, 4) transform to begin with.
-        mean: (4, 4), the best by the centroids alone ...
-        prior: (6, 6) ... and its information.
-        config: the parameters.
+    The search begins at `start` (4, 4); `mean` (4, 4) is the best by centroids alone, `prior` (6, 6) its information.
     """
     surfaces = _surfaces(map_a, map_b, pairs, config)
     if not surfaces:
@@ -96,19 +84,17 @@ def refined(
     for scale_m in np.geomspace(config.first_m, config.last_m, config.rounds):
         own, gains = _normal_equations(surfaces, current, center_a, float(scale_m), config)
         gain = gains.sum(axis=0) - prior @ _twist(current, mean, center_a)
-        current = _moved(current, np.asarray(np.linalg.solve(prior + own, gain), dtype=np.float64), center_a)
-    met_after = _met(surfaces, current, config)
-    if met_after <= met_before:
+        current = moved_about(current, np.asarray(np.linalg.solve(prior + own, gain), dtype=np.float64), center_a)
+    if _met(surfaces, current, config) <= met_before:
         return None
     own, gains = _normal_equations(surfaces, current, center_a, config.last_m, config)
     covariance = _covariance(prior + own, gains, np.array([s.center for s in surfaces]), config.alike_m)
-    return Refined(a_from_b=current, covariance=covariance, met_before=met_before, met_after=met_after)
+    return Refined(a_from_b=current, covariance=covariance)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Surface:
-    """One matched object: points (P, 3) and normals of it in a, points (Q, 3) and normals in b, and trees of both."""
-
+    # Points (P, 3) with normals in a, (Q, 3) with normals in b, and trees of both.
     points_a: NDArray[np.float64]
     normals_a: NDArray[np.float64]
     points_b: NDArray[np.float64]
@@ -153,7 +139,7 @@ def _normal_equations(
     scale_m: float,
     config: RefinementConfig,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the normal matrix (6, 6) of all surfaces together, and the right side (K, 6) of each."""
+    # (6, 6) of all surfaces together, and the right side (K, 6) of each.
     parts = [surface.normal_equations(a_from_b, center_a, scale_m, config) for surface in surfaces]
     return np.sum([own for own, _ in parts], axis=0), np.array([gain for _, gain in parts])
 
@@ -161,11 +147,8 @@ def _normal_equations(
 def _covariance(
     total: NDArray[np.float64], gains: NDArray[np.float64], places: NDArray[np.float64], alike_m: float
 ) -> NDArray[np.float64]:
-    """Return the covariance (6, 6) where the objects (K, 6) pull in different directions: maps drift and are not rigid.
-
-    The sandwich estimator with an object as one observation, since its points err together; and objects near one
-    another are displaced alike, as much as they are near (Conley 1999, with a normal kernel).
-    """
+    # Sandwich estimator (6, 6) with an object as one observation, since its points err together; objects near one
+    # another are displaced alike (Conley 1999, with a normal kernel).
     bread = np.linalg.inv(total)
     squares = ((places[:, None] - places[None]) ** 2).sum(axis=2)
     kernel = np.exp(-squares / (2 * alike_m**2))
@@ -200,7 +183,6 @@ def _surfaces(map_a: ObjectMap, map_b: ObjectMap, pairs: NDArray[np.int64], conf
 
 
 def _normals(points: NDArray[np.float64], tree: cKDTree, count: int) -> NDArray[np.float64]:
-    """Return (N, 3) unit normals at the points, of either sign, from their neighbours in the tree."""
     _, indices = tree.query(points, k=min(count, tree.n))
     around = tree.data[indices]
     offsets = around - around.mean(axis=1, keepdims=True)
@@ -208,7 +190,6 @@ def _normals(points: NDArray[np.float64], tree: cKDTree, count: int) -> NDArray[
 
 
 def _met(surfaces: list[_Surface], a_from_b: NDArray[np.float64], config: RefinementConfig) -> float:
-    """Return the share of points with the partner's surface within reach, averaged over the objects."""
     shares = []
     for surface in surfaces:
         _, distances, _, gaps = surface.residuals(a_from_b)
@@ -218,18 +199,9 @@ def _met(surfaces: list[_Surface], a_from_b: NDArray[np.float64], config: Refine
     return float(np.mean(shares))
 
 
-def _moved(
-    a_from_b: NDArray[np.float64], step: NDArray[np.float64], center_a: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the transform followed by a small rotation (radians) about the centre and a translation, in frame a."""
-    turn = Rotation.from_rotvec(step[:3]).as_matrix()
-    return from_rotation_translation(turn, center_a - turn @ center_a + step[3:]) @ a_from_b
-
-
 def _twist(
     a_from_b: NDArray[np.float64], start: NDArray[np.float64], center_a: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the rotation about the centre and the translation that lead from `start` to `a_from_b`."""
     now_from_start = a_from_b @ invert(start)
     shift = apply(now_from_start, center_a) - center_a
     return np.concatenate([Rotation.from_matrix(now_from_start[:3, :3]).as_rotvec(), shift])

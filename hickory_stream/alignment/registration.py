@@ -1,8 +1,7 @@
 """The least-squares transform between matched objects of two maps, and its covariance.
 
-Level: both maps are gravity-aligned and differ by a rotation about the vertical and a translation (4 unknowns). Tilted:
-any rotation (6 unknowns). The rotation is solved in closed form about the weighted centroids (Horn, 1987; Umeyama,
-1991).
+Level maps differ by a rotation about the vertical and a translation (4 unknowns), others by any rotation (6). The
+rotation is solved in closed form about the weighted centroids (Horn, 1987; Umeyama, 1991).
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 
@@ -40,8 +40,7 @@ def information(
 ) -> NDArray[np.float64]:
     """Return the information (6, 6) of a small rotation (radians) about `center` and a translation (metres) in a.
 
-    It is the inverse of the Cramer-Rao bound for K points (K, 3) whose residuals have (K,) standard deviations on each
-    axis.
+    The inverse Cramer-Rao bound for K points (K, 3) whose residuals have (K,) standard deviations on each axis.
     """
     total = np.zeros((6, 6))
     for offset, sigma in zip(points_a - center, sigmas_m, strict=True):
@@ -57,9 +56,8 @@ def common_covariance(
 ) -> NDArray[np.float64]:
     """Return the (6, 6) covariance of an error that all matched objects (K, 3) may have in common, or in a gradient.
 
-    What a map has seen from one height, or along one way, errs together, and more objects do not make it less: they are
-    worth one (Kish's design effect, 1965). `sigmas_m` are its level and its vertical standard deviation on an object; a
-    turn that the objects leave open is known to `max_turn_rad`.
+    Objects seen from one height, or along one way, err together, and are worth one (Kish's design effect, 1965).
+    `sigmas_m` are level and vertical; a turn that the objects leave open is known to `max_turn_rad`.
     """
     weights = 1.0 / np.array([sigmas_m[0], sigmas_m[0], sigmas_m[1]]) ** 2
     total = np.diag([1.0 / max_turn_rad**2] * 3 + [0.0] * 3)
@@ -67,6 +65,14 @@ def common_covariance(
         jacobian = np.hstack([np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]), np.eye(3)])
         total += jacobian.T @ (jacobian * weights[:, None]) / len(points_a)
     return np.asarray(np.linalg.inv(total))
+
+
+def moved_about(
+    a_from_b: NDArray[np.float64], step: NDArray[np.float64], center_a: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the transform followed by a small turn (radians) about the centre and a shift (6,), in frame a."""
+    turn = Rotation.from_rotvec(step[:3]).as_matrix()
+    return from_rotation_translation(turn, center_a - turn @ center_a + step[3:]) @ a_from_b
 
 
 def tilt_rad(a_from_b: NDArray[np.float64]) -> float:

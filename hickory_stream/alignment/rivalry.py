@@ -57,11 +57,7 @@ def separation(
 ) -> float:
     """Return by how many decades the evidence for `one` against `other` is more significant than that for the other.
 
-    Args:
-        evidence: about the two maps.
-        one: a hypothesis, and what observed space says of it.
-        other: its rival.
-        others: further significant hypotheses: what they explain with other partners is repeated.
+    `others` are further significant hypotheses: objects that they explain with other partners are repeated.
     """
     is_alike = alike(evidence, one[0])
     explained = [_explained(evidence, hypothesis, is_alike) for hypothesis in (one[0], other[0], *others)]
@@ -76,7 +72,7 @@ def separation(
 
 
 def alike(evidence: Evidence, hypothesis: Hypothesis) -> NDArray[np.bool_]:
-    """Return which pairs (N, M) look as much alike as those of a hypothesis do: by each score that is known."""
+    """Return which pairs (N, M) look as much alike as the pairs of a hypothesis, by each known score."""
     is_alike = np.ones(evidence.log_ranks.shape, dtype=bool)
     for looks in evidence.looks:
         own = looks[hypothesis.pairs[:, 0], hypothesis.pairs[:, 1]]
@@ -90,7 +86,7 @@ _Told = tuple[tuple["Hypothesis", "Contradictions"], "_Explained"]
 
 
 def _significance(evidence: Evidence, one: _Told, other: _Told, others: Sequence[_Explained]) -> float:
-    """Return -log10 of the probability of what speaks for `one` if `other` is right."""
+    # -log10 of the probability of the evidence for `one` if `other` is right.
     ((hypothesis, space), own), ((rival, rival_space), rivals_own) = one, other
     logs = [
         _log_decisive(evidence, hypothesis, own, rivals_own, others),
@@ -106,12 +102,8 @@ def _significance(evidence: Evidence, one: _Told, other: _Told, others: Sequence
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Explained:
-    """What a hypothesis explains: the partner in b of each object of a, and that in a of each of b, -1 for none.
-
-    `amid_a` and `amid_b`: which objects of a map lie, in the other one, among those that the hypothesis explains, so
-    that they should have partners, too; `near_a` and `near_b`: which lie among them or beside one of them.
-    """
-
+    # Partners (-1: none). `amid`: objects that lie among those explained in the other map, so should have partners,
+    # too; `near`: among or beside them.
     of_a: NDArray[np.int64]
     of_b: NDArray[np.int64]
     amid_a: NDArray[np.bool_]
@@ -128,7 +120,6 @@ class _Explained:
 
 
 def _explained(evidence: Evidence, hypothesis: Hypothesis, is_alike: NDArray[np.bool_]) -> _Explained:
-    """Return what a hypothesis explains: its own pairs, and what else looks alike and stands as copies do."""
     moved = apply(hypothesis.a_from_b, evidence.centroids_b)
     of_a = np.full(len(evidence.centroids_a), _NO_PARTNER, dtype=np.int64)
     of_b = np.full(len(evidence.centroids_b), _NO_PARTNER, dtype=np.int64)
@@ -157,7 +148,6 @@ def _explained(evidence: Evidence, hypothesis: Hypothesis, is_alike: NDArray[np.
 
 
 def _amid(outline: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which of (N, 2) places lie in the convex hull of (K, 2) points; none where those have no area."""
     try:
         return np.asarray(Delaunay(outline).find_simplex(places, tol=1e-9) >= 0)
     except QhullError:
@@ -165,7 +155,7 @@ def _amid(outline: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[
 
 
 def _beside(known: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which of (N, 2) places are no further from one of (K, 2) than two of the usual steps between those."""
+    # No further from a known place than two of the usual steps between known places.
     tree = cKDTree(known)
     spacing_m = np.median(tree.query(known, k=2)[0][:, 1])
     return np.asarray(tree.query(places)[0] <= 2 * spacing_m)
@@ -174,7 +164,7 @@ def _beside(known: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[
 def _log_decisive(
     evidence: Evidence, one: Hypothesis, own: _Explained, rival: _Explained, others: Sequence[_Explained]
 ) -> float | None:
-    """Return ln of the probability that as much is explained by `one` alone if it is wrong; None without such pairs."""
+    # ln of the probability that `one` alone explains as much if it is wrong; None without such pairs.
     i, j = one.pairs[:, 0], one.pairs[:, 1]
     is_lone, num_missed = np.ones(len(one.pairs), dtype=bool), np.zeros(len(one.pairs), dtype=np.int64)
     for copies in (rival, *others):
@@ -195,13 +185,8 @@ def _log_decisive(
 
 
 def _log_overlooked(num_missed: NDArray[np.int64], num_repeated: int, missing_shares: NDArray[np.float64]) -> float:
-    """Return ln of the probability that things which are repeated were overlooked at all but one of their places.
-
-    Args:
-        num_missed: (K,) how often each would have been overlooked.
-        num_repeated: how many others are seen to be repeated: their share says nothing else.
-        missing_shares: (Q,) quantiles of how often something is overlooked.
-    """
+    # ln of the probability that repeated things were overlooked at all but one of their places: `num_missed` (K,) times
+    # each, by quantiles (Q,) of how often something is overlooked.
     levels = np.unique(num_missed)
     chances = [
         nbinom.sf(np.count_nonzero(num_missed >= level) - 1, num_repeated + 1, 1 - missing_shares**level).mean()
@@ -220,7 +205,7 @@ def _log_coincident(evidence: Evidence, one: Hypothesis, chosen: NDArray[np.bool
 
 
 def _log_compared(evidence: Evidence, one: Hypothesis, other: Hypothesis) -> float | None:
-    """Return ln of the probability that objects with two partners favour those of `one` so clearly by chance."""
+    # ln of the probability that objects with two partners favour those of `one` by chance (paired t-test).
     logs = []
     for side in (0, 1):
         _, in_one, in_other = np.intersect1d(one.pairs[:, side], other.pairs[:, side], return_indices=True)
@@ -242,7 +227,7 @@ def _costs(evidence: Evidence, hypothesis: Hypothesis) -> NDArray[np.float64]:
 
 
 def _log_missing(one: Contradictions, other: Contradictions) -> float | None:
-    """Return ln of the probability that as many are missing under `other`, beyond those that `one` misses, too."""
+    # ln of the probability that as many are missing under `other`, beyond those that `one` misses (binomial).
     more = other.num_missing - one.num_missing
     if other.num_expected == 0 or more <= 0:
         return None

@@ -57,7 +57,6 @@ def searched(evidence: Evidence, config: AlignConfig, *, is_level: bool) -> list
 
 
 def _better(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> Hypothesis | None:
-    """Return the level hypothesis of some pairs, or the tilted one if it is better; None if neither fits."""
     tilted = grown(evidence, pairs, is_level=False)
     if tilted is not None and tilt_rad(tilted.a_from_b) > evidence.chance.max_tilt_rad:
         tilted = None
@@ -68,13 +67,12 @@ def _better(evidence: Evidence, pairs: NDArray[np.int64], *, is_level: bool) -> 
 
 
 def _is_clear(found: list[Hypothesis], config: AlignConfig) -> bool:
-    """Return whether no further rival is possible: the next clique has less weight than an insignificant one."""
+    # The next clique has less weight than an insignificant one.
     best, second = found[0].log10_uniform, found[1].log10_uniform
     return best < _CLEAR * config.acceptance.max_log10_chance and second > NOTABLE
 
 
 def _shows_gravity(evidence: Evidence, best: Hypothesis, config: AlignConfig) -> bool:
-    """Return whether the pairs confirm that the maps are level: there are many, distributed in all directions."""
     if not best.is_level or best.log10_uniform > _CLEAR * config.acceptance.max_log10_chance:
         return False
     points = evidence.centroids_a[best.pairs[:, 0]]

@@ -1,7 +1,7 @@
 """Similarity of shapes: an (N, M) matrix of scores in 0..1 for each way to compare the objects of two maps.
 
 `superquadric_scores` is our own; `literal_scores` is Eq. (sgeo) of the paper to the letter; `box_scores` is Mesh-BBox;
-`point_scores` are ROMAN's attributes of the point cloud. The score of a pair is NaN if one object lacks the data.
+`point_scores` are ROMAN's attributes of the point cloud. NaN if one object lacks the data.
 """
 
 from __future__ import annotations
@@ -32,9 +32,8 @@ _MIN_POINTS = 4
 def superquadric_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
     """Return the (N, M) kernels of layer 3: the similarity of two sets of primitives, in any order and number.
 
-    Every primitive is a point of five coordinates: the logarithms of its vertical and its two horizontal extents, and
-    its exponents. The score is the cosine between the sums of Gaussian kernels around the two sets of points.
-    Primitives are not matched, so that a missing one only reduces the score by its share.
+    A primitive is a point of five coordinates: the logarithms of its vertical and its two horizontal extents, and its
+    exponents. The score is the cosine between sums of Gaussian kernels: a missing primitive reduces it by its share.
     """
     a, b = _primitive_sets(map_a.shapes), _primitive_sets(map_b.shapes)
     scores = _kernels(*a, *b)
@@ -44,10 +43,9 @@ def superquadric_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float6
 
 
 def literal_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
-    """Return the (N, M) scores of Eq. (sgeo): the first K primitives of both, weighted by their share of volume.
+    """Return the (N, M) scores of Eq. (sgeo), sigma_geo = 1: the first K primitives of both, K the smaller count.
 
-    K is the smaller of the two counts, sigma_geo is 1. The weights are the mean of both objects' shares of volume, and
-    sum to less than 1 if the counts differ.
+    Weights are the mean of both objects' shares of volume, and sum to less than 1 if the counts differ.
     """
     exponents_a, axes_a, weights_a, counts_a = _padded(map_a.shapes)
     exponents_b, axes_b, weights_b, counts_b = _padded(map_b.shapes)
@@ -60,7 +58,7 @@ def literal_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
         weight = (weights_a[:, None, k] + weights_b[None, :, k]) / 2
         both = np.minimum.outer(counts_a, counts_b) > k
         scores += np.where(both, weight * np.exp(-difference / _SIGMA_EXPONENTS) * ratio, 0.0)
-    return _known(scores, counts_a > 0, counts_b > 0)
+    return np.where(np.logical_and.outer(counts_a > 0, counts_b > 0), scores, np.nan)
 
 
 def box_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
@@ -76,13 +74,10 @@ def point_scores(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
     return np.asarray((small / np.maximum(large, 1e-9)).prod(axis=2) ** 0.25)
 
 
-# ---- attributes of one object ---------------------------------------------------------------------------------------
-
-
 def _primitive_sets(
     shapes: Sequence[Superquadrics | None],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Return the points (P, 5) of all primitives, their weights (P,), and the first index of each object (N + 1,)."""
+    # Points (P, 5) and weights (P,) of all primitives, and the first index of each object (N + 1,).
     counts = [0 if shape is None else len(shape) for shape in shapes]
     known = [shape for shape in shapes if shape is not None and len(shape)]
     if not known:
@@ -106,7 +101,7 @@ def _primitive_sets(
 
 @kernel
 def _kernels(points_a, weights_a, starts_a, points_b, weights_b, starts_b, only_diagonal=False):
-    """Return (N, M) sums of Gaussian kernels between all primitives of two objects; on request the diagonal only."""
+    # (N, M) sums of Gaussian kernels between all primitives of two objects.
     sums = np.zeros((len(starts_a) - 1, len(starts_b) - 1))
     for i in range(sums.shape[0]):
         for j in range(sums.shape[1]):
@@ -127,7 +122,7 @@ def _kernels(points_a, weights_a, starts_a, points_b, weights_b, starts_b, only_
 def _padded(
     shapes: Sequence[Superquadrics | None],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Return exponents (N, K, 2), semi-axes (N, K, 3), shares of volume (N, K), zero beyond the counts (N,)."""
+    # Exponents (N, K, 2), semi-axes (N, K, 3), shares of volume (N, K), zero beyond the counts (N,).
     counts = np.array([0 if shape is None else len(shape) for shape in shapes], dtype=np.int64)
     most = int(counts.max(initial=0))
     exponents, axes = np.zeros((len(shapes), most, 2)), np.zeros((len(shapes), most, 3))
@@ -141,7 +136,6 @@ def _padded(
 
 
 def _box_sides(objects: ObjectMap) -> NDArray[np.float64]:
-    """Return (N, 3) half sides of the boxes around layer 3 of the objects, else around their points."""
     boxes = [
         box if shape is None else shape_box(shape) for shape, box in zip(objects.shapes, objects.boxes, strict=True)
     ]
@@ -150,14 +144,10 @@ def _box_sides(objects: ObjectMap) -> NDArray[np.float64]:
 
 
 def _point_attributes(objects: ObjectMap) -> NDArray[np.float64]:
-    """Return (N, 4) linearity, planarity, scattering of the cloud's covariance, and the volume of its box."""
+    # (N, 4): linearity, planarity and scattering of the covariance, and the volume of the box.
     rows = np.full((len(objects), 4), np.nan)
     for row, points, box in zip(rows, objects.points, objects.boxes, strict=True):
         if points is not None and len(points) >= _MIN_POINTS:
             third, second, first = np.maximum(np.linalg.eigvalsh(np.cov(points.T.astype(np.float64))), 1e-12)
             row[:] = (first - second) / first, (second - third) / first, third / first, box.volume_m3
     return rows
-
-
-def _known(scores: NDArray[np.float64], has_a: NDArray[np.bool_], has_b: NDArray[np.bool_]) -> NDArray[np.float64]:
-    return np.where(np.logical_and.outer(has_a, has_b), scores, np.nan)

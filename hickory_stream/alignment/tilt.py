@@ -1,9 +1,7 @@
-"""The tilt between two maps, estimated with a prior: that both know gravity, but nobody knows how well.
+"""The tilt between two maps, estimated with a prior: both know gravity, to a tenth of a degree or to several.
 
-Robots level themselves to a tenth of a degree or to several. The prior is a mixture of normal distributions over that
-range of scales, each as likely as the others; where the objects say little the tilt is drawn to none, where they say
-much it is theirs. The mixture's posterior is known in closed form (each part is normal), and what is returned is its
-mean and its covariance: in doubt between none and some, the covariance holds both.
+The prior is a mixture of normal distributions over that range of scales, each as likely. Its posterior is known in
+closed form; the result is its mean and its covariance: in doubt between none and some, the covariance holds both.
 """
 
 from __future__ import annotations
@@ -12,9 +10,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from hickory_stream.geometry.rigid import apply, from_rotation_translation
+from hickory_stream.alignment.registration import moved_about
+from hickory_stream.geometry.rigid import apply
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,13 +36,10 @@ def levelled(
     center_a: NDArray[np.float64],
     sigmas_rad: NDArray[np.float64],
 ) -> Levelled:
-    """Return what a transform is when its tilt is known to be small, too.
+    """Return a transform (4, 4) under the prior of a small tilt.
 
-    Args:
-        a_from_b: (4, 4) by the objects alone.
-        covariance: (6, 6) of a small turn about `center_a`, then a shift, by the objects alone.
-        center_a: (3,).
-        sigmas_rad: (S,) standard deviations of the tilt about each level axis, ascending.
+    `covariance` (6, 6) of a small turn about `center_a` (3,), then a shift, is by the objects alone; `sigmas_rad` (S,)
+    are standard deviations of the tilt about each level axis, ascending.
     """
     tilt = tilt_vector(a_from_b)
     spread = covariance[:2, :2]
@@ -64,17 +59,15 @@ def levelled(
     # What hangs on the tilt moves with it.
     follow = covariance[:, :2] @ np.linalg.inv(spread)
     step = follow @ (mean - tilt)
-    turn = Rotation.from_rotvec(step[:3]).as_matrix()
-    moved = from_rotation_translation(turn, center_a - turn @ center_a + step[3:]) @ a_from_b
     return Levelled(
-        a_from_b=moved,
+        a_from_b=moved_about(a_from_b, step, center_a),
         covariance=np.asarray(covariance - follow @ (spread - mixed) @ follow.T),
         is_level=bool(mean @ np.linalg.solve(mixed, mean) < _LEVEL),
     )
 
 
 def tilt_vector(a_from_b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the level turn (2,) in radians that takes the vertical of a to that of b."""
+    """Return the level turn (2,) in radians from the vertical of a to the vertical of b."""
     up = apply(a_from_b, np.array([0.0, 0.0, 1.0])) - a_from_b[:3, 3]
     level = float(np.hypot(up[0], up[1]))
     if level < 1e-12:

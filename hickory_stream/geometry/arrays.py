@@ -1,4 +1,4 @@
-"""Checked, read-only arrays: what every record does to its array fields on construction."""
+"""Checked, read-only arrays: every record makes its array fields so on construction."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ if TYPE_CHECKING:
 def frozen_array(values: Any, dtype: DTypeLike, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
     """Return `values` as a read-only, C-contiguous array of `dtype`; `None` in `shape` is any length.
 
-    An array that is already read-only, contiguous and of the right type is returned as it is. Anything else is copied,
-    so that nobody keeps a writable reference.
+    An array that is so already is returned; others are copied, so that nobody keeps a writable reference.
 
     Raises:
         ValueError: the shape does not fit, or `dtype` cannot hold the values; losing digits of a float is no reason.
@@ -35,11 +34,7 @@ def freeze(record: object, name: str, dtype: DTypeLike, shape: tuple[int | None,
 
 
 def check_array(record: object, name: str, dtype: DTypeLike, shape: tuple[int | None, ...]) -> None:
-    """Refuse a record with an array of another type or shape, and leave the array as it is (for `__post_init__`).
-
-    Raises:
-        ValueError: the array is of another type or shape.
-    """
+    """Raise ValueError if a record's array is of another type or shape; the array stays (for `__post_init__`)."""
     label, array = f"{type(record).__name__}.{name}", getattr(record, name)
     if not isinstance(array, np.ndarray) or array.dtype != dtype:
         raise ValueError(f"{label} is of {getattr(array, 'dtype', type(array).__name__)}; expected {np.dtype(dtype)}")

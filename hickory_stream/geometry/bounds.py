@@ -1,7 +1,4 @@
-"""The least and greatest coordinates of points: a first look at where things are.
-
-NumPy takes several times as long along the columns of an array of rows.
-"""
+"""The least and greatest coordinates of points; NumPy takes several times as long along the columns of rows."""
 
 from __future__ import annotations
 
@@ -18,8 +15,7 @@ if TYPE_CHECKING:
 def bounds_of(points: NDArray[Any]) -> NDArray[Any]:
     """Return (2, 3) the least and greatest coordinates of (N, 3) points, N >= 1, in their own precision."""
     assert len(points) > 0
-    bounds: NDArray[Any] = _bounds_of(points)
-    return bounds
+    return _bounds_of(points)
 
 
 def extent_of(points: NDArray[Any]) -> NDArray[Any]:

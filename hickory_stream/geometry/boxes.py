@@ -1,8 +1,7 @@
 """Oriented boxes: the gravity-aligned box of minimum area, and the exact intersection of any two.
 
-The intersection of two boxes is a convex polyhedron. Its boundary is what remains of the faces of each box inside the
-other, so that clipping twelve squares and summing their cones gives its volume exactly, without building the
-polyhedron.
+The boundary of an intersection consists of the faces of each box inside the other: clipping twelve squares and summing
+their cones gives its volume exactly, without building the polyhedron.
 """
 
 from __future__ import annotations
@@ -74,8 +73,7 @@ class OrientedBox:
 
     def _holds(self, points_world: NDArray[Any], margin_m: float, *, is_column: bool) -> NDArray[np.bool_]:
         limits = self.half_extents_m + margin_m
-        held: NDArray[np.bool_] = _held(np.ascontiguousarray(points_world), self.world_from_box, limits, is_column)
-        return held
+        return _held(np.ascontiguousarray(points_world), self.world_from_box, limits, is_column)
 
     def grown(self, margin_m: float) -> OrientedBox:
         """Return the box with every half extent larger by `margin_m`."""
@@ -85,7 +83,7 @@ class OrientedBox:
 def gravity_aligned_box(points_world: NDArray[Any], min_half_extent_m: float) -> OrientedBox:
     """Return the upright box of minimum footprint around (N, 3) points, N >= 1; half extents are at least the minimum.
 
-    The footprint is found by rotating calipers: a minimal rectangle shares a side with the convex hull.
+    Rotating calipers: a minimal rectangle shares a side with the convex hull.
     """
     points = np.asarray(points_world, dtype=np.float64)
     pose, half_extents_m = _smallest_upright(points, float(min_half_extent_m))
@@ -95,9 +93,9 @@ def gravity_aligned_box(points_world: NDArray[Any], min_half_extent_m: float) ->
 def faced_box(points_world: NDArray[Any], min_half_extent_m: float) -> OrientedBox:
     """Return the upright box around (N, 3) points, N >= 1, whose sides the points lie along.
 
-    Of a box whose front and one side were seen, the footprint is a triangle: the rectangle along its longest side is as
-    small as the true one. Of the rectangles that are hardly larger than the smallest, this is the one with the sides
-    closest to the points (the closeness criterion of Zhang et al., Efficient L-Shape Fitting, 2017).
+    A box seen from its front and a side has a triangular footprint, whose longest side has as small a rectangle as the
+    true one. Of the rectangles hardly larger than the smallest, this has its sides closest to the points (closeness
+    criterion of Zhang et al., Efficient L-Shape Fitting, 2017).
     """
     points = np.asarray(points_world, dtype=np.float64)
     hull = _hull_2d(points)
@@ -139,7 +137,6 @@ def _volume_m3(half_extents_m: NDArray[np.float64]) -> float:
 
 @kernel
 def _held(points, world_from_box, limits, is_column):
-    """Return which of (N, 3) points lie within `limits` (3,) of a box's centre along its axes, or in that column."""
     r = world_from_box
     x0, y0, z0 = r[0, 3], r[1, 3], r[2, 3]
     # A first look at the upright, unturned box around it.
@@ -165,7 +162,6 @@ def _held(points, world_from_box, limits, is_column):
 
 @kernel
 def _smallest_upright(points, min_half_extent):
-    """Return pose (4, 4) and half extents (3,) of the upright box of least footprint around points."""
     hull = _hull_2d(points)
     angles = _side_angles(hull)
     sizes, _ = _rectangles(hull, angles)
@@ -180,7 +176,6 @@ def _smallest_upright(points, min_half_extent):
 
 @kernel
 def _upright(points, hull, angle, min_half_extent):
-    """Return pose (4, 4) and half extents (3,) of the upright box around points, with a side at an angle."""
     sizes, lows = _rectangles(hull, np.full(1, angle))
     z_low, z_high = points[0, 2], points[0, 2]
     for i in range(1, len(points)):
@@ -198,7 +193,6 @@ def _upright(points, hull, angle, min_half_extent):
 
 @kernel
 def _side_angles(hull):
-    """Return the directions of a hull's sides, within a quarter of a turn, ascending."""
     angles = np.empty(len(hull))
     for i in range(len(hull)):
         p, q = hull[i], hull[(i + 1) % len(hull)]
@@ -208,7 +202,7 @@ def _side_angles(hull):
 
 @kernel
 def _rectangles(hull, angles):
-    """Return the (2, A) sizes along and across each of A directions, and where they begin."""
+    # (2, A) sizes along and across each of A directions, and where they begin.
     sizes, lows = np.empty((2, len(angles))), np.empty((2, len(angles)))
     for n in range(len(angles)):
         c, s = cos(angles[n]), sin(angles[n])
@@ -226,7 +220,6 @@ def _rectangles(hull, angles):
 
 @kernel
 def _are_apart(world_from_a, half_a, world_from_b, half_b):
-    """Return whether the balls around two boxes are apart."""
     way, reach_a, reach_b = 0.0, 0.0, 0.0
     for i in range(3):
         way += (world_from_a[i, 3] - world_from_b[i, 3]) ** 2
@@ -237,7 +230,7 @@ def _are_apart(world_from_a, half_a, world_from_b, half_b):
 
 @kernel
 def _hull_2d(points):
-    """Return the hull's corners in order, counter-clockwise; of collinear points the ends, of one the same twice."""
+    # Counter-clockwise; of collinear points the ends, of one the same twice.
     corners = _monotone_chain(_by_x_then_y(_outer(points)))
     if len(corners) > 1:
         return corners
@@ -260,7 +253,7 @@ def _by_x_then_y(points):
 
 @kernel
 def _outer(points):
-    """Return (M, 2) the points, seen from above, that are not inside the octagon of extreme ones (Akl, Toussaint)."""
+    # (M, 2) points that are not inside the octagon of extreme ones (Akl and Toussaint).
     extreme = _extreme_in_eight(points)
     edges, offsets = np.empty((8, 2)), np.empty(8)
     count = 0
@@ -288,7 +281,7 @@ def _outer(points):
 
 @kernel
 def _extreme_in_eight(points):
-    """Return the (8,) numbers of the first points that are extreme in eight directions, counter-clockwise."""
+    # (8,) first points that are extreme in eight directions, counter-clockwise.
     best = np.full(8, -np.inf)
     out = np.zeros(8, dtype=np.int64)
     for i in range(len(points)):
@@ -302,7 +295,7 @@ def _extreme_in_eight(points):
 
 @kernel
 def _monotone_chain(points):
-    """Return the convex hull of points sorted by x, then y (Andrew's monotone chain)."""
+    # Andrew's monotone chain over points sorted by x, then y.
     count = len(points)
     hull = np.empty((2 * count + 1, 2))
     size = 0
@@ -325,10 +318,7 @@ def _monotone_chain(points):
 
 @kernel
 def _clip(polygon, out, count, n0, n1, n2, height, tolerance):
-    """Keep the part of a convex polygon with n . p <= height + tolerance; in place, returns the new count.
-
-    `out` is room for as many corners.
-    """
+    # Keeps n . p <= height + tolerance, in place; `out` is room for as many corners; returns the new count.
     kept = 0
     for i in range(count):
         after = (i + 1) % count
@@ -352,7 +342,7 @@ def _clip(polygon, out, count, n0, n1, n2, height, tolerance):
 
 @kernel
 def _cones(rotation, offset, half, other_rotation, other_offset, other_half, tolerance):
-    """Sum the cones, seen from the origin, of the faces of one box that lie inside the other."""
+    # The cones, seen from the origin, of the faces of one box that lie inside the other.
     total = 0.0
     polygon, room = np.empty((16, 3)), np.empty((16, 3))
     normal, middle, area = np.empty(3), np.empty(3), np.empty(3)
@@ -401,7 +391,6 @@ def _dot(a, b):
 
 @kernel
 def _separated(half_a, half_b, rotation, offset, tolerance):
-    """Return whether a face direction of either box separates them, or leaves them only touching."""
     for i in range(3):
         reach_a = half_a[i] + (np.abs(rotation[i, :]) * half_b).sum()
         reach_b = half_b[i] + (np.abs(rotation[:, i]) * half_a).sum()

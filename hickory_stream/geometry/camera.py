@@ -69,9 +69,5 @@ def project(points_camera: NDArray[Any], camera: Camera) -> NDArray[np.float64]:
     """Return (N, 2) pixel coordinates (x, y) of (N, 3) camera points; NaN at or behind the camera plane."""
     z = np.where(points_camera[..., 2] > 1e-6, points_camera[..., 2], np.nan).astype(np.float64)
     return np.stack(
-        [
-            points_camera[..., 0] / z * camera.fx + camera.cx,
-            points_camera[..., 1] / z * camera.fy + camera.cy,
-        ],
-        axis=-1,
+        [points_camera[..., 0] / z * camera.fx + camera.cx, points_camera[..., 1] / z * camera.fy + camera.cy], axis=-1
     )

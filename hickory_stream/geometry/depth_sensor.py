@@ -2,9 +2,8 @@
 
     sigma(z) = max(floor_m, noise_m + noise_per_m z^2), with the camera's quantisation in the second term
 
-A camera that triangulates (stereo, structured light) errs by the same disparity everywhere, so that its noise in depth
-grows with z squared, in inverse depth not at all (Khoshelham and Oude Elberink, Sensors 2012; Nguyen, Izadi and Lovell,
-3DIMPVT 2012).
+Triangulation (stereo, structured light) errs by the same disparity everywhere, so that the noise in depth grows with z
+squared (Khoshelham and Oude Elberink, Sensors 2012; Nguyen, Izadi and Lovell, 3DIMPVT 2012).
 """
 
 from __future__ import annotations

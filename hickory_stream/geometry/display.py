@@ -1,13 +1,4 @@
-"""One colour per object id, the same in every view and in every run.
-
-Hues step by the golden ratio, so that ids that follow one another, which often stand side by side, are far apart.
-
-Features as colours: the first three principal components as red, green and blue.
-
-The nearest camera position from which all points are within the image.
-
-Layout of labels without overlap: of those that would cover one another the lowest stays, the others move up.
-"""
+"""Display: colours of ids and features, labels without overlap, and the nearest camera that sees all points."""
 
 from __future__ import annotations
 
@@ -26,7 +17,7 @@ _SATURATIONS = (0.72, 0.5, 0.88)
 
 
 def color_of_id(object_id: int) -> tuple[int, int, int]:
-    """Return the (r, g, b) uint8 colour of an object."""
+    """Return the (r, g, b) uint8 colour of an object; hues step by the golden ratio, so that neighbours differ."""
     hue = (0.07 + object_id * _GOLDEN_RATIO) % 1.0
     r, g, b = colorsys.hsv_to_rgb(hue, _SATURATIONS[object_id % len(_SATURATIONS)], 0.96)
     return round(255 * r), round(255 * g), round(255 * b)
@@ -51,10 +42,7 @@ def readable_on_dark(color: tuple[int, int, int]) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Components:
-    """Where three components begin (`low`, (3,)) and how far they reach (`extent`, (3,)).
-
-    `mean` (D,) and `axes` (D, 3): a feature's components are (feature - mean) @ axes.
-    """
+    """The three main components of features (D,): (feature - `mean`) @ `axes` (D, 3), `low` to `low` + `extent`."""
 
     mean: NDArray[np.float64]
     axes: NDArray[np.float64]
@@ -75,8 +63,7 @@ class Components:
 def main_components(features: NDArray[np.float32]) -> Components:
     """Return the three main components of (..., D) features, between their 2nd and 98th percentiles.
 
-    Axes point so that their largest entry is positive: the sign of an eigenvector is an accident. Where D is below 3 or
-    the features span less, the missing ones are 0.
+    The largest entry of an axis is positive, since the sign of an eigenvector is arbitrary; missing components are 0.
     """
     flat = features.reshape(-1, features.shape[-1]).astype(np.float64)
     mean = flat.mean(axis=0)
@@ -105,8 +92,7 @@ def nearest_eye(
 ) -> NDArray[np.float64]:
     """Return the (3,) place of the nearest eye that has all (N, 3) points in its frame.
 
-    `rotation` is world_from_camera's (x right, y down, z forward); `tangents` are those of half the angles of view, to
-    the side and up.
+    `rotation` is world_from_camera's (x right, y down, z forward); `tangents` of half the angles of view: side, up.
     """
     local = np.asarray(points_world, dtype=np.float64) @ rotation
     tan_x, tan_y = tangents
@@ -118,10 +104,7 @@ def nearest_eye(
 
 
 def rises(centers: NDArray[np.float64], sizes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (N,) how far up each label moves, so that no two of them overlap.
-
-    `centers` (N, 2) with y down and `sizes` (N, 2), width and height, are in one unit, whichever it is.
-    """
+    """Return (N,) how far up each label moves, so that none overlap; `centers` (N, 2), y down, `sizes` (N, 2)."""
     half = np.asarray(sizes, dtype=np.float64) / 2
     found = np.zeros(len(centers))
     placed = np.empty((0, 4))

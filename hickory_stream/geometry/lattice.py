@@ -45,10 +45,7 @@ def points_of(steps: NDArray[np.int32], steps_per_m: float = STEPS_PER_M) -> NDA
 
 
 def packed_points(points: NDArray[np.float32], steps_per_m: float = STEPS_PER_M) -> bytes | None:
-    """Return the bytes (12 N) of (N, 3) points as they compress: how many steps each is from the one before it.
-
-    The numbers are told as 0, -1, 1, -2, 2, ... are counted, their first bytes first. None where `steps_of` is.
-    """
+    """Return the bytes (12 N) of (N, 3) points, changes in steps as `unsigned` counts; None where `steps_of` is."""
     out = np.empty(12 * len(points), dtype=np.uint8)
     return out.tobytes() if _pack_points(points, np.float32(steps_per_m), out) else None
 

@@ -1,8 +1,4 @@
-"""Arrays that a record need not hold: given up, or never read, they are made whenever somebody asks for them.
-
-A map of a building has hundreds of records that nobody looks at. What is made is the same to the byte, and nobody can
-tell but by the time it takes.
-"""
+"""Arrays that a record need not hold: given up, or never read, they are made, equal to the byte, on demand."""
 
 from __future__ import annotations
 
@@ -33,12 +29,7 @@ Keep = Callable[[bytes], Callable[[], bytes]]
 
 @dataclass(frozen=True, slots=True)
 class _Maker:
-    """What makes the arrays `names` of a record, the one that is asked for among those that it gives.
-
-    `keeps`: what was made stays, until it is given up again. `is_packed`: it is made of what is compressed. `of` is
-    what it is made of, where that is known.
-    """
-
+    # `keeps`: made arrays stay until they are given up again; `is_packed`: from compressed ones; `of`: their inputs.
     make: Callable[[str], Mapping[str, Any]]
     names: tuple[str, ...]
     keeps: bool
@@ -70,15 +61,15 @@ class GivesUpArrays:
 
 
 def give_up(record: GivesUpArrays, make: Make, *names: str, of: tuple[object, ...] = ()) -> None:
-    """Let go of arrays of a record; `make` gives each by its name, as it is, and must not hold the record.
+    """Let go of arrays of a record; `make` gives each by its name, unchanged, and must not hold the record.
 
-    `of` are immutable objects, of nothing else the arrays are made: `are_made_alike` then tells.
+    `of`: the immutable objects that alone determine the arrays, for `are_made_alike`.
     """
     _let_go(record, _Maker(lambda name: {name: make(name)}, names, keeps=False, of=of))
 
 
 def made_of(record: GivesUpArrays) -> tuple[object, ...]:
-    """Return what the arrays of a record are made of, as `give_up` was told; () where that is not known."""
+    """Return the inputs of a record's arrays as given to `give_up`; () if unknown."""
     maker = _makers.get(record)
     return () if maker is None else maker.of
 
@@ -90,32 +81,25 @@ def are_made_alike(a: GivesUpArrays, b: GivesUpArrays) -> bool:
 
 
 def read_later(record: GivesUpArrays, read: MakeAll, *names: str) -> None:
-    """Have arrays of a record, which has others in their place, read when one of them is asked for; then they stay.
+    """Have arrays of a record read on first access; then they stay.
 
-    `read` gives all of them by their names, checked, or raises what whoever asks is to see; it must not hold the
-    record.
+    `read` gives all of them by their names, checked, or raises; it must not hold the record.
     """
     read_parts(record, lambda _: read(), *names)
 
 
 def read_parts(record: GivesUpArrays, read: Callable[[str], Mapping[str, Any]], *names: str) -> None:
-    """Have fields of a record, arrays or not, read when one of them is asked for; then they stay.
-
-    `read` gives the one of that name, and others that are read with it; it is as that of `read_later`.
-    """
+    """Have fields of a record read on first access, by `read(name)`, with others read with it; then they stay."""
     _let_go(record, _Maker(read, names, keeps=True))
 
 
 def in_memory(data: bytes) -> Callable[[], bytes]:
-    """Keep bytes, and return what gives them back: the simplest of the places that compressed arrays can go to."""
+    """Keep bytes, and return a function that gives them back: the simplest `Keep`."""
     return lambda: data
 
 
 def compress(record: GivesUpArrays, *names: str, keep: Keep = in_memory) -> None:
-    """Have arrays of a record kept compressed alone; those that were read since the last time are let go again.
-
-    Those that are to be read later, and have not been, stay where they are.
-    """
+    """Keep arrays of a record compressed alone; those read since the last time are let go, unread ones stay unread."""
     with _lock:
         maker = _makers.get(record)
         if maker is None or (not maker.is_packed and _is_at_hand(record, maker)):
@@ -141,7 +125,6 @@ def read_briefly(*records: GivesUpArrays) -> Iterator[None]:
 
 
 def _is_at_hand(record: GivesUpArrays, maker: _Maker) -> bool:
-    """Return whether an array that may be made has been, and has stayed."""
     for name in maker.names:
         try:
             object.__getattribute__(record, name)

@@ -1,9 +1,8 @@
 """Products, norms, eigenvectors and elementary functions of arrays with the same last bit on every processor.
 
-BLAS, LAPACK and NumPy's vectorised functions choose their code by the processor, and so does the C library; each choice
-rounds differently, and a decision somewhere turns a last bit into another map. Whatever lies between pixels and a map's
-digest calls these instead (`tests/test_portable_arithmetic.py` says what else is allowed). Sums go from the first term
-to the last. NumPy's own sums, means, sorts with kind="stable", quotients and roots round in one way only and may stay.
+BLAS, LAPACK, NumPy's vectorised functions and the C library choose their code by the processor and round differently,
+and a decision turns a last bit into another map. Between pixels and a map's digest these are used instead
+(`tests/test_portable_arithmetic.py` lists what else may be). Sums go from the first term to the last.
 """
 
 from __future__ import annotations
@@ -20,9 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
-
-
-# ---- linear algebra -------------------------------------------------------------------------------------------------
 
 
 def matmul(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
@@ -73,13 +69,6 @@ def eigh(matrix: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return work.diagonal().copy(), vectors
 
 
-def eigenvalues(matrices: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the (N, n) eigenvalues of symmetric matrices (N, n, n), ascending."""
-    work = np.array(matrices, dtype=np.float64, order="C")
-    _diagonalise_each(work)
-    return work.diagonal(axis1=1, axis2=2).copy()
-
-
 def det3(matrix: NDArray[Any]) -> float:
     """Return the determinant of a (3, 3) matrix."""
     (a, b, c), (d, e, f), (g, h, i) = np.asarray(matrix, dtype=np.float64).tolist()
@@ -99,9 +88,6 @@ def nearest_orthogonal(matrices: NDArray[Any]) -> NDArray[np.float64]:
     work = np.array(matrices, dtype=np.float64, order="C")
     _orthogonalise_each(work)
     return work
-
-
-# ---- elementary functions -------------------------------------------------------------------------------------------
 
 
 def exp(values: ArrayLike) -> NDArray[np.float64]:
@@ -162,11 +148,8 @@ def gaussian_weights(sigma: float, radius: int) -> NDArray[np.float64]:
     return np.asarray(weights / weights.sum())
 
 
-# ---- kernels --------------------------------------------------------------------------------------------------------
-
-
 def _writable(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
-    """Return an array in C order of a type, a copy if it is read-only: a kernel is compiled for one kind of array."""
+    # A copy if read-only: a kernel is compiled for one kind of array.
     out = np.ascontiguousarray(array, dtype=dtype)
     return out if out.flags.writeable else out.copy()
 
@@ -181,7 +164,7 @@ def _product(rows: NDArray[Any], right: NDArray[Any], dtype: Any) -> NDArray[Any
 
 
 def _stacked(matrices: NDArray[Any], stack: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-    """Return (N, n, m) the matrices of a whole stack, or (1, n, m) the one that stands for all of them."""
+    # (N, n, m) of a whole stack, or (1, n, m) for all of them.
     if matrices.ndim > 2:
         matrices = np.broadcast_to(matrices, (*stack, *matrices.shape[-2:]))
     return _writable(matrices.reshape(math.prod(matrices.shape[:-2]), *matrices.shape[-2:]), dtype)
@@ -204,7 +187,7 @@ def _of_pairs(
 
 @kernel
 def _multiply(a, b, out):
-    """Add the product to `out`, of zeros; for a row the terms come one after the other, whatever is vectorised."""
+    # Adds to `out`, of zeros; for a row the terms come one after the other, whatever is vectorised.
     for i in range(a.shape[0]):
         if b.shape[1] == 1:
             total = out[i, 0]
@@ -260,16 +243,9 @@ def _dot(a, b):
     return total
 
 
-@kernel
-def _diagonalise_each(matrices):
-    vectors = np.empty(matrices.shape[1:])
-    for i in range(len(matrices)):
-        kernels.diagonalise(matrices[i], vectors)
-
-
 @kernel(error_model="numpy")
 def _decompose(own, u, s, v):
-    """Turn the columns of `own` (3, 3) until they are at right angles (Hestenes), the longest first; u s = own v."""
+    # Hestenes: turns the columns of `own` (3, 3) until they are at right angles, the longest first; u s = own v.
     for i in range(3):
         for j in range(3):
             v[i, j] = 1.0 if i == j else 0.0
@@ -313,7 +289,6 @@ def _orthogonalise_each(matrices):
 
 @kernel(error_model="numpy")
 def _turn_columns(own, v, p, q):
-    """Turn two columns so that they are at right angles; return whether they were."""
     a, b, c = 0.0, 0.0, 0.0
     for k in range(3):
         a += own[k, p] * own[k, p]
@@ -335,7 +310,7 @@ def _turn_columns(own, v, p, q):
 
 @kernel(error_model="numpy")
 def _complete(u, i):
-    """Fill column i with a unit vector at right angles to those before it: what is most of an axis beside them."""
+    # At right angles to the columns before it: most of the axis that is least beside them.
     best = -1.0
     trial = np.empty(3)
     for axis in range(3):

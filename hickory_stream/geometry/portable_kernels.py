@@ -1,9 +1,7 @@
 """Elementary functions and small linear algebra for kernels, with the same last bit on every processor.
 
-The system's `exp` and BLAS choose their code by the processor that they run on, and round differently. These are sums,
-products, quotients and roots of IEEE doubles in a stated order, which round in one way only; Numba neither reorders nor
-fuses them. The elementary functions follow fdlibm (Sun Microsystems, 1993) and are good to about one unit in the last
-place. `portable` has the same for arrays.
+These are sums, products, quotients and roots of IEEE doubles in a stated order, which round in one way only; Numba
+neither reorders nor fuses them. They follow fdlibm (Sun Microsystems, 1993), good to about one unit in the last place.
 """
 
 from __future__ import annotations
@@ -159,10 +157,8 @@ def times_3(a, b):
 
 @kernel(error_model="numpy")
 def solve_in_place(matrix, right):
-    """Put the solution of matrix x = right into `right` (n,), by elimination with row exchange; both are used up.
-
-    Where the matrix is singular the solution is not finite.
-    """
+    """Put the solution of matrix x = right into `right` (n,), by elimination with row exchange; both are used up."""
+    # Where the matrix is singular the solution is not finite.
     count = len(right)
     for column in range(count):
         best = column
@@ -186,10 +182,8 @@ def solve_in_place(matrix, right):
 
 @kernel(error_model="numpy")
 def diagonalise(matrix, vectors):
-    """Turn a symmetric matrix (n, n) into its eigenvalues, ascending on the diagonal; `vectors` gets the eigenvectors.
-
-    Jacobi's method, row by row: each step turns two axes so that their product vanishes.
-    """
+    """Turn a symmetric matrix (n, n) into its eigenvalues, ascending on the diagonal, and fill its eigenvectors."""
+    # Jacobi's method, row by row: each step turns two axes: their product vanishes.
     count = len(matrix)
     for i in range(count):
         for j in range(count):
@@ -218,7 +212,7 @@ def diagonalise(matrix, vectors):
 
 @kernel(error_model="numpy")
 def _turn_axes(matrix, vectors, p, q):
-    """Turn axes p and q of a symmetric matrix so that its entry (p, q) vanishes."""
+    # So that entry (p, q) vanishes.
     entry = matrix[p, q]
     if entry == 0.0:
         return
@@ -248,7 +242,7 @@ def _power_of_two(n):
 
 @kernel(error_model="numpy")
 def _quarter_turns(x):
-    """Return the nearest number of quarter turns to an angle, what is left, and what rounding took off that."""
+    # The nearest number of quarter turns, the rest, and the rounding error of the rest.
     x = np.float64(x)
     if not abs(x) < 1e9:
         return np.int64(0), np.nan, 0.0
@@ -263,7 +257,7 @@ def _quarter_turns(x):
 
 @kernel(error_model="numpy")
 def _sin_kernel(x, rest):
-    """Return sin(x + rest) for |x| up to an eighth of a turn."""
+    # sin(x + rest) for |x| up to an eighth of a turn.
     z = x * x
     v = z * x
     r = 2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
@@ -273,7 +267,7 @@ def _sin_kernel(x, rest):
 
 @kernel(error_model="numpy")
 def _cos_kernel(x, rest):
-    """Return cos(x + rest) for |x| up to an eighth of a turn."""
+    # cos(x + rest) for |x| up to an eighth of a turn.
     z = x * x
     r = -2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)
     r = -1.38888888888741095749e-03 + z * (2.48015872894767294178e-05 + z * r)
@@ -285,7 +279,7 @@ def _cos_kernel(x, rest):
 
 @kernel(error_model="numpy")
 def _arctan(x):
-    """Return arctan x for x in 0..1: as the difference to the arctangent of 0, 1/2 or 1."""
+    # x in 0..1: as the difference to the arctangent of 0, 1/2 or 1.
     of_one, of_half = x >= 0.6875, x >= 0.4375
     high = 7.85398163397448278999e-01 if of_one else (4.63647609000806093515e-01 if of_half else 0.0)
     low = 3.06161699786838301793e-17 if of_one else (2.26987774529616870924e-17 if of_half else 0.0)

@@ -1,9 +1,7 @@
 """Rigid transforms as (4, 4) float64 matrices, named `a_from_b`.
 
-Plain matrices rather than a class: they multiply, stack into `(..., 4, 4)` and need no conversion at any border. On the
-way to a map they compose by `compose`, whose last bit does not depend on the processor, as that of `@` does.
-
-Directions of small motions (K, 6): unit, a turn first, then a shift, along the axes of some frame.
+Plain matrices multiply, stack into `(..., 4, 4)` and need no conversion. On the way to a map `compose` replaces `@`,
+whose last bit depends on the processor. Directions of small motions (K, 6): unit, a turn first, then a shift.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ def apply(a_from_b: NDArray[Any], points_b: NDArray[Any]) -> NDArray[Any]:
 
 
 def compose(a_from_b: NDArray[Any], *others: NDArray[Any]) -> NDArray[np.float64]:
-    """Return `a_from_c` of `a_from_b`, `b_from_c` (4, 4), and so on; what is last may be a stack (..., 4, 4)."""
+    """Return `a_from_c` of `a_from_b`, `b_from_c` (4, 4), and so on; the last may be a stack (..., 4, 4)."""
     product = a_from_b
     for other in others:
         product = portable.matmul(product, other)
@@ -51,11 +49,7 @@ def from_rotation_translation(rotation: NDArray[Any], translation: NDArray[Any])
 
 
 def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation of a quaternion, normalised first.
-
-    Raises:
-        ValueError: the quaternion is not finite or has no length.
-    """
+    """Return the (3, 3) rotation of a quaternion, normalised first; raises ValueError if it is not finite or 0."""
     q = np.array([x, y, z, w], dtype=np.float64)
     length = portable.norm(q)
     if not np.isfinite(length) or length < 1e-9:
@@ -163,7 +157,7 @@ def is_rigid(a_from_b: NDArray[Any], tolerance: float = 1e-3) -> bool:
 
 
 def no_directions() -> NDArray[np.float64]:
-    """Return none, (0, 6)."""
+    """Return an empty (0, 6)."""
     return np.empty((0, 6))
 
 

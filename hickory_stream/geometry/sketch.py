@@ -1,8 +1,7 @@
 """A superquadric fitted to points alone: an object's provisional shape before it has a mesh.
 
-The points lie on a surface of which a part was seen. Where a superquadric ends along its axes is read off the points;
-left are the frame, which axis is the third, and the two exponents. These are few enough to try them all: upright or
-along the principal axes, boxes, cylinders, ellipsoids and what lies between.
+The points give the ends along the axes. The frame (upright or principal axes), the third axis and two exponents are few
+enough to try them all: boxes, cylinders, ellipsoids and shapes between.
 """
 
 from __future__ import annotations
@@ -34,8 +33,6 @@ _CLEARLY = 0.9
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Trial:
-    """One primitive and its cost."""
-
     cost: float
     exponents: tuple[float, float]
     semi_axes_m: NDArray[np.float64]
@@ -45,9 +42,8 @@ class _Trial:
 def sketch(points_world: NDArray[Any], box: OrientedBox) -> Superquadrics | None:
     """Return one superquadric for (N, 3) surface points and the upright box that stands around most of them.
 
-    Chosen is what has the least product of mean radial distance to the points and cube root of its volume, as in
-    Solina and Bajcsy (1990). Semi-axes are at least the box's smallest half extent, so that a flat or straight cloud
-    has a sketch, too; fewer than 20 finite points in the box have none.
+    It has the least product of mean radial distance to the points and cube root of its volume, as in Solina and Bajcsy
+    (1990). Semi-axes are at least the box's smallest half extent; None for fewer than 20 finite points in the box.
     """
     points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
@@ -63,13 +59,13 @@ def sketch(points_world: NDArray[Any], box: OrientedBox) -> Superquadrics | None
     center = portable.matmul(axes, (low + high) / 2)
     leaning = _best(points, axes, center, np.maximum((high - low) / 2, thinnest))
     chosen = leaning if leaning.cost < _CLEARLY * upright.cost else upright
-    return canonical(_as_superquadrics(chosen.exponents, chosen.semi_axes_m, chosen.pose))
+    exponents, axes, pose = np.array([chosen.exponents]), chosen.semi_axes_m[None], chosen.pose[None]
+    return canonical(Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=pose))
 
 
 def _best(
     points: NDArray[np.float64], axes: NDArray[np.float64], center: NDArray[np.float64], half: NDArray[np.float64]
 ) -> _Trial:
-    """Return the best primitive that just fits into a box: its axes (3, 3) as columns, its centre, its half extents."""
     offsets = points - center
     lengths = np.linalg.norm(offsets, axis=1)
     logs = portable.log(np.maximum(np.abs(portable.matmul(offsets, axes)) / half, 1e-9))
@@ -88,16 +84,12 @@ def _best(
 
 @cache
 def _unit_volumes() -> NDArray[np.float64]:
-    """Return the volumes of primitives with semi-axes of 1, by e2, then by e1."""
     return unit_volumes(np.array([(e1, e2) for e2 in _EXPONENTS for e1 in _EXPONENTS]))
 
 
 @kernel
 def _distances(logs, lengths, exponents):
-    """Return (T, N) how far each point is from each trial: by the order of the axes, then by e2, then by e1.
-
-    `logs` (3, N) are of the points along the axes, in shares of the half extents.
-    """
+    # (T, N) by the order of the axes, then e2, then e1; `logs` (3, N) in shares of the half extents.
     count, kinds = len(lengths), len(exponents)
     out = np.empty((3 * kinds * kinds, count))
     log_rho, log_gauge, high, rest = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
@@ -119,7 +111,7 @@ def _distances(logs, lengths, exponents):
 
 @kernel(error_model="numpy")
 def _add_logs(power, a, b, root, high, rest, out):
-    """Put root ln(e^(power a) + e^(power b)) into `out`, as `logaddexp` has it; `high` and `rest` are used up."""
+    # root ln(e^(power a) + e^(power b)) into `out`, as `logaddexp` has it; `high` and `rest` are used up.
     for i in range(len(out)):
         first, second = power * a[i], power * b[i]
         high[i] = max(first, second)
@@ -135,13 +127,6 @@ def _measure(lengths, log_gauge, out):
 
 
 def _principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (3, 3) right-handed columns."""
     centered = points - points.mean(axis=0)
     _, axes = portable.eigh(portable.matmul(centered.T, centered))
     return np.asarray(axes * np.array([np.sign(portable.det3(axes)), 1.0, 1.0]))
-
-
-def _as_superquadrics(
-    exponents: tuple[float, float], semi_axes_m: NDArray[np.float64], pose: NDArray[np.float64]
-) -> Superquadrics:
-    return Superquadrics(exponents=np.array([exponents]), semi_axes_m=semi_axes_m[None], world_from_local=pose[None])

@@ -1,12 +1,9 @@
-"""Superquadrics: the model of layers 3 and 4.
+"""Superquadrics, the model of layers 3 and 4, and their canonical form.
 
-Everything is evaluated through logarithms: with exponents down to 0.1 the powers of Eq. (sq) reach 20 and more, which
-overflows for points a few semi-axes away. For exponents in 0..2 a superquadric is the unit ball of a nested p-norm, and
-so convex; its support function is the dual norm.
+All is evaluated through logarithms: with exponents down to 0.1 the powers of Eq. (sq) reach 20 and overflow. For
+exponents in 0..2 a superquadric is the unit ball of a nested p-norm, so convex; its support is the dual norm.
 
-One representative of the many equal parameterisations of a superquadric.
-
-The rule, in this order:
+The canonical one of many equal parameterisations, in this order:
 
 1. A column of equal axes with e2 > 1 is written as its dual, turned by 45 degrees about z with 2 - e2, where this is a
    body the same to within `DUAL_TOLERANCE` of its radius: near a circle and near a square.
@@ -14,13 +11,11 @@ The rule, in this order:
 3. Of the rotations that are left (half turns; quarter turns about z for a1 = a2) it is the one closest to the frame's
    own axes, and of equally close ones the one whose matrix, row by row, is largest.
 4. Primitives come by volume, largest first; of equal volumes by their semi-axes, then exponents, then centres.
-
-All but the first step leave the body exactly as it is.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import TYPE_CHECKING, Any
 
@@ -50,13 +45,13 @@ _MAX_LOG = 700.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Superquadrics:
-    """N primitives, largest volume first.
+    """N primitives, largest volume first."""
 
-    `exponents` (N, 2) = (e1, e2), in 0.1..2; `semi_axes_m` (N, 3); `world_from_local` (N, 4, 4).
-    """
-
+    #: (N, 2) = (e1, e2), in 0.1..2
     exponents: NDArray[np.float64]
+    #: (N, 3)
     semi_axes_m: NDArray[np.float64]
+    #: (N, 4, 4)
     world_from_local: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -70,11 +65,7 @@ class Superquadrics:
 
 
 def check_bodies(primitives: Superquadrics) -> None:
-    """Refuse what no superquadrics of a map are; the checks of collisions take them at their word.
-
-    Raises:
-        ValueError: a number is not finite, an exponent outside of 0.1..2, a semi-axis not positive, a pose not rigid.
-    """
+    """Raise ValueError for numbers that are no superquadrics: not finite, beyond 0.1..2, not positive, not rigid."""
     exponents, axes = primitives.exponents, primitives.semi_axes_m
     if not ((exponents >= MIN_EXPONENT - _EXPONENT_SLACK) & (exponents <= MAX_EXPONENT + _EXPONENT_SLACK)).all():
         raise ValueError(f"exponents of superquadrics outside of {MIN_EXPONENT} to {MAX_EXPONENT}")
@@ -96,16 +87,6 @@ def log_implicit_value(primitives: Superquadrics, index: int, points_world: NDAr
 def implicit_value(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:
     """Return (N,) G of Eq. (sq) of the paper at (N, 3) points: below 1 inside, above 1 outside, at most e^700."""
     return np.asarray(portable.exp(np.minimum(log_implicit_value(primitives, index, points_world), _MAX_LOG)))
-
-
-def implicit_gradient(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:
-    """Return (N, 3) the gradient of G in the world, per metre, each component at most e^700; 0 at the centre.
-
-    For exponents of 2 the body has edges in the planes of its axes: there it is the mean of both sides.
-    """
-    pose = primitives.world_from_local[index]
-    signs, logs = _log_gradient(primitives, index, points_world)
-    return portable.matmul(signs * portable.exp(np.minimum(logs, _MAX_LOG)), pose[:3, :3].T)
 
 
 def outward_normals(primitives: Superquadrics, index: int, points_world: NDArray[Any]) -> NDArray[np.float64]:
@@ -142,27 +123,6 @@ def unit_volumes(exponents: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(2 * e1 * e2 * beta(e1 / 2 + 1, e1) * beta(e2 / 2, e2 / 2))
 
 
-def second_moments_m5(primitives: Superquadrics) -> NDArray[np.float64]:
-    """Return (N, 3, 3) the integrals of p p^T over each primitive about its own centre, in the axes of the world.
-
-    Closed form: along its own axes 1/2 a1^3 a2 a3 e1 e2 B(3 e2/2, e2/2) B(e1/2, 2 e1 + 1), the same with a2, and
-    a1 a2 a3^3 e1 e2 B(e2/2, e2/2) B(3 e1/2, e1 + 1), by Dirichlet's integral.
-    """
-    e1, e2 = primitives.exponents[:, 0], primitives.exponents[:, 1]
-    across = e1 * e2 / 2 * beta(3 * e2 / 2, e2 / 2) * beta(e1 / 2, 2 * e1 + 1)
-    along = e1 * e2 * beta(e2 / 2, e2 / 2) * beta(3 * e1 / 2, e1 + 1)
-    axes = primitives.semi_axes_m
-    own = np.stack([across, across, along], axis=1) * np.square(axes) * axes.prod(axis=1, keepdims=True)
-    rotations = primitives.world_from_local[:, :3, :3]
-    return portable.matmul(rotations * own[:, None, :], rotations.transpose(0, 2, 1))
-
-
-def inertia_m5(primitives: Superquadrics) -> NDArray[np.float64]:
-    """Return (N, 3, 3) the inertia of each primitive about its own centre for a density of 1, in the world's axes."""
-    moments = second_moments_m5(primitives)
-    return np.asarray(np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3) - moments)
-
-
 def centroid_world(primitives: Superquadrics) -> NDArray[np.float64]:
     """Return the (3,) mean of the centres, weighted by volume: the centroid as far as the primitives do not overlap."""
     weights = volumes_m3(primitives)
@@ -194,11 +154,7 @@ def joined(parts: Sequence[Superquadrics]) -> Superquadrics:
 
 def moved(primitives: Superquadrics, a_from_world: NDArray[np.float64]) -> Superquadrics:
     """Return the primitives placed in frame a."""
-    return Superquadrics(
-        exponents=primitives.exponents,
-        semi_axes_m=primitives.semi_axes_m,
-        world_from_local=portable.matmul(a_from_world, primitives.world_from_local),
-    )
+    return replace(primitives, world_from_local=portable.matmul(a_from_world, primitives.world_from_local))
 
 
 def support(primitives: Superquadrics, index: int, directions_world: NDArray[Any]) -> NDArray[np.float64]:
@@ -238,7 +194,7 @@ def world_bounds(primitives: Superquadrics) -> NDArray[np.float64]:
 def _log_gradient(
     primitives: Superquadrics, index: int, points_world: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (N, 3) the signs and the logarithms of the components of the gradient of G along the primitive's axes."""
+    # Signs and logarithms (N, 3) of the components of the gradient of G along the primitive's axes.
     local = apply(invert(primitives.world_from_local[index]), np.asarray(points_world, dtype=np.float64))
     e1, e2 = primitives.exponents[index]
     log_axes = portable.log(primitives.semi_axes_m[index])
@@ -251,7 +207,7 @@ def _log_gradient(
 
 
 def _dual_norm(a: NDArray[np.float64], b: NDArray[np.float64], exponent: Any) -> NDArray[np.float64]:
-    """Return the q-norm of (a, b), both at least 0, for q = 2/(2 - exponent): from the sum towards the maximum."""
+    # The q-norm of (a, b) >= 0 for q = 2/(2 - exponent): from the sum towards the maximum.
     largest = np.maximum(a, b)
     ratio = np.minimum(a, b) / np.maximum(largest, _TINY)
     q = 2 / np.maximum(2 - exponent, 1e-3)
@@ -281,7 +237,6 @@ def canonical(primitives: Superquadrics) -> Superquadrics:
 def _canonical_one(
     primitives: Superquadrics, index: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the exponents (2,), the semi-axes (3,) and the pose (4, 4) of one primitive."""
     exponents, axes = primitives.exponents[index].copy(), primitives.semi_axes_m[index].copy()
     pose = primitives.world_from_local[index]
     rotation = pose[:3, :3]
@@ -301,14 +256,13 @@ def _canonical_one(
 
 
 def _closest_to_identity(candidates: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return the candidate, with the signs of its columns that make it a rotation, of largest trace."""
     signed = [c * np.array(signs) for c in candidates for signs in product((1.0, -1.0), repeat=3)]
     proper = [c for c in signed if portable.det3(c) > 0]
     return max(proper, key=lambda c: (round(float(np.trace(c)), 9), *np.round(c, 9).ravel()))
 
 
 def _dual_gap(exponent: float, dual: float) -> float:
-    """Return the largest relative difference of radius between an outline and its dual, over all directions."""
+    # The largest relative difference of radius between an outline and its dual.
     angles = np.linspace(0, np.pi / 4, 17)
     first = _radius(angles, exponent)
     second = power(2.0, (1 - exponent) / 2) * _radius(np.pi / 4 - angles, dual)

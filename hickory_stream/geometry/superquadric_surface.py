@@ -29,11 +29,8 @@ def display_mesh(
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Return the closed surface of a primitive: (V, 3) float32 world vertices and (F, 3) int32 faces, looking outwards.
 
-    All vertices lie on the surface, and no point of the surface is farther than `max_error_m` from the mesh; by
-    default a hundredth of the largest semi-axis, at best a ten-thousandth of it. What is flat takes few vertices.
-
-    A superquadric is the product of two outlines, one around and one from pole to pole; with polygons in their place
-    all faces are plane, and its error is at most the sum of theirs.
+    Vertices lie on the surface, which is nowhere farther than `max_error_m` from the mesh: by default a hundredth of
+    the largest semi-axis, at best a ten-thousandth. Outlines are polygons: faces are plane, and their errors add.
     """
     axes = primitives.semi_axes_m[index]
     e1, e2 = primitives.exponents[index]
@@ -50,8 +47,7 @@ def display_mesh(
 def surface_points(primitives: Superquadrics, index: int, count: int) -> NDArray[np.float64]:
     """Return (count, 3) points on the surface in the world, evenly spread: each stands for the same area.
 
-    Patches of the surface are walked through along a space-filling curve, and a point is taken whenever another share
-    of the area has gone by. The same primitive always gives the same points.
+    A space-filling curve walks through patches of the surface; a point follows each share of the area. Deterministic.
     """
     centers, areas = _patches(primitives, index, 24, 24)
     spacing = float(np.sqrt(areas.sum() / count))
@@ -71,7 +67,7 @@ def surface_points(primitives: Superquadrics, index: int, count: int) -> NDArray
 
 @lru_cache(maxsize=64)
 def _quarter(exponent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return points on a quarter of the unit outline, from (1, 0) to (0, 1), both of them exact; read-only."""
+    # From (1, 0) to (0, 1), both exact; read-only.
     c, s = _unit_curve(np.linspace(0, np.pi / 2, _OUTLINE), exponent)
     c[-1], s[0] = 0.0, 0.0
     c.flags.writeable = s.flags.writeable = False
@@ -79,7 +75,7 @@ def _quarter(exponent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def _polygon(x: NDArray[np.float64], y: NDArray[np.float64], tolerance: float) -> NDArray[np.int64]:
-    """Return which of the points of a convex arc to keep so that none is farther than `tolerance` from its chord."""
+    # No point of the convex arc is farther than `tolerance` from its chord.
     kept, spans = [0, len(x) - 1], [(0, len(x) - 1)]
     while spans:
         first, last = spans.pop()
@@ -99,7 +95,6 @@ def _product_mesh(
     around: tuple[NDArray[np.float64], NDArray[np.float64]],
     upwards: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Return the mesh of a primitive whose outlines are polygons, each given by its first quarter."""
     (x, y), (radius, z) = around, upwards
     x = np.concatenate([x[:-1], -x[:0:-1], -x[:-1], x[:0:-1]])
     y = np.concatenate([y[:-1], y[:0:-1], -y[:-1], -y[:0:-1]])
@@ -115,7 +110,6 @@ def _product_mesh(
 
 
 def _lengths_m(primitives: Superquadrics, index: int) -> tuple[float, float]:
-    """Return the lengths of the outlines around and from pole to pole, the latter where it is longest."""
     axes = primitives.semi_axes_m[index]
     (x, y), (radius, z) = (_quarter(e) for e in primitives.exponents[index, ::-1])
     reach = float(portable.hypot(x * axes[0], y * axes[1]).max())
@@ -126,10 +120,7 @@ def _lengths_m(primitives: Superquadrics, index: int) -> tuple[float, float]:
 def _patches(
     primitives: Superquadrics, index: int, steps_around: int, steps_upwards: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (N, 3) middles, in the primitive's frame, and (N,) areas of patches that cover the surface.
-
-    A quarter of each outline is divided into so many steps of about equal length.
-    """
+    # (N, 3) middles in the primitive's frame and (N,) areas; a quarter of each outline has so many steps.
     axes = primitives.semi_axes_m[index]
     (x, y), (radius, z) = (_quarter(e) for e in primitives.exponents[index, ::-1])
     reach = float(portable.hypot(x * axes[0], y * axes[1]).max())
@@ -141,20 +132,18 @@ def _patches(
 
 
 def _arc(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the length of a polygon from its first to each of its points."""
     return np.concatenate([[0.0], np.cumsum(portable.hypot(np.diff(x), np.diff(y)))])
 
 
 def _evenly(
     x: NDArray[np.float64], y: NDArray[np.float64], passed: NDArray[np.float64], steps: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return points of a polygon at equal steps of its length."""
     wanted = np.linspace(0, passed[-1], steps + 1)
     return np.interp(wanted, passed, x), np.interp(wanted, passed, y)
 
 
 def _along_curve(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the places of (N, 3) points along Morton's space-filling curve."""
+    # Morton's curve.
     low = points.min(axis=0)
     return np.asarray(_places(points, low, max(float((points.max(axis=0) - low).max()), _TINY)))
 
@@ -176,7 +165,6 @@ def _places(points, low, extent):
 
 @kernel(error_model="numpy")
 def _patches_of_octant(x, y, radius, z, axes):
-    """Return (N, 3) the middles and (N,) the areas of the patches between points of both outlines."""
     count = (len(radius) - 1) * (len(x) - 1)
     middles, areas = np.empty((count, 3)), np.empty(count)
     corners, across, along = np.empty((4, 3)), np.empty(3), np.empty(3)
@@ -201,7 +189,7 @@ def _patches_of_octant(x, y, radius, z, axes):
 
 
 def _unit_curve(angles: NDArray[np.float64], exponent: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the points (c, s) of |c|^(2/e) + |s|^(2/e) = 1 in the directions of `angles`."""
+    # Points (c, s) of |c|^(2/e) + |s|^(2/e) = 1.
     c, s = portable.cos(angles), portable.sin(angles)
     log_c, log_s = (portable.log(np.maximum(np.abs(side), _TINY)) for side in (c, s))
     scale = portable.exp(-exponent / 2 * portable.logaddexp(2 / exponent * log_c, 2 / exponent * log_s))
@@ -209,7 +197,6 @@ def _unit_curve(angles: NDArray[np.float64], exponent: float) -> tuple[NDArray[n
 
 
 def _sphere_faces(rings: int, segments: int) -> NDArray[np.int32]:
-    """Return the faces of `rings` closed rings of `segments` vertices, then the lower and the upper pole."""
     here = np.arange(segments)
     after = (here + 1) % segments
     south, north = rings * segments, rings * segments + 1

@@ -1,7 +1,6 @@
-"""Sparse voxels as sorted int64 keys on one lattice.
+"""Sparse voxels as sorted int64 keys on one lattice, anchored at the world origin.
 
-All keys share one lattice, anchored at the world origin: two objects overlap in the same cells whichever was seen
-first. A key packs three 21-bit cell coordinates, so that sorting keys sorts cells and a set operation is a merge.
+A key packs three 21-bit cell coordinates, so that sorting keys sorts cells and a set operation is a merge.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ def bounds_of_keys(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[
 
 
 def within_bounds(sorted_keys: NDArray[np.int64], low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return those of sorted keys whose cells are within bounds (3,), both included."""
+    """Return the sorted keys whose cells are within bounds (3,), both included."""
     low, high = (np.clip(cell, -_OFFSET, _MASK - _OFFSET) + _OFFSET for cell in (low, high))
     first, last = np.searchsorted(sorted_keys, [low[0] << (2 * _BITS), (high[0] + 1) << (2 * _BITS)])
     keys = sorted_keys[first:last]
@@ -59,8 +58,7 @@ def within_bounds(sorted_keys: NDArray[np.int64], low: NDArray[np.int64], high: 
 
 def keys_of_points(points: NDArray[Any], voxel_m: float) -> NDArray[np.int64]:
     """Return the (N,) keys of the voxels that hold (N, 3) finite points; neither sorted nor unique."""
-    keys: NDArray[np.int64] = _keys_of_points(np.ascontiguousarray(points), float(voxel_m))
-    return keys
+    return _keys_of_points(np.ascontiguousarray(points), float(voxel_m))
 
 
 def centers_of_keys(keys: NDArray[np.int64], voxel_m: float) -> NDArray[np.float32]:
@@ -70,8 +68,7 @@ def centers_of_keys(keys: NDArray[np.int64], voxel_m: float) -> NDArray[np.float
 
 def contains(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return for each query whether it is among the sorted keys; quickest where queries are near those before them."""
-    found: NDArray[np.bool_] = _contains(sorted_keys, queries)
-    return found
+    return _contains(sorted_keys, queries)
 
 
 def contains_near(sorted_keys: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -81,14 +78,12 @@ def contains_near(sorted_keys: NDArray[np.int64], cells: NDArray[np.int64]) -> N
 
 def are_near(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return for each query whether its voxel, or one of the 26 around it, is among the sorted keys, as `contains`."""
-    found: NDArray[np.bool_] = _are_near(sorted_keys, queries)
-    return found
+    return _are_near(sorted_keys, queries)
 
 
 def places(sorted_keys: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return what np.searchsorted does: before which of the sorted keys each query belongs."""
-    found: NDArray[np.int64] = _places(sorted_keys, queries)
-    return found
+    return _places(sorted_keys, queries)
 
 
 def coarse_keys(keys: NDArray[np.int64], halvings: int) -> NDArray[np.int64]:
@@ -188,11 +183,8 @@ def _contains(sorted_keys, queries):
 
 @kernel
 def _changes(a, gone, new):
-    """Return the places of what is `gone` in `a`, and which of `new` come in, before which places.
-
-    What goes and comes stays, as in a difference and a union after it. Both kinds of places ascend, also where the keys
-    do not, as in a journal that somebody altered: `_exchanged` writes by them.
-    """
+    # A key that goes and comes stays, as in a difference and a union after it. Places ascend also where keys do not, as
+    # in an altered journal: `_exchanged` writes by them.
     at_gone, num_gone, at = np.empty(len(gone), dtype=np.int64), 0, 0
     for i in range(len(gone)):
         at = first_not_below(a, gone[i], at)
@@ -235,7 +227,6 @@ def _are_near(sorted_keys, queries):
 
 @kernel
 def _exchanged(a, gone, at, new):
-    """Leave out what is at the places `gone`, and put each of `new` before the place in `at`; both ascend."""
     out = np.empty(len(a) - len(gone) + len(new), dtype=a.dtype)
     start, n, g, f = 0, 0, 0, 0
     while g < len(gone) or f < len(new):
@@ -262,39 +253,30 @@ def dilate(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.unique(keys_of_cells((cells[:, None, :] + steps[None]).reshape(-1, 3)))
 
 
-def overlap_share(smaller: NDArray[np.int64], larger_dilated: NDArray[np.int64]) -> float:
-    """Return the share of `smaller`'s voxels that lie in `larger_dilated` (sorted); 0.0 when there are none."""
-    return float(contains(larger_dilated, smaller).mean()) if len(smaller) else 0.0
+def without_outliers(points: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which of (N, 3) points lie in cells of 4 cm with at least four; all where few cells are so dense.
 
-
-def in_company(points: NDArray[Any], cell_m: float = 0.04, min_points: int = 4) -> NDArray[np.bool_]:
-    """Return for each of (N, 3) points whether its cell holds at least `min_points`; all of them where few cells do.
-
-    What a box is put around: stray points have no company, whereas quantiles cut off a table's legs, which are a small
-    share of its points.
+    A box goes around these: quantiles would cut off a table's legs, a small share of its points.
     """
-    counts = sums_of_equal(keys_of_points(points, cell_m))
-    dense = counts >= min_points
+    dense = sums_of_equal(keys_of_points(points, 0.04)) >= 4
     return dense if dense.mean() > 0.7 else np.ones(len(points), dtype=bool)
 
 
 def sums_of_equal(keys: NDArray[np.int64], weights: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
-    """Return for each of (N,) keys the sum of the weights of all that are equal to it; their number without weights."""
+    """Return for each of (N,) keys the sum of the weights of equal keys, or their number without weights."""
     groups, distinct = groups_of(keys)
     totals = np.zeros(len(distinct), dtype=np.int64)
-    sums: NDArray[np.int64] = _sums(groups, totals, np.ones(0, dtype=np.int64) if weights is None else weights)
-    return sums
+    return _sums(groups, totals, np.ones(0, dtype=np.int64) if weights is None else weights)
 
 
 def groups_of(keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Return (N,) the number of each key's group, and the (groups,) keys, in the order in which they come first."""
-    groups: tuple[NDArray[np.int32], NDArray[np.int64]] = _groups_of(keys)
-    return groups
+    return _groups_of(keys)
 
 
 @kernel
 def _groups_of(keys):
-    """Number keys by a hash table with open addressing, at most half full."""
+    # A hash table with open addressing, at most half full.
     bits = 4
     while (1 << bits) < 2 * len(keys):
         bits += 1

@@ -26,7 +26,7 @@ from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import read_crop
 from hickory_stream.map_folder.writer import rewrite_objects
 from hickory_stream.mapping.entities.rigid_motion import moved_shape
-from hickory_stream.shapes.certify import proven_anew
+from hickory_stream.shapes.certify import certified_again
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -190,7 +190,7 @@ def _layer_four(
         mesh = saved.mesh(shape)
         certificates: list[Certificate] = []
         for placed, around in _where_it_was_made(saved, tracked, shape, given):
-            certificates.append(proven_anew(placed, mesh, around))
+            certificates.append(certified_again(placed, mesh, around))
             if not _num_uncovered(certificates[-1]):
                 break  # a proof in one world is one
     except (MapFolderError, ValueError) as error:

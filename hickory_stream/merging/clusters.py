@@ -1,7 +1,7 @@
 """Clusters of objects of several maps that are one object: paired by alignments, or in one place after placing.
 
-A map may have several things as one, e.g. a shelf and the dresser before it. What lies on it in another map are several
-objects: none of them is it, unless their boxes agree, or it would take the place of the one.
+A map may have several things as one, e.g. a shelf and the dresser before it. None of the objects that lie on it in
+another map is it, unless their boxes agree.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Member = tuple[int, int]
 _NEAR_M, _SAMPLE = 0.03, 400
 # Objects of another map that lie on one object before it counts as several; two are what one thing may break into.
 _SEVERAL = 3
-# Boxes of so much IoU are those of one thing.
+# Boxes of one thing have at least this IoU.
 _SAME_IOU = 0.3
 
 
@@ -50,11 +50,8 @@ class Place:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Meeting:
-    """Two objects of different maps whose surfaces meet: the shares of either one's points that lie on the other.
-
-    `iou` is that of their boxes.
-    """
-
+    # Two objects of different maps whose surfaces meet: shares of the points of each on the other; `iou` of their
+    # boxes.
     a: Member
     b: Member
     of_a: float
@@ -67,11 +64,7 @@ def clusters_of(
 ) -> list[tuple[Member, ...]]:
     """Return the members in groups, each one object: at most one of each map; groups and members in ascending order.
 
-    Args:
-        members: all objects.
-        pairings: what alignments say; the closest are joined first.
-        places: where each object lies, in one frame.
-        share: two objects of different maps that share this much of the smaller one's surface are one, too.
+    Of `pairings` the closest are joined first; two objects that share `share` of the smaller surface are one, too.
     """
     meetings = _meetings(members, places)
     apart = _apart(meetings, share)
@@ -96,13 +89,12 @@ def _join(group_of: dict[Member, set[Member]], a: Member, b: Member) -> None:
 
 
 def _is_same(found: _Meeting, share: float) -> bool:
-    """Return whether two objects are one by where they lie: one's surface is the other's, or their boxes agree."""
     less, more = sorted((found.of_a, found.of_b))
     return less >= share / 2 and (more >= share or found.iou >= _SAME_IOU)
 
 
 def _apart(meetings: Sequence[_Meeting], share: float) -> set[tuple[Member, Member]]:
-    """Return the pairs, either way round, of which one has several things as one, and the other is a thing of these."""
+    # Pairs, either way round, in which one object has several things as one and the other is one of these.
     lying_on: dict[tuple[Member, int], int] = {}
     for found in meetings:
         for whole, part, met in ((found.a, found.b, found.of_b), (found.b, found.a, found.of_a)):
@@ -118,7 +110,6 @@ def _apart(meetings: Sequence[_Meeting], share: float) -> set[tuple[Member, Memb
 
 
 def _meetings(members: Sequence[Member], places: Mapping[Member, Place]) -> list[_Meeting]:
-    """Return the pairs of objects of different maps whose surfaces meet anywhere."""
     known = [member for member in members if len(places[member].points)]
     low = np.array([places[member].points.min(axis=0) for member in known]).reshape(-1, 3) - _NEAR_M
     high = np.array([places[member].points.max(axis=0) for member in known]).reshape(-1, 3) + _NEAR_M
@@ -136,7 +127,6 @@ def _meetings(members: Sequence[Member], places: Mapping[Member, Place]) -> list
 
 
 def _met(points: NDArray[np.float32], tree: cKDTree) -> float:
-    """Return the share of points that lie on the other surface."""
     sample = points[:: max(1, len(points) // _SAMPLE)].astype(np.float64)
     distances, _ = tree.query(sample, distance_upper_bound=_NEAR_M)
     return float(np.isfinite(distances).mean())

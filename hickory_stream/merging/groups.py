@@ -1,7 +1,4 @@
-"""Groups of maps that hang together: each group in the frame of its first map, found by the pose graph of `merge`.
-
-Nothing is said of two groups: no alignment between them is believed.
-"""
+"""Groups of maps that hang together: each in the frame of its first map, found by the pose graph of `merge`."""
 
 from __future__ import annotations
 
@@ -26,10 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Group:
-    """Maps in one frame: their indices in ascending order, group_from_map (4, 4) of each, and the pairs believed.
-
-    The frame is that of the first map. A map that is alone is a group of its own, without pairs.
-    """
+    """Maps in the frame of the first: ascending indices, `group_from_map` (4, 4) of each, and the pairs believed."""
 
     members: tuple[int, ...]
     group_from_map: tuple[NDArray[np.float64], ...]
@@ -39,8 +33,8 @@ class Group:
 def groups_of(snapshots: Sequence[MapSnapshot], answers: Answers) -> tuple[Group, ...]:
     """Return every map in exactly one group; `answers` by the pair (a, b), a < b, those that are missing join nothing.
 
-    An alignment that the others contradict joins nothing: what hung on it alone is another group. Where it is as likely
-    that one of the others is the wrong one, as in a ring that does not close, none of them joins anything.
+    A contradicted alignment joins nothing. Where another one may as well be the wrong one, as in a ring that does not
+    close, none of them joins anything.
     """
     known = {pair: answer for pair, answer in answers.items() if isinstance(answer, Alignment)}
     groups: list[Group] = []
@@ -59,19 +53,17 @@ def groups_of(snapshots: Sequence[MapSnapshot], answers: Answers) -> tuple[Group
 
 
 def _disputes(pair: Pair, believed: Sequence[Pair], rejected: Sequence[Pair]) -> bool:
-    """Return whether a believed alignment is all that stands against a rejected one: without it the two agree."""
+    # Without the believed alignment no path joins the two maps of a rejected one.
     others = [other for other in believed if other != pair]
     return any(b not in _reached(a, others) for a, b in rejected)
 
 
 def _connected(indices: Sequence[int], pairs: Collection[Pair]) -> list[int]:
-    """Return which of the maps hang on the first of them by alignments, in ascending order."""
     own = set(indices)
     return sorted(_reached(indices[0], [pair for pair in pairs if set(pair) <= own]))
 
 
 def _reached(start: int, pairs: Collection[Pair]) -> set[int]:
-    """Return the maps that pairs lead to from one of them, itself included."""
     reached, is_growing = {start}, True
     while is_growing:
         new = {i for pair in pairs if reached & set(pair) for i in pair} - reached
@@ -81,7 +73,7 @@ def _reached(start: int, pairs: Collection[Pair]) -> set[int]:
 
 
 def _group_of(members: Sequence[int], snapshots: Sequence[MapSnapshot], answers: Answers) -> Group:
-    """Return the group of the first of these maps: all of them, less what hangs on alignments that are rejected."""
+    # All of the maps, less those that hang on rejected alignments.
     if len(members) == 1:
         return Group(members=(members[0],), group_from_map=(np.eye(4),), pairs=())
     own = {

@@ -1,7 +1,4 @@
-"""Whether two maps are aligned surely enough to be made one.
-
-An answer to a person is looked at, and may be wrong now and then. What joins maps is built upon: more is asked.
-"""
+"""Whether two maps are aligned surely enough to be made one: a merged map is built upon, so more is required."""
 
 from __future__ import annotations
 

@@ -46,17 +46,16 @@ class MergeMapsConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Merged:
-    """The merged map, in the frame of the first map that is in it.
-
-    `world_from_map` of each map, None where it hangs on no other; `objects` with their `provenance`: of each new id,
-    the maps and ids that it was; `first_frames`: where each map's frames are numbered from.
-    """
+    """The merged map, in the frame of the first map that is in it."""
 
     snapshot: MapSnapshot
     objects: tuple[MergedObject, ...]
+    #: None for a map that hangs on no other
     world_from_map: tuple[NDArray[np.float64] | None, ...]
     pairs: tuple[PairOutcome, ...]
+    #: the maps and ids behind each new id
     provenance: Mapping[int, tuple[Member, ...]]
+    #: where each map's frames are numbered from
     first_frames: tuple[int, ...]
 
     @property
@@ -71,10 +70,7 @@ def merge_maps(
     extractors: Sequence[str] = (),
     progress: Callable[[int, int], None] = lambda a, b: None,
 ) -> Merged:
-    """Return one map of several; `progress` is told which two are being aligned.
-
-    It is made of those of which the most hang together; a map that does not hang on them is left out.
-    """
+    """Return one map of the largest set that hangs together; `progress` gets the two maps that are aligned next."""
     config = MergeMapsConfig() if config is None else config
     names = tuple(extractors) or ("",) * len(snapshots)
     maps = [object_map(snapshot, name) for snapshot, name in zip(snapshots, names, strict=True)]
@@ -85,11 +81,7 @@ def merge_maps(
     return merge_aligned(snapshots, answers, config)
 
 
-def merge_aligned(
-    snapshots: Sequence[MapSnapshot],
-    answers: Answers,
-    config: MergeMapsConfig | None = None,
-) -> Merged:
+def merge_aligned(snapshots: Sequence[MapSnapshot], answers: Answers, config: MergeMapsConfig | None = None) -> Merged:
     """Return one map of several that were aligned, as `merge_maps` does; `answers` by the pair (a, b), a < b."""
     config = MergeMapsConfig() if config is None else config
     world_from_map, pairs = largest_layout(snapshots, answers)
@@ -119,16 +111,10 @@ def merge_aligned(
     )
 
 
-# ---- what is in them ------------------------------------------------------------------------------------------------
-
-
 def _gathered(
     snapshots: Sequence[MapSnapshot], world_from_map: Sequence[NDArray[np.float64] | None]
 ) -> tuple[list[Member], dict[Member, TrackedObject], tuple[int, ...]]:
-    """Return the objects of all maps that are laid out, in the merged world, and where frames are numbered from.
-
-    The first map that is laid out keeps its ids; those of the others follow.
-    """
+    # The first map that is laid out keeps its ids; those of the others follow.
     members: list[Member] = []
     items: dict[Member, TrackedObject] = {}
     first_frames = []
@@ -172,7 +158,6 @@ def _united(
 def _submaps(
     snapshots: Sequence[MapSnapshot], world_from_map: Sequence[NDArray[np.float64] | None]
 ) -> tuple[Submap, ...]:
-    """Return the submaps of all maps that are laid out, numbered anew; their observed space is not touched."""
     return tuple(
         Submap(id=i, world_from_submap=pose, observed_space=submap.observed_space)
         for i, (submap, pose) in enumerate(

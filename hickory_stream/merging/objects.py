@@ -26,7 +26,7 @@ _NEW_M, _SAMPLE = 0.02, 2000
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MergedObject:
-    """An object of the merged map; `needs_shape`: so much was learnt of it that its shape must be made anew."""
+    """An object of the merged map; `needs_shape`: other maps add so much surface that its shape must be made again."""
 
     item: TrackedObject
     needs_shape: bool
@@ -35,10 +35,7 @@ class MergedObject:
 def placed(
     item: TrackedObject, world_from_map: NDArray[np.float64], *, new_id: int, submap_id: int, first_frame: int
 ) -> TrackedObject:
-    """Return an object in the merged world, under its new id.
-
-    Frames are numbered from `first_frame` on: the views of two maps never share a name.
-    """
+    """Return an object in the merged world, under its new id; frames from `first_frame` on keep view names apart."""
     there = moved_object(item, world_from_map)
     views = tuple(replace(view, object_id=new_id, frame_index=view.frame_index + first_frame) for view in there.views)
     best = None if item.best_view is None else views[[v.name for v in item.views].index(item.best_view.name)]
@@ -46,13 +43,12 @@ def placed(
 
 
 def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: float) -> MergedObject:
-    """Return the object that several, all in the merged world, are; its id, phase and submap are the first one's.
+    """Return one object of several in the merged world; its id, phase and submap are the first one's.
 
     Args:
-        items: at least one; a single one is returned as it is.
-        max_views: so many views are kept, the best by score, then by coverage of the object.
-        changed_share: the shape is redone where the others add more than this share of new surface, or where its layer
-            4 leaves out more than this share of all points.
+        items: at least one; a single one is returned unchanged.
+        max_views: the views that are kept, the best by score, then by coverage of the object.
+        changed_share: of new surface, or of points outside of layer 4, beyond which the shape is made again.
     """
     first = items[0]
     if len(items) == 1:
@@ -84,7 +80,6 @@ def united(items: Sequence[TrackedObject], *, max_views: int, changed_share: flo
 
 
 def _fused(items: Sequence[TrackedObject]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return the points and colours of all, one for each voxel of the merged world."""
     cloud = cloud_of(items[0].points_world, items[0].colors, _VOXEL_M)
     for item in items[1:]:
         cloud = fuse(cloud, cloud_of(item.points_world, item.colors, _VOXEL_M))
@@ -92,7 +87,7 @@ def _fused(items: Sequence[TrackedObject]) -> tuple[NDArray[np.float32], NDArray
 
 
 def _best_views(items: Sequence[TrackedObject], most: int) -> list[View]:
-    """Return the best view of each map, then the others of all maps in turn, best score first."""
+    # The best view of each map, then the others of all maps in turn, best score first.
     ranked = [sorted(item.views, key=lambda view: (-(view.score or 0.0), view.name)) for item in items]
     longest = max((len(views) for views in ranked), default=0)
     turns = [views[turn] for turn in range(longest) for views in ranked if turn < len(views)]
@@ -100,7 +95,7 @@ def _best_views(items: Sequence[TrackedObject], most: int) -> list[View]:
 
 
 def _mean_feature(items: Sequence[TrackedObject]) -> NDArray[np.float32] | None:
-    """Return the mean feature, every map weighing as its views, of unit norm; None where the lengths differ."""
+    # Every map weighs as its views; of unit norm.
     known = [(item.feature, max(len(item.views), 1)) for item in items if item.feature is not None]
     if not known:
         return None
@@ -111,7 +106,6 @@ def _mean_feature(items: Sequence[TrackedObject]) -> NDArray[np.float32] | None:
 
 
 def _share_outside(item: TrackedObject, points: NDArray[np.float32]) -> float:
-    """Return the share of points that layer 4 of an object leaves out; all without a shape."""
     if item.shape is None or not len(points):
         return 1.0
     some = points[:: max(1, len(points) // _SAMPLE)].astype(np.float64)
@@ -121,7 +115,6 @@ def _share_outside(item: TrackedObject, points: NDArray[np.float32]) -> float:
 
 
 def _new_share(old: NDArray[np.float32], points: NDArray[np.float32]) -> float:
-    """Return the share of points further than 2 cm from the old ones."""
     if not len(old) or not len(points):
         return 1.0 if len(points) else 0.0
     distances, _ = cKDTree(old.astype(np.float64)).query(points[::4].astype(np.float64))

@@ -1,4 +1,4 @@
-"""A wide berth for objects that tend to move: where there is a way, it keeps off the places to which they may go."""
+"""Wider obstacles for objects that tend to move, so that a path avoids the places to which they may go."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STEP_M = 0.05
 
 
 def keep_off(space: FreeSpace, snapshot: MapSnapshot, ids: Collection[int], berth_m: float) -> None:
-    """Make objects obstacles that are wider: beside what they are, their boxes with `berth_m` on every side."""
+    """Make objects wider obstacles: their body, and their box with `berth_m` on every side."""
     for item in snapshot.objects:
         if item.id in ids:
             wide = box_as_superquadric(item.box, berth_m)
@@ -33,7 +33,9 @@ def keep_off(space: FreeSpace, snapshot: MapSnapshot, ids: Collection[int], bert
 
 def passed_by(points: NDArray[np.float64], snapshot: MapSnapshot, ids: Collection[int], within_m: float) -> list[int]:
     """Return which objects a path with corners (N, 2) passes within `within_m` of their boxes, as seen from above."""
-    way = np.concatenate([_walked(a, b) for a, b in pairwise(points)] or [points])
+    steps = [max(2, int(np.linalg.norm(b - a) / _STEP_M) + 1) for a, b in pairwise(points)]
+    legs = [np.linspace(a, b, count) for (a, b), count in zip(pairwise(points), steps, strict=True)]
+    way = np.concatenate(legs or [points])
     near = []
     for item in snapshot.objects:
         if item.id not in ids:
@@ -43,8 +45,3 @@ def passed_by(points: NDArray[np.float64], snapshot: MapSnapshot, ids: Collectio
         if np.linalg.norm(np.maximum(outside, 0.0), axis=1).min() < within_m:
             near.append(item.id)
     return near
-
-
-def _walked(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
-    steps = max(2, int(np.linalg.norm(end - start) / _STEP_M) + 1)
-    return np.linspace(start, end, steps)

@@ -1,7 +1,6 @@
 """The shortest route over grid cells (A*): it finds the side on which to pass obstacles, which random trees may miss.
 
-Cells have eight neighbours; a diagonal step needs both cells beside it to be free, so that the route is collision-free.
-The route is not a shortest path, but shortening it nearly always yields one. It is used for robots that need not turn.
+It is no shortest path, but shortening it nearly always yields one. It is used for robots that need not turn.
 """
 
 from __future__ import annotations
@@ -17,10 +16,9 @@ _STEPS = np.array([[0, 1], [1, 0], [0, -1], [-1, 0], [1, 1], [1, -1], [-1, 1], [
 
 @kernel
 def route_over_cells(costs, row, column, goal_row, goal_column):
-    """Return (N, 2) the cell centres x, y, in cells, of a cheapest route by A*; empty if there is no route.
-
-    `costs` (rows, columns) are at least 1 per cell's length, infinite where blocked.
-    """
+    """Return (N, 2) the cell centres x, y, in cells, of a cheapest route by A*; empty if there is no route."""
+    # `costs` (rows, columns) are at least 1 per cell's length, infinite where blocked. Cells have eight neighbours; a
+    # diagonal step needs both cells beside it to be free.
     rows, columns = costs.shape
     best, before = np.full(rows * columns, np.inf), np.full(rows * columns, -1, np.int64)
     done = np.zeros(rows * columns, np.bool_)

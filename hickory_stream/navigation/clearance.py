@@ -1,13 +1,11 @@
 """Collision checks against the layer 4 of a map: points, distances, swept balls and boxes.
 
-A `ClearanceScene` stores thousands of superquadrics as flat arrays with a two-level grid as index. Objects are added
-and removed one by one; an update changes only the blocks that the object overlaps. All answers are conservative: free
-is proven, a hit may be a near miss by a stated margin.
+All answers are conservative: free is proven, a hit may be a near miss by a stated margin. An update of an object
+changes only the blocks of the two-level grid that it overlaps.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -35,11 +33,7 @@ _MOST_BLOCKS = 20_000_000
 
 
 class Answer(IntEnum):
-    """The state of a place, in order of increasing severity.
-
-    `HIT_GENERATED`: inside a primitive whose surface was mostly completed by a reconstructor, not observed. `UNKNOWN`
-    is returned only if an observed space is set.
-    """
+    """The state of a place, in order of severity; `HIT_GENERATED`: in mostly completed, not observed, surface."""
 
     FREE = kernels.FREE
     UNKNOWN = kernels.UNKNOWN
@@ -47,24 +41,9 @@ class Answer(IntEnum):
     HIT_SEEN = kernels.HIT_SEEN
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Body:
-    """A robot as a few rounded boxes in its own frame: (N, 3) centres, half extents along the world's axes, radii.
-
-    A ball has half extents of 0. The boxes do not rotate with the robot: they must contain it in every heading.
-    """
-
-    centers_m: NDArray[np.float64]
-    half_extents_m: NDArray[np.float64]
-    radii_m: NDArray[np.float64]
-
-
 def _seen_shares(shape: ObjectShape) -> NDArray[np.float64]:
-    """Return (N,) the observed share of the surface that each inflated primitive contains.
-
-    A box around everything has the share of the whole object. A box around residuals counts as seen, which is the more
-    severe answer.
-    """
+    # A box around everything has the share of the whole object; boxes around residuals count as seen, the severe
+    # answer.
     shares, count = np.asarray(shape.seen_share, dtype=np.float64), len(shape.inflated)
     if shape.containment.is_fallback or count < len(shares):
         return np.full(count, shares.mean())
@@ -74,13 +53,12 @@ def _seen_shares(shape: ObjectShape) -> NDArray[np.float64]:
 class ClearanceScene:
     """The superquadrics of a scene, by object."""
 
-    def __init__(self, *, block_m: float = _BLOCK_M) -> None:
-        self._block_m = block_m
+    def __init__(self) -> None:
         self._rows: NDArray[np.float64] = np.empty((0, kernels.ROW))
         self._kinds = np.empty(0, np.uint8)
         self._rows_of: dict[int, list[int]] = {}
         self._free_rows: list[int] = []
-        self._layout = np.array([0.0, 0.0, 0.0, block_m])
+        self._layout = np.array([0.0, 0.0, 0.0, _BLOCK_M])
         self._top = np.empty((0, 0, 0, 2), np.int32)
         self._bricks = np.empty((0, kernels.CELLS**3), np.int32)
         self._num_bricks = 0
@@ -94,16 +72,10 @@ class ClearanceScene:
     def of(cls, objects: Iterable[TrackedObject]) -> ClearanceScene:
         """Return the scene of the objects that have a layer 4."""
         scene = cls()
-        shaped = [tracked for tracked in objects if tracked.shape is not None]
-        for tracked in shaped:
-            assert tracked.shape is not None
-            scene.put(tracked.id, tracked.shape.inflated, _seen_shares(tracked.shape))
+        for tracked in objects:
+            if tracked.shape is not None:
+                scene.put(tracked.id, tracked.shape.inflated, _seen_shares(tracked.shape))
         return scene
-
-    @property
-    def num_primitives(self) -> int:
-        """How many superquadrics are in the scene."""
-        return sum(len(rows) for rows in self._rows_of.values())
 
     def rows(self, object_id: int | None = None) -> NDArray[np.float64]:
         """Return (N, ROW) the kernel rows of all primitives, or of one object's, ordered by object."""
@@ -116,9 +88,7 @@ class ClearanceScene:
         self._space_from_world = np.eye(4) if world_from_space is None else invert(world_from_space)
 
     def put(self, object_id: int, inflated: Superquadrics, seen_share: NDArray[np.float64] | None = None) -> None:
-        """Add an object, or replace what it was.
-
-        A primitive counts as seen where `seen_share` (N,) is at least a half; without it, all do.
+        """Add or replace an object, of which primitives with `seen_share` (N,) of a half or no share count as seen.
 
         Raises:
             ValueError: a primitive is not finite.
@@ -145,16 +115,7 @@ class ClearanceScene:
     def remove(self, object_id: int) -> None:
         """Remove an object; nothing happens where it is not there."""
         for place in self._rows_of.pop(object_id, []):
-            self._free_item, released = kernels.removed(
-                self._rows[place],
-                place,
-                self._layout,
-                self._top,
-                self._bricks,
-                self._values,
-                self._links,
-                self._free_item,
-            )
+            self._free_item, released = kernels.removed(self._rows[place], place, *self._grid, self._free_item)
             self._num_free += released
             self._kinds[place] = kernels.FREE
             self._free_rows.append(place)
@@ -163,40 +124,21 @@ class ClearanceScene:
         """Return (N,) the `Answer` at each of (N, 3) points."""
         points = np.ascontiguousarray(points_world, dtype=np.float64)
         kernel = kernels.point_states_parallel if is_parallel else kernels.point_states
-        answers = np.asarray(
-            kernel(
-                points,
-                self._rows,
-                self._kinds,
-                self._layout,
-                self._top,
-                self._bricks,
-                self._values,
-                self._links,
-            )
-        )
+        answers = np.asarray(kernel(points, self._rows, self._kinds, *self._grid))
         return answers if self._space is None else self._with_space(points, answers)
 
-    def is_free(
-        self, points_world: NDArray[Any], *, may_touch_generated: bool = False, is_parallel: bool = False
-    ) -> NDArray[np.bool_]:
+    def is_free(self, points_world: NDArray[Any], *, may_touch_generated: bool = False) -> NDArray[np.bool_]:
         """Return (N,) whether each of (N, 3) points is known to be free, optionally ignoring generated surface."""
-        answers = self.classify(points_world, is_parallel=is_parallel)
+        answers = self.classify(points_world)
         return (answers == Answer.FREE) | (may_touch_generated & (answers == Answer.HIT_GENERATED))
 
     def clearance_m(
         self, points_world: NDArray[Any], *, is_exact: bool = False, reach_m: float = 5.0
     ) -> NDArray[np.float64]:
-        """Return (N,) distances to the nearest superquadric, at most `reach_m`, 0 inside.
-
-        A lower bound, or with `is_exact` the distance itself to about a millionth.
-        """
+        """Return (N,) distances to the nearest superquadric, at most `reach_m`, 0 inside: exact, or lower bounds."""
         points = np.ascontiguousarray(points_world, dtype=np.float64)
-        return np.asarray(
-            kernels.clearances(
-                points, self._rows, is_exact, reach_m, self._layout, self._top, self._values, self._links
-            )
-        )
+        layout, top, _, values, links = self._grid
+        return np.asarray(kernels.clearances(points, self._rows, is_exact, reach_m, layout, top, values, links))
 
     def sweep(
         self,
@@ -208,32 +150,17 @@ class ClearanceScene:
     ) -> NDArray[np.uint8]:
         """Return (N,) the `Answer` for a ball, or a rounded box, swept along (N, 3) straight segments.
 
-        FREE is proven: a plane separates the swept volume from each primitive. A hit touches a primitive, or comes
-        nearer to it than a tenth of a millimetre. The observed space is not used.
+        FREE is proven by a separating plane; a hit comes nearer than a tenth of a millimetre.
         """
         half = np.zeros(3) if half_extents_m is None else np.asarray(half_extents_m, dtype=np.float64)
-        return np.asarray(
-            sweep_states(
-                np.ascontiguousarray(starts_world, dtype=np.float64),
-                np.ascontiguousarray(ends_world, dtype=np.float64),
-                half,
-                float(radius_m),
-                self._rows,
-                self._kinds,
-                self._layout,
-                self._top,
-                self._values,
-                self._links,
-            )
-        )
+        starts, ends = (np.ascontiguousarray(places, dtype=np.float64) for places in (starts_world, ends_world))
+        layout, top, _, values, links = self._grid
+        swept = (starts, ends, half, float(radius_m))
+        return np.asarray(sweep_states(*swept, self._rows, self._kinds, layout, top, values, links))
 
-    def sweep_body(self, starts_world: NDArray[Any], ends_world: NDArray[Any], body: Body) -> NDArray[np.uint8]:
-        """Return (N,) the most severe `Answer` of all parts of a body swept along (N, 3) straight segments."""
-        answers = np.zeros(len(starts_world), np.uint8)
-        for center, half, radius in zip(body.centers_m, body.half_extents_m, body.radii_m, strict=True):
-            part = self.sweep(starts_world + center, ends_world + center, radius_m=float(radius), half_extents_m=half)
-            answers = np.maximum(answers, part)
-        return answers
+    @property
+    def _grid(self) -> tuple[NDArray[Any], ...]:
+        return self._layout, self._top, self._bricks, self._values, self._links
 
     def _with_space(self, points: NDArray[np.float64], answers: NDArray[np.uint8]) -> NDArray[np.uint8]:
         assert self._space is not None
@@ -244,7 +171,6 @@ class ClearanceScene:
         return np.asarray(np.maximum(answers, known))
 
     def _holds(self, rows: NDArray[np.float64]) -> bool:
-        """Return whether the grid contains the bounds of these rows."""
         low, high = rows[:, kernels.LOW : kernels.LOW + 3], rows[:, kernels.HIGH : kernels.HIGH + 3]
         end = self._layout[:3] + self._layout[3] * np.array(self._top.shape[:3])
         return self._top.size > 0 and bool((low >= self._layout[:3]).all() and (high < end).all())
@@ -254,7 +180,7 @@ class ClearanceScene:
         low = self._rows[used, kernels.LOW : kernels.LOW + 3].min(axis=0)
         high = self._rows[used, kernels.HIGH : kernels.HIGH + 3].max(axis=0)
         # A scene of kilometres gets coarser blocks rather than endless memory.
-        side = max(self._block_m, float(np.prod((high - low) / _MOST_BLOCKS ** (1 / 3) + 1e-9)) ** (1 / 3))
+        side = max(_BLOCK_M, float(np.prod((high - low) / _MOST_BLOCKS ** (1 / 3) + 1e-9)) ** (1 / 3))
         shape = np.floor((high - low) / side).astype(np.int64) + 1 + 2 * _ROOM
         self._layout = np.array([*(low - _ROOM * side), side])
         self._top = np.full((*shape, 2), -1, np.int32)
@@ -269,20 +195,10 @@ class ClearanceScene:
         blocks = kernels.blocks_of(self._rows[place], self._layout, self._top.shape[:3])
         self._room_for_bricks(blocks)
         self._room_for_items(len(blocks) * (kernels.CELLS**3 + 1))
-        self._free_item, used = kernels.inserted(
-            self._rows[place],
-            place,
-            self._layout,
-            self._top,
-            self._bricks,
-            self._values,
-            self._links,
-            self._free_item,
-        )
+        self._free_item, used = kernels.inserted(self._rows[place], place, *self._grid, self._free_item)
         self._num_free -= used
 
     def _room_for_rows(self, count: int) -> list[int]:
-        """Return places for so many rows, those of removed primitives first."""
         missing = count - len(self._free_rows)
         if missing > 0:
             first = len(self._rows)

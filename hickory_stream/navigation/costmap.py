@@ -1,13 +1,7 @@
 """The occupancy of a growing map as a stream: a whole grid first, then updates of the windows that changed.
 
-When the grid grows, the next message is a whole one again.
-
-An occupancy grid that follows the snapshots of a run incrementally.
-
-An object is stamped again only if its layer 4 (or, without one, its box) has changed; walls and unknown space every few
-snapshots, since the whole observed space has to be searched for them. The grid grows in steps of metres. In a live run
-it includes early obstacles: an object without layer 4 is represented by a stand-in, and observed surface that belongs
-to no object is occupied.
+An object is stamped again only if its layer 4 (or its box) has changed; walls and unknown space every few snapshots,
+since the whole observed space has to be searched for them. In a live run the grid includes early obstacles.
 """
 
 from __future__ import annotations
@@ -48,23 +42,18 @@ class Stamped(Protocol):
     @property
     def frame(self) -> GridFrame:
         """The position of the cells in the world."""
-        ...
 
     def put(self, object_id: int, inflated: Superquadrics) -> None:
         """Add an object, or replace its former shape."""
-        ...
 
     def put_hulls(self, object_id: int, hulls: NDArray[np.float64]) -> None:
         """Add an object that is a union of convex hulls, or replace its former shape."""
-        ...
 
     def remove(self, object_id: int) -> None:
         """Remove an object."""
-        ...
 
     def observe(self, walls: NDArray[np.float64], unknown: NDArray[np.float64]) -> None:
         """Set the convex hulls of structure and of unobserved space."""
-        ...
 
 
 Grid = TypeVar("Grid", bound=Stamped)
@@ -73,8 +62,8 @@ Grid = TypeVar("Grid", bound=Stamped)
 class Followed(Generic[Grid]):
     """Keeps a grid up to date with snapshots; `make` returns a new one for given cells and a height of the floor.
 
-    `heights_m` are those of the body above the floor, `reach_m` is its horizontal reach. `num_layers` is the number of
-    grids that `make` makes of one frame. `seen` is the surface seen in a live run, to which the caller adds.
+    `heights_m` are those of the body above the floor, `num_layers` are the grids that `make` makes of one frame, and
+    `seen` is the surface seen in a live run, to which the caller adds.
     """
 
     def __init__(
@@ -135,7 +124,7 @@ class Followed(Generic[Grid]):
             self._driven = [*self._driven[-_MOST_DRIVEN:], place]
 
     def _is_driven(self, frame: GridFrame) -> NDArray[np.bool_]:
-        """Return (rows, columns) which cells the body has touched, for every position of its centre within its cell."""
+        # Cells (rows, columns) that the body has touched, wherever in its cell its centre was.
         is_driven = np.zeros(frame.shape, bool)
         reach = int(np.ceil(self._reach_m / frame.cell_m)) + 2
         for row, column in frame.cells_of(np.array(self._driven).reshape(-1, 2)).tolist():
@@ -147,7 +136,6 @@ class Followed(Generic[Grid]):
         return is_driven
 
     def _begin(self, low: NDArray[np.float64], high: NDArray[np.float64], floor_m: float) -> Grid:
-        """Return a new, larger grid, or one for another height of the floor."""
         if self._grid is not None:
             low, high = np.minimum(low, self._grid.frame.origin_m), np.maximum(high, self._grid.frame.high_m)
         low, high = np.floor(low / _ROOM_M) * _ROOM_M, np.ceil(high / _ROOM_M) * _ROOM_M
@@ -159,7 +147,6 @@ class Followed(Generic[Grid]):
         return self._grid
 
     def _put(self, grid: Grid, snapshot: MapSnapshot, obstacles: Sequence[Obstacle]) -> None:
-        """Stamp the obstacles that are new or have changed, and remove those that are gone."""
         records = {tracked.id: tracked for tracked in snapshot.objects}
         for object_id in sorted(self._known.keys() - {obstacle.id for obstacle in obstacles}):
             grid.remove(object_id)
@@ -194,11 +181,7 @@ class CostmapUpdate:
 
 
 class Costmap:
-    """Follows the snapshots of a run; obstacles at the heights of a robot, in any posture, without its footprint.
-
-    `seen`: in a live run, the observed surface, so that objects are obstacles before they are confirmed; the caller
-    adds to it.
-    """
+    """Follows the snapshots of a run; obstacles at the heights of a robot, in any posture, without its footprint."""
 
     def __init__(self, robot: Robot, *, cell_m: float, observe_every: int = 5, seen: SeenSurface | None = None) -> None:
         bottom, top = robot.heights_m

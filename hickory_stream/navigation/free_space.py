@@ -1,9 +1,6 @@
 """The configuration space of a robot, for every posture and range of headings: the grids that a planner searches.
 
-There is one `Occupancy` per posture and range of headings; a round robot has one heading. Places outside of the grid,
-and unobserved ones, are blocked, unless unknown space is declared free.
-
-Where a robot can stand beside an object: the goal of a way to it.
+Places outside of the grid, and unobserved ones, are blocked, unless unknown space is declared free.
 """
 
 from __future__ import annotations
@@ -22,7 +19,7 @@ from hickory_stream.geometry.superquadric import Superquadrics, world_bounds
 from hickory_stream.geometry.voxels import cells_of_keys
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
-from hickory_stream.navigation.occupancy import MOST_BYTES, Cell, GridFrame, Occupancy, distance_field_m, frame_around
+from hickory_stream.navigation.occupancy import Cell, GridFrame, Occupancy, distance_field_m, frame_around
 from hickory_stream.navigation.robot import Part, Robot, raised, turned
 from hickory_stream.navigation.stand_ins import MARGIN_M, SEEN_SURFACE, Obstacle, box_as_superquadric, early_obstacles
 from hickory_stream.records import Phase
@@ -47,7 +44,7 @@ _FEW_HEADINGS = 0.4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class HullGroup:
-    """Consecutive hulls (N, M, 3); `lows`, `highs` (N, 2) are their bounds, `low`, `high` (2,) those of all."""
+    """Consecutive hulls (N, M, 3), their bounds `lows`, `highs` (N, 2), and the bounds `low`, `high` (2,) of all."""
 
     hulls: NDArray[np.float64]
     lows: NDArray[np.float64]
@@ -63,10 +60,7 @@ class HullGroup:
 
 
 class FreeSpace:
-    """The cells of a robot, layer by layer, and the obstacles that block them.
-
-    Hulls (walls, meshes) are grown by `hull_margin_m`; inflated superquadrics already include their margin.
-    """
+    """The cells of a robot, layer by layer, and their obstacles; only hulls are grown by `hull_margin_m`."""
 
     def __init__(self, robot: Robot, frame: GridFrame, floor_z_m: float, *, hull_margin_m: float = 0.0) -> None:
         self.robot = robot
@@ -118,7 +112,7 @@ class FreeSpace:
             layer.remove(object_id)
 
     def observe(self, walls: NDArray[np.float64], unknown: NDArray[np.float64]) -> None:
-        """Replace the structure by hulls of (N, M, 3) corners, and the unobserved space by those of (K, 8, 3)."""
+        """Replace structure and unobserved space by hulls of (N, M, 3) and (K, 8, 3) corners."""
         self._forget()
         self.walls, self.unknown = walls, unknown
         for layer in self.all_layers():
@@ -136,8 +130,7 @@ class FreeSpace:
     def labels(self) -> NDArray[np.int32]:
         """Return (postures, headings, rows, columns): 0 where blocked, else a number per connected piece of free space.
 
-        Cells are connected by their sides, neighbouring headings and all postures by the cell itself. The robot may
-        move in any direction here, whatever its heading: two places in different pieces are surely not connected.
+        Headings do not limit directions here: two places in different pieces are surely not connected.
         """
         if self._labels is None:
             self._labels = _connected(~self.blocked())
@@ -173,10 +166,6 @@ class FreeSpace:
             )
         return self._reachable[key]
 
-    def free_ratio(self) -> float:
-        """Return the share of the grid's cells where the robot may be, in some posture and heading."""
-        return float((~self.blocked()).any(axis=(0, 1)).mean())
-
     def _forget(self) -> None:
         self._blocked = self._labels = None
         self._reachable = {}
@@ -199,14 +188,12 @@ def free_space_of(
     *,
     cell_m: float = CELL_M,
     unknown: UnknownSpace = "blocked",
-    most_bytes: int = MOST_BYTES,
     seen: SeenSurface | None = None,
     floor_m: float | None = None,
 ) -> FreeSpace:
-    """Return the free space of one storey of a map, for a robot: that of the floor at `floor_m`, else the most seen.
+    """Return the free space of one storey of a map, for a robot: at `floor_m`, else the most observed one.
 
-    In a live run `seen` is the surface observed by keyframes: objects without a layer 4 then have provisional shapes
-    from their first sighting on, and surface that belongs to no object is occupied.
+    With `seen`, the surface observed in a live run, objects without a layer 4 have provisional shapes.
 
     Raises:
         InputError: the map is empty, the robot does not fit into it, or the grid would take too much memory.
@@ -216,7 +203,7 @@ def free_space_of(
     obstacles = bodies_of(snapshot, early=seen is not None)
     low, high = extent_of(snapshot, obstacles)
     layers = len(robot.postures) * robot.num_headings
-    frame = frame_around(low, high, cell_m, num_layers=layers, most_bytes=most_bytes)
+    frame = frame_around(low, high, cell_m, num_layers=layers)
     room_m = float(np.min(high - low))
     if 2 * robot.reach_m > room_m and room_m < 1e9:
         raise InputError(
@@ -237,18 +224,8 @@ def free_space_of(
     return space
 
 
-def obstacle_grid(
-    snapshot: MapSnapshot,
-    robot: Robot,
-    *,
-    cell_m: float,
-    most_bytes: int = MOST_BYTES,
-    floor_m: float | None = None,
-) -> Occupancy:
-    """Return the cells that hold an obstacle at the heights of a robot, without its footprint: for other planners.
-
-    Such planners have no postures: an obstacle to any posture counts. The storey is that of the floor at `floor_m`,
-    without it the one that was seen most.
+def obstacle_grid(snapshot: MapSnapshot, robot: Robot, *, cell_m: float, floor_m: float | None = None) -> Occupancy:
+    """Return the cells with an obstacle to any posture of a robot, without its footprint, for other planners.
 
     Raises:
         InputError: the map is empty, or the grid would take too much memory.
@@ -257,7 +234,7 @@ def obstacle_grid(
     snapshot = on_storey(snapshot, floor)
     obstacles = bodies_of(snapshot)
     low, high = extent_of(snapshot, obstacles)
-    frame = frame_around(low, high, cell_m, most_bytes=most_bytes)
+    frame = frame_around(low, high, cell_m)
     low_m, high_m = robot.heights_m
     part = Part(low_m=floor + low_m, high_m=floor + high_m)
     grid = Occupancy(frame, [part])
@@ -335,7 +312,7 @@ def extent_of(snapshot: MapSnapshot, obstacles: Sequence[Obstacle]) -> tuple[NDA
 
 
 def _connected(is_free: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the pieces of (P, H, R, C) free cells; the last heading is beside the first one."""
+    # (P, H, R, C) free cells; the last heading is beside the first one.
     sides = np.zeros((3, 3, 3, 3), bool)
     sides[1, 1, 1], sides[1, 1, :, 1], sides[1, :, 1, 1] = True, True, True
     pieces, count = label(is_free, structure=sides)
@@ -352,7 +329,6 @@ def _connected(is_free: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def _touching_pairs(first: NDArray[np.int32], second: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return (2, N) the pieces of two layers that share a cell."""
     both = (first > 0) & (second > 0)
     count = int(second.max(initial=0)) + 1
     # As one number each: pairs take ten times as long to sort.
@@ -365,10 +341,9 @@ _BESIDE_M = 0.6
 
 
 def place_beside(space: FreeSpace, start: NDArray[np.float64], box: OrientedBox) -> NDArray[np.float64] | None:
-    """Return the place (2,) nearest to an object that can be reached from `start` (2,), None if none is beside it.
+    """Return the place (2,) nearest to an object that is connected with `start` (2,), None if none is near.
 
-    Of equally near places, to within a cell, it is the one nearest to the start. Cells that are connected with the
-    start count, so that a path to the place is likely, but not proven: a robot that is no disc has to turn.
+    A path to it is likely, but not proven: a robot that is no disc has to turn.
     """
     frame = space.frame
     cells, _ = space.reachable_cells((start - frame.origin_m) / frame.cell_m)

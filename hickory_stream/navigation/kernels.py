@@ -1,8 +1,7 @@
 """Collision kernels over flat arrays: one row of numbers per primitive, and a two-level grid of nearby primitives.
 
-A block lists the primitives near it and, if there are any, has a brick of cells with lists of their own. A cell stores
-for each primitive whether it fills the cell: then every point of the cell is inside, and no formula is evaluated. The
-distance to a primitive is bounded from below by the distance to planes that have the primitive on their far side.
+A block lists the primitives near it and has a brick of cells with lists of their own. A cell stores for each primitive
+whether it fills the cell: then no formula is evaluated.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ FREE, UNKNOWN, HIT_GENERATED, HIT_SEEN = 0, 1, 2, 3
 
 @kernel
 def _power(x, p):
-    """Return x ** p for x in 0..2; simple shapes, the most frequent ones, have integer powers and need no logarithm."""
+    # x ** p for x in 0..2; simple shapes, the most frequent ones, have integer powers and need no logarithm.
     if p == 2.0:
         return x * x
     n = int(p)
@@ -100,11 +99,8 @@ def log_gauge(row, x, y, z, gradient):
 
 @kernel
 def bound_outside(row, x, y, z, gradient):
-    """Return a lower bound of the distance to a primitive, 0 inside.
-
-    The larger of two: to its box in its own axes, and to the tangent plane where the ray from the centre leaves it. A
-    convex body lies behind both.
-    """
+    """Return a lower bound of the distance to a primitive, 0 inside."""
+    # The larger of the distances to its box and to the tangent plane on the ray from the centre.
     dx, dy, dz = x - row[CENTER], y - row[CENTER + 1], z - row[CENTER + 2]
     squared = 0.0
     for i in range(3):
@@ -123,11 +119,9 @@ def bound_outside(row, x, y, z, gradient):
 
 @kernel
 def exact_outside(row, x, y, z, gradient):
-    """Return the distance to a primitive, 0 inside: its dual, the largest distance to a plane that it lies behind.
-
-    The distance to a convex body is the maximum over directions n of n . p - support(n). The ascent turns n towards
-    the offset from the support point; it ends where that offset is parallel to n.
-    """
+    """Return the distance to a primitive, 0 inside: its dual, the largest distance to a plane that it lies behind."""
+    # The maximum over directions n of n . p - support(n). The ascent turns n towards the offset from the support point;
+    # it ends where that offset is parallel to n.
     best = bound_outside(row, x, y, z, gradient)
     if best == 0.0:
         return 0.0
@@ -192,7 +186,7 @@ _CIRCLE = np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4])
 
 @kernel
 def _behind(row, p, n, q):
-    """Return the distance of p from the plane with the normal n (>= 0) that touches the body, at q, which is filled."""
+    # The distance of p from the plane with normal n (>= 0) that touches the body, at q, which is filled.
     length = np.sqrt((n * n).sum())
     a, b = touching(row[AXES] * n[0], row[AXES + 1] * n[1], row[POWER_2])
     planar = a * row[AXES] * n[0] + b * row[AXES + 1] * n[1]
@@ -219,13 +213,10 @@ def touching(s, t, p):
 
 @kernel
 def inserted(row, index, layout, top, bricks, values, links, free_item):
-    """Enter a primitive into the two grids; return the next free item (there must be enough), and the number used.
-
-    `layout` is the low corner of the grid (3) and the side of a block. `top` (X, Y, Z, 2) holds the brick of a block,
-    -1 where there is none, and the head of the list of primitives near the block. `bricks` (B, 512) holds the heads of
-    the lists of the cells. Lists are chains through `links`, -1 at the end; a value is 2 * primitive, plus 1 where the
-    primitive fills the cell.
-    """
+    """Enter a primitive into the two grids; return the next free item (there must be enough), and the number used."""
+    # `layout`: low corner of the grid (3), side of a block; `top` (X, Y, Z, 2): brick of a block (-1: none), head of
+    # the list near it; `bricks` (B, 512): heads of the lists of cells. Lists are chains through `links`, -1 at the end;
+    # a value is 2 * primitive, plus 1 where it fills the cell.
     side = layout[3]
     cell = side / CELLS
     gradient = np.empty(3)
@@ -324,7 +315,6 @@ def _far_from_box(row, x, y, z, half):
 
 @kernel
 def _fills(row, x, y, z, half):
-    """Return 1 if a primitive surely contains every point of a cell, despite rounding, else 0."""
     half *= 1.0 + 1e-6
     for corner in range(8):
         dx = half if corner & 1 else -half

@@ -1,7 +1,6 @@
 """The observed space for a planner: walls, and columns of cells that were not observed.
 
-A column is known if most of the body's height range was observed there, as free or as wall. Not all of it is required:
-behind every edge a small part is occluded.
+A column is known if half of the body's height range was observed: behind every edge a small part is occluded.
 """
 
 from __future__ import annotations
@@ -50,10 +49,7 @@ class SeenColumns:
 
 
 def seen_columns(submaps: Sequence[Submap], frame: GridFrame, band: Band, floor_z_m: float) -> SeenColumns:
-    """Return the walls and the known columns of the height band on the grid, from all submaps.
-
-    Observations of all submaps are combined: where two submaps meet, each observed a part of a cell or of its height.
-    """
+    """Return the walls and the known columns of the height band on the grid, by all submaps together."""
     walls = [NO_HULLS, *(wall_hulls(submap, band, floor_z_m) for submap in submaps)]
     heights = _heights(submaps, band)
     is_seen = np.zeros((len(heights), frame.rows + 1, frame.columns + 1), bool)
@@ -139,17 +135,13 @@ def box_corners(bounds: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _heights(submaps: Sequence[Submap], band: Band) -> NDArray[np.float64]:
-    """Return (L,) heights in the middles of layers as thick as the smallest voxels, at least one."""
     voxel_m = min((submap.observed_space.voxel_m for submap in submaps), default=band.high_m - band.low_m)
     count = max(round((band.high_m - band.low_m) / voxel_m), 1)
     return np.asarray(band.low_m + (np.arange(count) + 0.5) * (band.high_m - band.low_m) / count)
 
 
 def _seen_in(submap: Submap, frame: GridFrame, heights: NDArray[np.float64]) -> tuple[slice, slice, NDArray[np.bool_]]:
-    """Return the rows and the columns of corners where a submap may have seen, and (L, R, C) whether it did.
-
-    The corners are those of the cells, at these heights.
-    """
+    # The rows and columns of corners of cells where a submap may have seen, and (L, R, C) whether it did.
     space = submap.observed_space
     # The submap's z axis is nearly vertical: heights in the submap and the world differ by a constant.
     layers = np.floor((heights - submap.world_from_submap[2, 3]) / space.voxel_m + 1e-9).astype(np.int64)
@@ -169,7 +161,6 @@ def _seen_in(submap: Submap, frame: GridFrame, heights: NDArray[np.float64]) -> 
 def _corners_around(
     submap: Submap, first: NDArray[np.int64], shape: tuple[int, ...], frame: GridFrame, z_m: float
 ) -> tuple[slice, slice]:
-    """Return the rows and columns of a grid's corners around a submap's columns of voxels, as they are at a height."""
     low, high = first * submap.observed_space.voxel_m, (first + shape) * submap.observed_space.voxel_m
     across = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
     turn, off = submap.world_from_submap[:3, :3], submap.world_from_submap[:3, 3]
@@ -186,7 +177,7 @@ def _corners_around(
 def _seen_columns_of(
     free: NDArray[np.int64], structure: NDArray[np.int64], layers: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the first column (2,), and (L, X, Y) which voxels of these layers were seen."""
+    # The first column (2,), and (L, X, Y) which voxels of these layers were seen.
     cells = []
     for keys in (free, structure):
         layer = layers_of_keys(keys)

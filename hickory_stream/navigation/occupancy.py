@@ -1,8 +1,7 @@
 """Occupancy of floor cells for the centre of a body: free, occupied or unknown, over all of its height.
 
-A cell is free if the robot's centre may be anywhere in its closed square. Objects are stamped as outlines
-(`navigation/outline.py`) into a counter per cell, so that adding, changing or removing an object updates only its own
-cells. Cells are those of a nav_msgs/OccupancyGrid: rows along y, columns along x, from the low corner.
+A cell is free if the centre may be anywhere in its closed square. Outlines of objects are counted per cell, so that an
+update changes only an object's own cells. Rows lie along y, columns along x, as in nav_msgs/OccupancyGrid.
 """
 
 from __future__ import annotations
@@ -83,7 +82,7 @@ def frame_around(
     """Return the cells that cover a rectangle, their corners at multiples of the cell.
 
     Raises:
-        InputError: the cell size is not a positive length, or the grid would take more memory than allowed.
+        InputError: the cell size is not positive, or the grid would take more memory than allowed.
     """
     if not (np.isfinite(cell_m) and cell_m > 0):
         raise InputError(f"found a cell of {cell_m} m, expected a length above 0")
@@ -100,10 +99,7 @@ def frame_around(
 
 
 class Occupancy:
-    """The cells of one body in one heading: `parts` at heights of the world.
-
-    Hulls are grown by `hull_margin_m`; inflated superquadrics already include their margin.
-    """
+    """The cells of one body in one heading: `parts` at heights of the world; hulls are grown by `hull_margin_m`."""
 
     def __init__(self, frame: GridFrame, parts: Sequence[Part], *, hull_margin_m: float = 0.0) -> None:
         self.frame = frame
@@ -115,11 +111,7 @@ class Occupancy:
         self._outlines: dict[int, list[tuple[NDArray[np.float64], NDArray[np.int64]]]] = {}
 
     def put(self, object_id: int, inflated: Superquadrics) -> None:
-        """Add an object, or replace what it was.
-
-        Raises:
-            ValueError: a primitive is not finite.
-        """
+        """Add or replace an object; raises ValueError if a primitive is not finite."""
         rows = rows_of(inflated)
         if not np.isfinite(rows).all():
             raise ValueError(f"object {object_id} has a superquadric that is not finite: it cannot be avoided")
@@ -137,7 +129,7 @@ class Occupancy:
             stamp(self._counts, corners, starts, self.frame.origin_m, self.frame.cell_m, -1)
 
     def observe(self, walls: NDArray[np.float64], unknown: NDArray[np.float64]) -> None:
-        """Replace the structure by hulls of (N, 8, 3) corners, and the unobserved space by those of (M, 8, 3)."""
+        """Replace structure and unobserved space by hulls of (N, 8, 3) and (M, 8, 3) corners."""
         for counts, hulls in ((self._walls, walls), (self._unknown, unknown)):
             counts[:] = 0
             for part in self._grown:
@@ -179,10 +171,7 @@ class Occupancy:
 
 
 def distance_field_m(is_blocked: NDArray[np.bool_], cell_m: float) -> NDArray[np.float32]:
-    """Return (rows, columns) the minimum distance from any point of a cell to a blocked cell; 0 in blocked cells.
-
-    The distance is Euclidean; cells beyond the grid do not count as blocked. It is infinite if no cell is blocked.
-    """
+    """Return (rows, columns) the least distance from a cell to a blocked one; infinite if no cell is blocked."""
     import cv2
 
     if not is_blocked.any():

@@ -51,10 +51,7 @@ def outlines_of_hulls(
 
 
 def locked(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a contiguous read-only view, since writability is part of an array's type in numba.
-
-    With writable and read-only arrays, each kernel would be compiled twice.
-    """
+    """Return a contiguous read-only view: numba compiles a kernel once more for writable arrays."""
     view = np.ascontiguousarray(array, dtype=np.float64).view()
     view.flags.writeable = False
     return view
@@ -85,7 +82,6 @@ def _outlines(rows, hulls, part, corners, tolerance):
 
 @kernel
 def _outline(is_hull, row, hull, part, corners, tolerance, found, after, out):
-    """Write the corners of one outline; return their number."""
     count = half_planes(is_hull, row, hull, part, corners, tolerance, found, after)
     corner = np.empty(2)
     i = 0
@@ -98,11 +94,8 @@ def _outline(is_hull, row, hull, part, corners, tolerance, found, after, out):
 
 @kernel
 def half_planes(is_hull, row, hull, part, corners, tolerance, found, after):
-    """Fill in the half planes of one outline and the successor of each, counter-clockwise from 0; return their number.
-
-    `found` (M, 6) has a direction (2), the support along it, and values for the search. The number is 0 if the obstacle
-    is out of the body's reach.
-    """
+    """Fill in the half planes of one outline and their successors, counter-clockwise from 0; return the number."""
+    # 0 if the obstacle is out of reach. `found` (M, 6): a direction (2), the support along it, values for the search.
     if is_hull:
         low, high = hull[:, 2].min(), hull[:, 2].max()
     else:
@@ -146,7 +139,7 @@ def half_planes(is_hull, row, hull, part, corners, tolerance, found, after):
 
 @kernel
 def _meeting(first, second, corner):
-    """Fill in the intersection of two border lines; return its distance beyond the chord of their touched points."""
+    # Fills in the intersection of two border lines; returns its distance beyond the chord of their touched points.
     cross = first[_DX] * second[_DY] - first[_DY] * second[_DX]
     corner[0] = (first[_H] * second[_DY] - second[_H] * first[_DY]) / cross
     corner[1] = (second[_H] * first[_DX] - first[_H] * second[_DX]) / cross
@@ -160,7 +153,7 @@ def _meeting(first, second, corner):
 
 @kernel
 def _between(first, second, new):
-    """Choose a direction between two: the normal of the chord of their touched points, which finds an edge at once."""
+    # The normal of the chord of the touched points finds an edge at once.
     dx, dy = second[_PY] - first[_PY], first[_PX] - second[_PX]
     length = np.sqrt(dx * dx + dy * dy)
     if length > 1e-9:
@@ -175,10 +168,7 @@ def _between(first, second, new):
 
 @kernel
 def _touch_slice(is_hull, row, hull, part, corners, found, guess, tolerance):
-    """Fill in the support of the slice in a direction, a point of the slice that it touches, and the multiplier.
-
-    The support is at most `tolerance` too large, never too small.
-    """
+    # Fills in a touched point and the multiplier; the support is at most `tolerance` too large, never too small.
     dx, dy = found[_DX], found[_DY]
     a, b, c = np.empty(4), np.empty(4), np.empty(4)
     _touch(is_hull, row, hull, part, corners, dx, dy, 0.0, a)
@@ -228,10 +218,8 @@ def _touch_slice(is_hull, row, hull, part, corners, found, guess, tolerance):
 
 @kernel
 def _touch(is_hull, row, hull, part, corners, dx, dy, m, out):
-    """Fill in the point (3) where the sum of obstacle and mirrored body is touched along (dx, dy, m); the support.
-
-    For m = 0 the height is that of the obstacle alone.
-    """
+    # Fills in the point (3) where obstacle and mirrored body are touched along (dx, dy, m); for m = 0 the obstacle's
+    # height.
     if is_hull:
         best = 0
         value = -np.inf
@@ -273,10 +261,8 @@ def _touch(is_hull, row, hull, part, corners, dx, dy, m, out):
 
 @kernel
 def stamp(counts, corners, starts, origin, cell, delta):
-    """Add `delta` to every cell that an outline touches, its closed square: whole cells, not their centres.
-
-    `counts` (rows along y, columns along x); `origin` (2,) is the low corner of the first cell.
-    """
+    """Add `delta` to every cell that an outline touches, its closed square: whole cells, not their centres."""
+    # `counts` (rows along y, columns along x); `origin` (2,) is its low corner.
     rows, columns = counts.shape
     left, right = np.empty(rows), np.empty(rows)
     for n in range(len(starts) - 1):

@@ -1,8 +1,7 @@
 """Robot models: footprint, spheres and heights for each posture, read from TOML files.
 
-A body is a few convex parts that stand upright: corners in the robot's own frame (x forward), a disc around each of
-them, a ball around that, from a low to a high height above the floor. A cylinder is one corner with a disc, a footprint
-several corners, a sphere one corner at one height with a ball.
+A body is a few upright convex parts: corners (x forward), a disc around each, a ball around that, and two heights. A
+cylinder is one corner with a disc, a footprint several corners, a sphere one corner at one height with a ball.
 """
 
 from __future__ import annotations
@@ -84,10 +83,7 @@ class Posture(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Robot(Ranged):
-    """A robot that turns on the spot and drives straight, forwards or backwards, in any of its postures.
-
-    The preferred postures come first. `num_headings` is 1 for a round body, which need not turn.
-    """
+    """A robot that turns on the spot and drives straight, forwards or backwards; preferred postures come first."""
 
     name: str
     postures: tuple[Posture, ...]
@@ -107,12 +103,6 @@ class Robot(Ranged):
     def heading_rad(self, index: int) -> float:
         """Return the middle of a heading's range."""
         return 2 * np.pi * index / self.num_headings
-
-
-def round_robot(name: str, *, radius_m: float, base_m: float, height_m: float) -> Robot:
-    """Return a robot that is an upright cylinder; obstacles lower than `base_m` are ignored."""
-    part = Part(low_m=base_m, high_m=height_m, disc_m=radius_m)
-    return Robot(name=name, postures=(Posture(name="upright", parts=(part,)),))
 
 
 def turned(part: Part, heading_rad: float, range_rad: float) -> Part:
@@ -143,7 +133,7 @@ def robot_names() -> tuple[str, ...]:
 
 
 def load_robot(name_or_path: str) -> Robot:
-    """Return a robot that comes with the package, by name, or that of a TOML file.
+    """Return a robot of the package by its name, or of a TOML file.
 
     Raises:
         ConfigError: there is no such robot, or its file is invalid.
@@ -183,9 +173,9 @@ def robot_of(record: dict[str, Any], default_name: str = "robot") -> Robot:
 
 def _posture_of(record: dict[str, Any]) -> Posture:
     _only(record, {"name", "low_m", "high_m", "radius_m", "footprint_m", "spheres_m", "cost"})
-    for key, told in _IN_A_FILE.items():
-        for value in record[key] if isinstance(record.get(key), list) else [record.get(key, told.low)]:
-            told.check(key, value)
+    for key, limits in _IN_A_FILE.items():
+        for value in record[key] if isinstance(record.get(key), list) else [record.get(key, limits.low)]:
+            limits.check(key, value)
     if "spheres_m" in record:
         parts = tuple(
             Part(low_m=z, high_m=z, corners_m=np.array([[x, y]]), ball_m=radius)

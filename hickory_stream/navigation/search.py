@@ -1,10 +1,7 @@
 """Path planning: a path from start to goal through free space, or the reason why there is none.
 
 `rrt` is the paper's, `rrt-connect` (default) grows from both ends, `rrt-star` goes on from there to shorter paths. A
-first path is shortened by shortcuts and by pulling it tight, both over free cells alone; then every leg and every turn
-is checked again, against the obstacles themselves rather than cells.
-
-Which objects and structure occupy a cell of a robot's grid, and their distances.
+path is shortened over free cells, then every leg and turn is checked against the obstacles themselves.
 """
 
 from __future__ import annotations
@@ -35,15 +32,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Blocker:
-    """An object, or the observed structure (`object_id` None), that a robot at a place would collide with.
-
-    `is_observed_only`: in a live run, a provisional obstacle from the observed points of an object without layer 4;
-    `SEEN_SURFACE` is observed surface that belongs to no object yet. `distance_m`: horizontal distance from the place
-    to the part of the obstacle at the robot's heights; 0 inside.
-    """
+    """An object, or the observed structure (`object_id` None), that a robot at a place would collide with."""
 
     object_id: int | None
+    #: horizontally from the place to the obstacle at the robot's heights; 0 inside
     distance_m: float
+    #: a provisional obstacle of a live run; `SEEN_SURFACE` belongs to no object yet
     is_observed_only: bool = False
 
     @property
@@ -81,9 +75,7 @@ def _outlines(space: FreeSpace, object_id: int, part: Part) -> tuple[NDArray[np.
 
 
 def _distance_m(place: NDArray[np.float64], corners: NDArray[np.float64], starts: NDArray[np.int64]) -> float:
-    """Return the distance from a place to the nearest of some convex outlines, 0 inside one."""
     import cv2
-    import numpy as np
 
     here = (0.0, 0.0)
     inside_m = [
@@ -154,14 +146,13 @@ class NoPath:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Path:
-    """A path of straight legs: `points` (N, 2) in the world, metres; each leg has a posture and a heading.
+    """A path of straight legs; the robot turns on the spot between them."""
 
-    `postures` (N - 1,) index the robot's postures; `headings_rad` (N - 1,) are those in which the legs are driven,
-    forwards or backwards; 0 for a round robot. The robot turns on the spot between them.
-    """
-
+    #: (N, 2) in the world, metres
     points: NDArray[np.float64]
+    #: (N - 1,) indices of the robot's postures
     postures: NDArray[np.int64]
+    #: (N - 1,) of the legs, driven forwards or backwards; 0 for a round robot
     headings_rad: NDArray[np.float64]
     length_m: float
     cost_m: float
@@ -180,9 +171,7 @@ def plan(
     config: SearchConfig | None = None,
     rng: np.random.Generator | None = None,
 ) -> Path | NoPath:
-    """Return a verified path from start to goal, (2,) metres in the world, or why there is none.
-
-    The same generator in the same state gives the same path; without one, seed 0.
+    """Return a verified path from start to goal, (2,) metres in the world, or why there is none; seed 0 without `rng`.
 
     Raises:
         InputError: start or goal is not finite, or outside of the map.
@@ -229,11 +218,7 @@ def plan(
 
 
 def refused_start(space: FreeSpace, start: NDArray[np.float64]) -> NoPath | None:
-    """Return why no path begins at a place, (2,) metres; None if one may.
-
-    Raises:
-        InputError: it is not finite, or outside of the map.
-    """
+    """Return why no path begins at a place, (2,) metres, None if one may; raises InputError as `plan`."""
     place = _place("start", start, space)
     return _refused(space, np.array([place, place]))
 
@@ -265,7 +250,6 @@ def _place(name: str, place: NDArray[np.float64], space: FreeSpace) -> NDArray[n
 
 
 def _refused(space: FreeSpace, ends: NDArray[np.float64]) -> NoPath | None:
-    """Return why there is provably no path; None if there may be one."""
     labels = space.labels()
     pieces = []
     for name, (row, column), place in zip(("start", "goal"), space.frame.cells_of(ends), ends, strict=True):
@@ -304,7 +288,6 @@ def _searched(
     costs: NDArray[np.float64],
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.float64] | None, int]:
-    """Return the cheapest of the paths found, in cells, and the iterations of all attempts."""
     none = tree_kernels.NO_STATE
     blocked = space.blocked()
     best: NDArray[np.float64] | None = None
@@ -357,7 +340,6 @@ def _one(
     budget: int,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.float64] | None, int]:
-    """Return a path of one search with so many iterations, in cells, or None; and how many it took."""
     none = tree_kernels.NO_STATE
     samples, toss = _samples(space, cells, budget, rng)
     if config.planner == "rrt":
@@ -376,7 +358,7 @@ def _one(
 def _samples(
     space: FreeSpace, cells: NDArray[np.float64], count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (count, 2) sample points in cells, every other one in a narrow cell, and (count,) numbers in 0..1."""
+    # (count, 2) points in cells, every other one in a narrow cell, and (count,) numbers in 0..1.
     everywhere, narrow = space.reachable_cells(cells[0])
     drawn = rng.random((count, 4))
     chosen = everywhere[(drawn[:, 0] * len(everywhere)).astype(np.int64)]
@@ -395,7 +377,6 @@ def _tight(blocked: NDArray[np.bool_], path: NDArray[np.float64], costs: NDArray
 def _routed(
     blocked: NDArray[np.bool_], cells: NDArray[np.float64], costs: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Return the shortest route over the cells, pulled tight; the cheapest posture that fits counts in each."""
     cheapest = np.where(blocked[:, 0], np.inf, costs[:, None, None]).min(axis=0)
     (column, row), (goal_column, goal_row) = np.floor(cells).astype(np.int64).tolist()
     route = route_over_cells(cheapest, row, column, goal_row, goal_column)
@@ -407,7 +388,6 @@ def _routed(
 
 
 def _driven_heading(leg: NDArray[np.float64], index: int, num_headings: int) -> float:
-    """Return the heading of a leg: along it, or against it where the state says so."""
     if num_headings == 1:
         return 0.0
     along = float(np.arctan2(leg[1], leg[0]))

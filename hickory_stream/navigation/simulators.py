@@ -1,8 +1,7 @@
 """A map for physics simulators: MJCF for MuJoCo, URDF for the rest, each a folder of one XML file and meshes.
 
-The visual geometry is layer 2. The collision geometry is layer 4, one convex mesh for each primitive, since neither
-format has superquadrics; the polyhedron is circumscribed, so that it still contains the object. Walls are boxes, where
-they were observed. All bodies are static.
+Layer 2 is the visual geometry. Layer 4 is the collision geometry: one circumscribed convex mesh for each primitive,
+since neither format has superquadrics. All bodies are static.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
+from xml.etree.ElementTree import SubElement
 
 import numpy as np
 
@@ -34,9 +34,7 @@ _WALL_RGBA = "0.84 0.86 0.89 1"
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SimulatedObject:
-    """One object: its mesh in its own frame (or None), its pose, and its layer 4 in the world.
-
-    Where it has a `texture`, that is what is seen. Its name is used for file names.
+    """One object: its mesh in its own frame, its pose, its layer 4 in the world; `texture` replaces the mesh's colours.
 
     Raises:
         ValueError: the name has characters that are not allowed in file names.
@@ -58,11 +56,11 @@ def mjcf_files(
     """Return the files of an MJCF model by name, `scene.xml` and meshes; `walls` (N, 8, 3) are corners of boxes."""
     files: dict[str, bytes] = {}
     root = ElementTree.Element("mujoco", model=model)
-    ElementTree.SubElement(root, "compiler", angle="radian", meshdir="meshes", texturedir="meshes")
-    asset = ElementTree.SubElement(root, "asset")
-    world = ElementTree.SubElement(root, "worldbody")
-    ElementTree.SubElement(world, "light", pos=f"0 0 {floor_z_m + 6:g}", dir="0 0 -1", directional="true")
-    ElementTree.SubElement(
+    SubElement(root, "compiler", angle="radian", meshdir="meshes", texturedir="meshes")
+    asset = SubElement(root, "asset")
+    world = SubElement(root, "worldbody")
+    SubElement(world, "light", pos=f"0 0 {floor_z_m + 6:g}", dir="0 0 -1", directional="true")
+    SubElement(
         world,
         "geom",
         name="floor",
@@ -72,28 +70,28 @@ def mjcf_files(
     )
     for i, (center, half, quaternion) in enumerate(_boxes(walls)):
         place = {"pos": _numbers(center), "quat": _numbers(quaternion), "size": _numbers(half)}
-        ElementTree.SubElement(world, "geom", {"name": f"wall-{i}", "type": "box", "rgba": _WALL_RGBA, **place})
+        SubElement(world, "geom", {"name": f"wall-{i}", "type": "box", "rgba": _WALL_RGBA, **place})
     for item in objects:
         quaternion = _wxyz(item.world_from_object)
-        body = ElementTree.SubElement(
+        body = SubElement(
             world, "body", name=item.name, pos=_numbers(item.world_from_object[:3, 3]), quat=_numbers(quaternion)
         )
         if item.mesh is not None:
             files |= _seen_files(item, item.mesh)
-            ElementTree.SubElement(asset, "mesh", name=item.name, file=f"{item.name}.obj", inertia="shell")
+            SubElement(asset, "mesh", name=item.name, file=f"{item.name}.obj", inertia="shell")
             seen = {"type": "mesh", "mesh": item.name}
             if item.texture is None:
-                seen["rgba"] = _mean_rgba(item.mesh)
+                seen["rgba"] = _numbers(np.append(item.mesh.colors.mean(axis=0) / 255, 1.0))
             else:
                 seen["material"] = item.name
-                ElementTree.SubElement(asset, "texture", type="2d", name=item.name, file=f"{item.name}.png")
-                ElementTree.SubElement(asset, "material", name=item.name, texture=item.name)
-            ElementTree.SubElement(body, "geom", {**seen, "contype": "0", "conaffinity": "0", "group": "1"})
+                SubElement(asset, "texture", type="2d", name=item.name, file=f"{item.name}.png")
+                SubElement(asset, "material", name=item.name, texture=item.name)
+            SubElement(body, "geom", {**seen, "contype": "0", "conaffinity": "0", "group": "1"})
         for i, (vertices, _) in enumerate(_around(item)):
             name = f"{item.name}-{i}"
-            ElementTree.SubElement(asset, "mesh", name=name, vertex=_numbers(vertices.ravel()), inertia="convex")
+            SubElement(asset, "mesh", name=name, vertex=_numbers(vertices.ravel()), inertia="convex")
             touched = {"name": name, "type": "mesh", "mesh": name, "rgba": "0.3 0.6 0.9 0.25", "group": "3"}
-            ElementTree.SubElement(body, "geom", touched)
+            SubElement(body, "geom", touched)
     files["scene.xml"] = _xml(root)
     return files
 
@@ -104,18 +102,18 @@ def urdf_files(
     """Return the files of a URDF model by name, `scene.urdf` and meshes: links fixed to the link `world`."""
     files: dict[str, bytes] = {}
     root = ElementTree.Element("robot", name=model)
-    world = ElementTree.SubElement(root, "link", name="world")
-    floor = ElementTree.SubElement(world, "collision", name="floor")
-    ElementTree.SubElement(floor, "origin", xyz=f"0 0 {floor_z_m - 0.05:g}", rpy="0 0 0")
+    world = SubElement(root, "link", name="world")
+    floor = SubElement(world, "collision", name="floor")
+    SubElement(floor, "origin", xyz=f"0 0 {floor_z_m - 0.05:g}", rpy="0 0 0")
     size = f"{2 * _FLOOR_HALF_M:g} {2 * _FLOOR_HALF_M:g} 0.1"
-    ElementTree.SubElement(ElementTree.SubElement(floor, "geometry"), "box", size=size)
+    SubElement(SubElement(floor, "geometry"), "box", size=size)
     for i, (center, half, quaternion) in enumerate(_boxes(walls)):
         for kind in ("visual", "collision"):
-            wall = ElementTree.SubElement(world, kind, name=f"wall-{i}")
-            ElementTree.SubElement(wall, "origin", xyz=_numbers(center), rpy=_numbers(_rpy(quaternion)))
-            ElementTree.SubElement(ElementTree.SubElement(wall, "geometry"), "box", size=_numbers(2 * half))
+            wall = SubElement(world, kind, name=f"wall-{i}")
+            SubElement(wall, "origin", xyz=_numbers(center), rpy=_numbers(_rpy(quaternion)))
+            SubElement(SubElement(wall, "geometry"), "box", size=_numbers(2 * half))
     for item in objects:
-        link = ElementTree.SubElement(root, "link", name=item.name)
+        link = SubElement(root, "link", name=item.name)
         if item.mesh is not None:
             files |= _seen_files(item, item.mesh)
             _mesh_of(link, "visual", f"meshes/{item.name}.obj", item.name)
@@ -123,17 +121,17 @@ def urdf_files(
             name = f"{item.name}-{i}"
             files[f"meshes/{name}.obj"] = _obj(vertices, faces)
             _mesh_of(link, "collision", f"meshes/{name}.obj", name)
-        joint = ElementTree.SubElement(root, "joint", name=f"world-{item.name}", type="fixed")
-        ElementTree.SubElement(joint, "parent", link="world")
-        ElementTree.SubElement(joint, "child", link=item.name)
+        joint = SubElement(root, "joint", name=f"world-{item.name}", type="fixed")
+        SubElement(joint, "parent", link="world")
+        SubElement(joint, "child", link=item.name)
         place = {"xyz": _numbers(item.world_from_object[:3, 3]), "rpy": _numbers(_rpy(_wxyz(item.world_from_object)))}
-        ElementTree.SubElement(joint, "origin", place)
+        SubElement(joint, "origin", place)
     files["scene.urdf"] = _xml(root)
     return files
 
 
 def _around(item: SimulatedObject) -> list[tuple[NDArray[np.float64], NDArray[np.int32]]]:
-    """Return for each primitive a convex polyhedron, in the object's frame, that contains it."""
+    # A convex polyhedron around each primitive, in the object's frame.
     local = moved(item.inflated, invert(item.world_from_object))
     return [polyhedron_around(local, i) for i in range(len(local))]
 
@@ -141,7 +139,7 @@ def _around(item: SimulatedObject) -> list[tuple[NDArray[np.float64], NDArray[np
 def polyhedron_around(primitives: Superquadrics, index: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Return vertices (V, 3) and faces (F, 3) of a convex polyhedron slightly larger than a primitive.
 
-    It is the polyhedron with vertices on the surface, scaled about the centre until its faces lie outside.
+    Its vertices on the surface are scaled about the centre until its faces lie outside.
     """
     from scipy.spatial import ConvexHull
 
@@ -150,7 +148,7 @@ def polyhedron_around(primitives: Superquadrics, index: int) -> tuple[NDArray[np
     offsets = vertices.astype(np.float64) - center
     hull = ConvexHull(offsets)
     normals, distances = hull.equations[:, :3], -hull.equations[:, 3]
-    reach = _support(primitives, index, normals)
+    reach = support(primitives, index, normals) - normals @ center
     grown = offsets * float(np.max(reach / distances)) * (1 + 1e-6)
     kept = np.unique(hull.simplices)
     number = np.full(len(vertices), -1, np.int32)
@@ -162,14 +160,8 @@ def polyhedron_around(primitives: Superquadrics, index: int) -> tuple[NDArray[np
     return grown[kept] + center, faces
 
 
-def _support(primitives: Superquadrics, index: int, directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    return support(primitives, index, directions) - directions @ primitives.world_from_local[index, :3, 3]
-
-
-def _boxes(
-    hulls: NDArray[np.float64],
-) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
-    """Return centre, half extents and quaternion (w first) of boxes given by corners in the order of `box_corners`."""
+def _boxes(hulls: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
+    # Centre, half extents, quaternion (w first); corners in the order of `box_corners`.
     out = []
     for corners in hulls:
         edges = corners[[1, 2, 4]] - corners[0]
@@ -192,8 +184,8 @@ def _rpy(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _mesh_of(link: ElementTree.Element, kind: str, path: str, name: str) -> None:
-    element = ElementTree.SubElement(link, kind, name=name)
-    ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), "mesh", filename=path)
+    element = SubElement(link, kind, name=name)
+    SubElement(SubElement(element, "geometry"), "mesh", filename=path)
 
 
 def _obj(vertices: NDArray[np.float64] | NDArray[np.float32], faces: NDArray[np.int32]) -> bytes:
@@ -203,7 +195,6 @@ def _obj(vertices: NDArray[np.float64] | NDArray[np.float32], faces: NDArray[np.
 
 
 def _seen_files(item: SimulatedObject, mesh: Mesh) -> dict[str, bytes]:
-    """Return the files of layer 2 by name: an OBJ, and with a texture its material and its picture."""
     if item.texture is None:
         return {f"meshes/{item.name}.obj": _obj(mesh.vertices, mesh.faces)}
     textured = item.texture
@@ -218,10 +209,6 @@ def _seen_files(item: SimulatedObject, mesh: Mesh) -> dict[str, bytes]:
         f"meshes/{item.name}.mtl": material.encode(),
         f"meshes/{item.name}.png": png_bytes(textured),
     }
-
-
-def _mean_rgba(mesh: Mesh) -> str:
-    return _numbers(np.append(mesh.colors.mean(axis=0) / 255, 1.0))
 
 
 def _numbers(values: NDArray[np.float64]) -> str:

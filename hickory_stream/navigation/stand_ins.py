@@ -1,10 +1,7 @@
 """Early obstacles of a live run: stand-ins for objects without a layer 4, and observed surface of no object.
 
-Obstacles must not wait until an object is confirmed and reconstructed. A track has a stand-in from its first keyframe
-on, which contains all of its points: its sketch (one superquadric), or its box divided into a few horizontal slabs
-(since a lamp is wide only at its top), whichever has less volume. Slabs are not divided vertically, so that the inside
-of an object of which two sides were seen stays occupied. Surface that belongs to no track is occupied, until later rays
-pass through it or it is classified as structure.
+A stand-in contains all points of a track from its first keyframe on: its sketch, or a few horizontal slabs of its box,
+by least volume. Slabs are not divided vertically, so that the inside of a half-seen object stays occupied.
 """
 
 from __future__ import annotations
@@ -67,19 +64,18 @@ class Obstacle:
 
 
 def early_obstacles(objects: Sequence[TrackedObject]) -> list[Obstacle]:
-    """Return the obstacles of all objects, including those that were seen only once."""
+    """Return the obstacles of all objects, also of objects that were seen only once."""
     return _MADE.of(objects)
 
 
 class _Made:
-    """Obstacles of the objects that were asked for last: several sinks ask, and most objects stay as they are."""
-
+    # Several sinks ask for the same objects, and most objects do not change.
     def __init__(self) -> None:
         self._last: Mapping[int, tuple[TrackedObject, Obstacle]] = {}
 
     def of(self, objects: Sequence[TrackedObject]) -> list[Obstacle]:
         """Return the obstacles of objects."""
-        known = self._last  # whoever asks at the same time replaces it as a whole
+        known = self._last  # another thread may replace it as a whole
         found: dict[int, tuple[TrackedObject, Obstacle]] = {}
         for tracked in objects:
             before = known.get(tracked.id)
@@ -98,17 +94,17 @@ def _obstacle_of(tracked: TrackedObject) -> Obstacle:
     return Obstacle(id=tracked.id, body=tracked.shape.inflated, is_observed_only=False)
 
 
-def stand_in_of(tracked: TrackedObject, margin_m: float = MARGIN_M) -> Superquadrics:
+def stand_in_of(tracked: TrackedObject) -> Superquadrics:
     """Return superquadrics that contain all points of an object and a margin: its slabs or its sketch, by least volume.
 
-    For the sketch the margin is kept along its axes, for the slabs everywhere.
+    The sketch keeps the margin along its axes, slabs keep it everywhere.
     """
     points = tracked.points_world.astype(np.float64)
-    slabs = _slabs(_around(tracked.box, points), points, margin_m)
-    boxed = sorted_by_volume(joined([box_as_superquadric(slab, margin_m) for slab in slabs]))
+    slabs = _slabs(_around(tracked.box, points), points, MARGIN_M)
+    boxed = sorted_by_volume(joined([box_as_superquadric(slab, MARGIN_M) for slab in slabs]))
     if tracked.sketch is None or len(tracked.sketch) != 1:
         return boxed
-    sketched = _grown(tracked.sketch, points, margin_m)
+    sketched = _grown(tracked.sketch, points, MARGIN_M)
     return sketched if volumes_m3(sketched).sum() < volumes_m3(boxed).sum() else boxed
 
 
@@ -122,7 +118,6 @@ def box_as_superquadric(box: OrientedBox, margin_m: float) -> Superquadrics:
 
 
 def _around(box: OrientedBox, points: NDArray[np.float64]) -> OrientedBox:
-    """Return a box enlarged to contain all points."""
     if len(points) == 0:
         return box
     local = apply(invert(box.world_from_box), points)
@@ -130,7 +125,6 @@ def _around(box: OrientedBox, points: NDArray[np.float64]) -> OrientedBox:
 
 
 def _slabs(box: OrientedBox, points: NDArray[np.float64], margin_m: float) -> list[OrientedBox]:
-    """Return the slabs of a box that contains all points; a single slab if more save little volume."""
     local = apply(invert(box.world_from_box), points)
     parts = [_Part.of(local, margin_m)] if len(local) else []
     for _ in range(_MOST_SLABS - 1):
@@ -146,8 +140,7 @@ def _slabs(box: OrientedBox, points: NDArray[np.float64], margin_m: float) -> li
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Part:
-    """Points (N, 3) in the frame of a box, the volume around them, and the cut that makes two parts of least volume."""
-
+    # Points (N, 3) in the frame of a box, the volume around them, and the cut into two parts of least volume.
     local: NDArray[np.float64]
     volume_m3: float
     cut_m: float
@@ -176,7 +169,6 @@ class _Part:
 
 
 def _box_of(box: OrientedBox, local: NDArray[np.float64]) -> OrientedBox:
-    """Return the box around points along the axes of another box."""
     low, high = local.min(axis=0), local.max(axis=0)
     pose = box.world_from_box.copy()
     pose[:3, 3] = apply(box.world_from_box, (low + high)[None] / 2)[0]
@@ -184,7 +176,7 @@ def _box_of(box: OrientedBox, local: NDArray[np.float64]) -> OrientedBox:
 
 
 def _grown(sketch: Superquadrics, points: NDArray[np.float64], margin_m: float) -> Superquadrics:
-    """Return a sketch enlarged by a margin along its axes, and by a common factor if points are still outside."""
+    # Enlarged by the margin along its axes, and by a common factor if points are still outside.
     exponent = float(sketch.exponents[0, 0])
     local = np.abs(apply(invert(sketch.world_from_local[0]), points))
     larger = replace(sketch, semi_axes_m=sketch.semi_axes_m + margin_m, world_from_local=np.eye(4)[None])
@@ -238,10 +230,7 @@ class SeenSurface:
     def hulls(
         self, snapshot: MapSnapshot, obstacles: Sequence[Obstacle], band: Band, floor_z_m: float
     ) -> NDArray[np.float64]:
-        """Return the corners (N, 8, 3), in the world, of boxes around the surface in the band that is of no object.
-
-        `obstacles` are those of the snapshot's objects.
-        """
+        """Return corners (N, 8, 3), in the world, of boxes around surface in the band that belongs to no object."""
         found = [NO_HULLS]
         for submap in snapshot.submaps:
             if submap.id not in self._seen:
@@ -264,10 +253,7 @@ def _of_no_object(
     objects: Sequence[TrackedObject],
     obstacles: Sequence[Obstacle],
 ) -> NDArray[np.int64]:
-    """Return the keys of voxels that contain no point of an object and whose centre is in no obstacle.
-
-    Surface next to the points of an object with layer 4 is noise at its edges.
-    """
+    # Surface next to the points of an object with layer 4 is noise at its edges.
     submap_from_world = invert(world_from_submap)
     for tracked, obstacle in zip(objects, obstacles, strict=True):
         own = sorted_unique(keys_of_points(apply(submap_from_world, tracked.points_world), voxel_m))
@@ -282,7 +268,7 @@ def _of_no_object(
 
 
 def _layered_boxes(cells: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the low and high corners (M, 6), in voxels, of boxes whose union is (N, 3) cells, layer by layer."""
+    # (M, 6) low and high corners, in voxels, of boxes whose union is (N, 3) cells, layer by layer.
     boxes: list[tuple[float, ...]] = []
     for z in np.unique(cells[:, 2]).tolist():
         flat = cells[cells[:, 2] == z, :2]

@@ -1,11 +1,8 @@
-"""Swept balls and boxes against superquadrics: both are convex, so that they are disjoint if a plane separates them.
+"""Swept balls and boxes against superquadrics: both are convex, so they are disjoint if a plane separates them.
 
-The swept volume is the Minkowski sum of a segment, a box and a ball; without the ball it is called the core. The
-distance between the core and a primitive is that of the origin to their Minkowski difference, and is found by the
-algorithm of Gilbert, Johnson and Keerthi (1988): a simplex of support points grows in the difference, and its point
-nearest to the origin gives the direction of the next support plane. The motion is proven free as soon as a plane
-separates the two by more than the ball's radius; a collision is proven by the nearest point, which is an upper bound of
-the distance.
+The core is the Minkowski sum of a segment and a box. Its distance to a primitive, the origin's to their Minkowski
+difference, is found by the algorithm of Gilbert, Johnson and Keerthi (1988): a motion is free as soon as a plane
+separates both by more than the ball's radius; the nearest point, an upper bound, proves a collision.
 """
 
 from __future__ import annotations
@@ -36,10 +33,8 @@ _ROUNDING = 1e-10
 
 @kernel
 def sweep_states(starts, ends, half, radius, rows, kinds, layout, top, values, links):
-    """Return (N,) uint8: the most severe kind that a body touches between (N, 3) starts and ends, else FREE.
-
-    The body is an axis-aligned box of half extents `half` (3), rounded by `radius`; a ball for half extents of 0.
-    """
+    """Return (N,) uint8: the most severe kind that a body touches between (N, 3) starts and ends, else FREE."""
+    # The body is a box of half extents `half` (3), rounded by `radius`; a ball for half extents of 0.
     out = np.zeros(len(starts), np.uint8)
     way, local, edges = np.empty(3), np.empty((2, 3)), np.zeros((3, 3))
     simplex, nearest, direction = np.empty((4, 3)), np.empty(3), np.empty(3)
@@ -89,10 +84,7 @@ def sweep_states(starts, ends, half, radius, rows, kinds, layout, top, values, l
 
 @kernel
 def _passes_its_box(row, start, way, half, radius, local, edges):
-    """Return whether a face of the primitive's own box separates it from the whole motion.
-
-    Fills `local`, the start and the way along the primitive's axes, and `edges`, the half edges of the swept box.
-    """
+    # Fills `local`, the start and the way along the primitive's axes, and `edges`, the half edges of the swept box.
     for i in range(3):
         s, w, reach = 0.0, 0.0, radius
         for j in range(3):
@@ -110,7 +102,7 @@ def _passes_its_box(row, start, way, half, radius, local, edges):
 
 @kernel
 def _nearest_to_center(row, local):
-    """Return the parameter 0..1 of the motion nearest to the primitive's centre, in units of its semi-axes."""
+    # In units of the semi-axes.
     t, length = 0.0, 0.0
     for i in range(3):
         inverse = 1.0 / (row[AXES + i] * row[AXES + i])
@@ -121,7 +113,6 @@ def _nearest_to_center(row, local):
 
 @kernel
 def _touches(row, t, radius, local, edges, simplex, nearest, direction):
-    """Return whether the core comes as near as the radius, or to within `NEAR_M` of that."""
     size = 0.0
     # The first plane is that of an ellipsoid, from the point of the motion nearest to the primitive's centre.
     for i in range(3):
@@ -144,7 +135,7 @@ def _touches(row, t, radius, local, edges, simplex, nearest, direction):
 
 @kernel
 def _supported(row, local, edges, direction, point):
-    """Return the least direction . (x - y) over x of the core and y of the primitive; `point` is filled with x - y."""
+    # The least direction . (x - y) over x of the core and y of the primitive; `point` is filled with x - y.
     x, y, z = direction[0], direction[1], direction[2]
     end = 1.0 if x * local[1, 0] + y * local[1, 1] + z * local[1, 2] < 0.0 else 0.0
     for i in range(3):
@@ -165,10 +156,7 @@ def _supported(row, local, edges, direction, point):
 
 @kernel
 def _nearest_of_simplex(simplex, count, nearest):
-    """Fill the point nearest to the origin in the hull of `count` points; return the number of points that span it.
-
-    These points are moved to the front. The number is 0 if the origin is inside a tetrahedron.
-    """
+    # Moves the points that span the nearest one to the front, returns their number; 0 if the origin is inside.
     if count == 1:
         nearest[:] = simplex[0]
         return 1
@@ -217,7 +205,6 @@ def _nearest_of_edge(simplex, nearest):
 
 @kernel
 def _kept(simplex, corners, weights, nearest):
-    """Fill the point with these weights, move the corners of non-zero weight to the front, and return their number."""
     for i in range(3):
         nearest[i] = 0.0
         for m in range(3):
@@ -234,7 +221,7 @@ def _kept(simplex, corners, weights, nearest):
 
 @kernel
 def _nearest_of_triangle(a, b, c):
-    """Return the weights of the corners in the point of a triangle nearest to the origin (Ericson, 2005, 5.1.5)."""
+    # Ericson (2005), Real-Time Collision Detection, 5.1.5.
     d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(3):
         ab, ac = b[i] - a[i], c[i] - a[i]
@@ -269,7 +256,6 @@ def _nearest_of_triangle(a, b, c):
 
 @kernel
 def _volume(a, b, c, d):
-    """Return six times the signed volume of a tetrahedron."""
     x0, x1, x2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     y0, y1, y2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     z0, z1, z2 = d[0] - a[0], d[1] - a[1], d[2] - a[2]
@@ -278,7 +264,6 @@ def _volume(a, b, c, d):
 
 @kernel
 def _volume_to_origin(a, b, c):
-    """Return six times the signed volume of a triangle and the origin."""
     x0, x1, x2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     y0, y1, y2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     return -a[0] * (x1 * y2 - x2 * y1) - a[1] * (x2 * y0 - x0 * y2) - a[2] * (x0 * y1 - x1 * y0)

@@ -1,8 +1,7 @@
 """Kernels of the planners: edges over free cells, turns on the spot, growth of trees, shortening of paths.
 
-Positions are in cells, from the low corner of the grid. A state is posture * headings + heading; -1 is not set. A robot
-turns on the spot and drives straight, forwards or backwards. An edge is valid if all cells that it touches are free, a
-turn if every heading that it passes is free.
+Positions are in cells, from the low corner of the grid. A state is posture * headings + heading; -1 is not set. An edge
+is valid if all cells that it touches are free, a turn if every heading that it passes is free.
 """
 
 from __future__ import annotations
@@ -61,11 +60,9 @@ def turn_is_free(blocked, x, y, before, after):
 
 @kernel
 def state_after(blocked, x0, y0, before, x1, y1, is_backward):
-    """Return the state in which the robot gets from one position to the next, -2 if there is none.
-
-    Postures are tried in their order, forwards before backwards. `is_backward`: the segment is driven from the second
-    position to the first one, as in a tree that grows from the goal.
-    """
+    """Return the state in which the robot gets from one position to the next, -2 if there is none."""
+    # Postures in their order, forwards before backwards. `is_backward`: driven from the second position to the first,
+    # as in a tree that grows from the goal.
     postures, headings = blocked.shape[:2]
     heading = 0
     if headings > 1:
@@ -93,7 +90,6 @@ def _nearest(points, count, x, y):
 
 @kernel
 def _branch(points, parents, n):
-    """Return the positions from the root to a node."""
     length, at = 0, n
     while at >= 0:
         length += 1
@@ -209,11 +205,8 @@ def grow_connect(blocked, start, goal, start_state, goal_state, samples, step):
 
 @kernel
 def _link(blocked, points, parents, states, count, near, x, y, is_backward):
-    """Append the path from a node to a position; return the number of nodes added, 0 if there is no path.
-
-    The path is straight; or, if the robot's heading then collides at the position, as in a doorway, the robot drives to
-    the nearest point of a line along a free heading through the position, turns there, and follows that line.
-    """
+    # Straight, or, where the heading collides at the position (a doorway), over the nearest point of a line along a
+    # free heading through the position: the robot turns there and follows that line. Returns the number of nodes.
     ax, ay = points[near, 0], points[near, 1]
     state = state_after(blocked, ax, ay, states[near], x, y, is_backward)
     if state >= 0:
@@ -265,11 +258,9 @@ def _cost_to(points, parents, states, costs, headings, n):
 
 @kernel
 def grow_star(blocked, start, goal, start_state, goal_state, samples, costs, step, first_cost):
-    """Return the best path of an informed RRT* (Gammell et al., 2014; empty if none), and the number of iterations.
-
-    `first_cost` is the cost of a known path, or infinite: only samples that can improve on the best path are used. A
-    node with successors is rewired only if the robot need not turn.
-    """
+    """Return the best path of an informed RRT* (Gammell et al., 2014; empty if none), and the number of iterations."""
+    # Only samples that can improve on the best path, at first of `first_cost`, are used. A node with successors is
+    # rewired only if the robot need not turn.
     headings = blocked.shape[1]
     most = len(samples) + 1
     points, parents = np.empty((most, 2)), np.full(most, -1, np.int64)
@@ -364,10 +355,8 @@ def cost_along(path, states, costs, headings):
 
 @kernel
 def thinned(blocked, path, start_state):
-    """Return the positions of a path that remain if each is followed by the farthest one in a free straight line.
-
-    A shortcut may not need a later posture than its first segment, so that the robot does not lower itself to shorten.
-    """
+    """Return the positions of a path that remain if each is followed by the farthest one in a free straight line."""
+    # A shortcut may not need a later posture than its first segment: the robot does not lower itself to shorten.
     headings = blocked.shape[1]
     out = np.empty_like(path)
     out[0] = path[0]
@@ -389,11 +378,8 @@ def thinned(blocked, path, start_state):
 
 @kernel
 def shortened(blocked, path, start_state, goal_state, costs, spacing, most):
-    """Return a path of least cost over at most `most` positions of the given one, which are at most `spacing` apart.
-
-    Dynamic programming over the shortcuts between all pairs of positions; optimal among them for a robot that need not
-    turn.
-    """
+    """Return a path of least cost over at most `most` positions of the given one, which are at most `spacing` apart."""
+    # Dynamic programming over the shortcuts between all pairs; optimal among them for a robot that need not turn.
     length = 0.0
     for i in range(len(path) - 1):
         length += np.sqrt((path[i + 1, 0] - path[i, 0]) ** 2 + (path[i + 1, 1] - path[i, 1]) ** 2)

@@ -1,8 +1,7 @@
 """Verification of a path against the obstacles themselves, without a grid: every leg and every turn.
 
-A body that moves along a straight line collides with a convex obstacle if its reference point passes through the
-configuration-space obstacle: an intersection of half planes, by each of which the segment is clipped. A free answer is
-a proof.
+A straight motion collides with a convex obstacle if the reference point passes through the configuration-space
+obstacle: an intersection of half planes, by each of which the segment is clipped. A free answer is a proof.
 """
 
 from __future__ import annotations
@@ -24,10 +23,7 @@ if TYPE_CHECKING:
 
 
 def is_verified(space: FreeSpace, points: NDArray[np.float64], states: NDArray[np.int64]) -> bool:
-    """Return whether a robot can drive the N - 1 segments between (N, 2) points in these states, and turn between them.
-
-    A state is posture * headings + heading, for all headings in its range.
-    """
+    """Return whether a robot can drive the segments between (N, 2) points in N - 1 states, and turn between them."""
     rows = locked(space.scene.rows())
     for part, start, end in _moves(space, points, states):
         off = grown(part, space.hull_margin_m)
@@ -47,7 +43,6 @@ def is_verified(space: FreeSpace, points: NDArray[np.float64], states: NDArray[n
 def _moves(
     space: FreeSpace, points: NDArray[np.float64], states: NDArray[np.int64]
 ) -> Iterator[tuple[Part, NDArray[np.float64], NDArray[np.float64]]]:
-    """Yield every part of the body for every segment and every turn, with the ends of its motion."""
     headings = space.robot.num_headings
     before = None
     for start, end, state in zip(points[:-1], points[1:], states.tolist(), strict=True):
@@ -61,7 +56,7 @@ def _moves(
 
 
 def _turn(space: FreeSpace, place: NDArray[np.float64], before: int, after: int) -> list[Part]:
-    """Return the parts of all headings that a turn passes, for the first of four variants with free cells."""
+    # For the first of four variants with free cells.
     headings = space.robot.num_headings
     ((row, column),) = space.frame.cells_of(place[None])
     blocked = space.blocked()[:, :, row, column]
@@ -77,7 +72,6 @@ def _turn(space: FreeSpace, place: NDArray[np.float64], before: int, after: int)
 
 @kernel
 def _meets(rows, hulls, part, corners, start, end, tolerance):
-    """Return whether a body on its way from start to end (2,) may meet any of the obstacles."""
     is_hull = len(hulls) > 0
     no_row, no_hull = np.empty(0), np.empty((0, 3))
     found, after = np.empty((96, 6)), np.empty(96, np.int64)

@@ -1,10 +1,7 @@
 """Walls as few long boxes, for simulators: observed structure without the noise of a camera.
 
-A planner takes every column with a structure voxel as a wall of full height (`observed.wall_hulls`), which is safe; as
-bodies in a simulator, noisy columns would be posts in front of the walls. Here a column is a wall from bottom to top
-only if a third of it was observed, including its upper part; furniture may occlude the rest. Other structure keeps its
-own height. Pieces of it smaller than a cube of three voxels are left out as noise, and so is structure inside objects,
-which have bodies of their own.
+A planner takes every column with a structure voxel as a wall (`observed.wall_hulls`), which is safe. As bodies, noisy
+columns would be posts before the walls: here a wall needs a third of its column observed, including its upper part.
 """
 
 from __future__ import annotations
@@ -36,17 +33,13 @@ _ORDERS = np.array([[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1
 def wall_boxes(
     submaps: Sequence[Submap], band: Band, floor_z_m: float, objects: Sequence[Superquadrics] = ()
 ) -> NDArray[np.float64]:
-    """Return the corners (N, 8, 3), in the world, of boxes whose union is the walls within the band.
-
-    Structure inside `objects` is left out. Boxes may overlap one another.
-    """
+    """Return corners (N, 8, 3), in the world, of boxes whose union is the walls in the band, outside of `objects`."""
     # Once for all submaps: each is compared with every object.
     bounds = [world_bounds(primitives).reshape(-1, 3) for primitives in objects]
     lows = np.array([bound.min(axis=0) for bound in bounds]).reshape(-1, 3)
     highs = np.array([bound.max(axis=0) for bound in bounds]).reshape(-1, 3)
 
     def is_within(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return (N,) whether each of (N, 3) points lies in a primitive of an object."""
         found = np.zeros(len(points), bool)
         least, most = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
         for k in np.flatnonzero(((lows <= most) & (highs >= least)).all(axis=1)).tolist():
@@ -86,13 +79,8 @@ def _boxes_in(
 
 
 def boxes_of(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the low and high corners (N, 6), in cells, of few boxes whose union is an (X, Y, Z) mask.
-
-    Greedy: from the first uncovered cell, boxes are grown axis by axis in each order of the axes, and the one that
-    covers most new cells is taken.
-    """
-    found: NDArray[np.int64] = _boxes_of(np.ascontiguousarray(mask), _ORDERS)
-    return found
+    """Return low and high corners (N, 6), in cells, of few boxes whose union is an (X, Y, Z) mask, found greedily."""
+    return _boxes_of(np.ascontiguousarray(mask), _ORDERS)
 
 
 def _mask_of(cells: NDArray[np.int64], first: NDArray[np.int64], shape: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -103,10 +91,7 @@ def _mask_of(cells: NDArray[np.int64], first: NDArray[np.int64], shape: NDArray[
 
 
 def _cleaned(mask: NDArray[np.bool_], free: NDArray[np.bool_], is_wall: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return (X, Y, Z): walls from bottom to top, and larger pieces of other structure, with gaps of one voxel filled.
-
-    A gap that was observed free stays open.
-    """
+    # Walls from bottom to top and larger pieces of other structure; gaps of one voxel are filled unless observed free.
     from scipy import ndimage
 
     walls = np.broadcast_to(is_wall[..., None], mask.shape)
@@ -157,7 +142,6 @@ def _boxes_of(mask, orders):
 
 @kernel
 def _grow(mask, low, high, axis):
-    """Move both ends of a box along an axis as far as the box stays in the mask."""
     while high[axis] < mask.shape[axis] and _is_full(mask, low, high, axis, high[axis]):
         high[axis] += 1
     while low[axis] > 0 and _is_full(mask, low, high, axis, low[axis] - 1):
@@ -166,7 +150,6 @@ def _grow(mask, low, high, axis):
 
 @kernel
 def _is_full(mask, low, high, axis, place):
-    """Return whether the slice of a box at a position along an axis lies entirely in the mask."""
     first, end = low.copy(), high.copy()
     first[axis], end[axis] = place, place + 1
     for i in range(first[0], end[0]):

@@ -17,7 +17,7 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.voxels import groups_of, in_company, keys_of_points
+from hickory_stream.geometry.voxels import groups_of, keys_of_points, without_outliers
 from hickory_stream.records import Observation, RejectedMask, Returns
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ def _lift(
     points, colors = _means_in_world(points, colors, frame.world_from_camera, voxel_m)
     if len(points) < _MIN_POINTS:
         return f"{len(points)} points, fewer than {_MIN_POINTS}"
-    inliers = points[in_company(points)]
+    inliers = points[without_outliers(points)]
     size_m = float(extent_of(inliers).max())
     if size_m > config.max_box_m:
         return f"{size_m:.1f} m long: no object"

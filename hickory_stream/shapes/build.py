@@ -57,7 +57,7 @@ def make_reconstructor(
     generator: MeshGenerator | None = None,
     refiner: PoseRefiner | None = None,
 ) -> Reconstructor:
-    """Return the reconstructor of that name; "external" asks `generator`, and `refiner`, if any, where its mesh lies.
+    """Return the reconstructor of that name; "external" asks `generator`, and `refiner`, if any, for its place.
 
     Raises:
         ConfigError: "external" without a generator.
@@ -113,10 +113,7 @@ def build_shape(inputs: ShapeInputs, reconstructor: Reconstructor, config: Shape
 
 
 def _usable(reconstruction: Reconstruction) -> Reconstruction:
-    """Return the reconstruction with its mesh cleaned up (`usable`); raise ValueError if the mesh is unusable.
-
-    Its vertices are at steps then: what comes after, the certificate above all, is of the mesh that is stored.
-    """
+    # Vertices are put on steps first: the certificate is of the mesh that is stored.
     if not np.isfinite(reconstruction.world_from_object).all():
         raise ValueError("a mesh whose place is not finite")
     mesh = replace(reconstruction.mesh, vertices=on_steps(reconstruction.mesh.vertices, MESH_STEPS_PER_M))

@@ -1,11 +1,8 @@
 """The certificate of layer 4: does it contain the object and its margin? Checked from the result alone.
 
-The check is independent of how the primitives were grown. Every triangle, bisected as needed, must lie in one primitive
-together with a ball of the margin's radius around each of its points: since a primitive is convex, the balls around the
-three corners suffice. The same holds for every point of layer 1. The interior is divided into cells of a lattice; each,
-split as needed, must lie in one primitive, unless all of it is within the margin of the surface, which is covered.
-
-The certificate of a stored layer 4, checked again from the mesh and the primitives.
+Every triangle, bisected as needed, and every point of layer 1 must lie in one primitive with a ball of the margin's
+radius: since primitives are convex, the balls around three corners suffice. Every cell of the interior, split as
+needed, must lie in one primitive, unless all of it is within the margin of the surface.
 """
 
 from __future__ import annotations
@@ -56,22 +53,21 @@ _EIGHTHS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Certificate:
-    """The numbers of checked and of uncovered elements.
-
-    `num_triangles` of the mesh, `num_pieces` after bisection, `num_points` of layer 1, `num_cells` of the interior, and
-    how many of them are uncovered (triangles are counted whole). `max_g` is an upper bound of G over what is covered.
-    `shell_m` is the thickness of the layer under the surface that was not checked: 0 for margins of at least 2 % of the
-    longest side.
-    """
+    """The numbers of checked and of uncovered elements."""
 
     num_triangles: int
+    #: triangles after bisection
     num_pieces: int
+    #: of layer 1
     num_points: int
+    #: of the interior
     num_cells: int
     uncovered_triangles: int
     uncovered_points: int
     uncovered_cells: int
+    #: an upper bound of G over what is covered
     max_g: float
+    #: unchecked thickness under the surface, 0 for margins of at least 2 % of the longest side
     shell_m: float
 
     @property
@@ -82,18 +78,18 @@ class Certificate:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Inside:
-    """The cells inside the solid, without those that are within the margin of the surface.
+    """The cells inside the solid, beyond the margin of the surface."""
 
-    (N, 3) centres, the last cell (N,) of the row without a gap that each lies in, half the side of a cell, and (N,)
-    truncated signed distances of the centres. `margin_m` is the margin, `shell_m` the thickness of the unchecked layer
-    between the margin and the cells.
-    """
-
+    #: (N, 3)
     centers: NDArray[np.float64]
+    #: (N,) the last cell of the row without a gap
     row_ends: NDArray[np.int64]
+    #: half the side of a cell
     half_m: float
+    #: (N,) truncated signed distances of the centres
     distances_m: NDArray[np.float64]
     margin_m: float
+    #: the thickness of the unchecked layer between the margin and the cells
     shell_m: float
 
 
@@ -132,9 +128,8 @@ def certify(
 def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, r_safe_m: float) -> Inside:
     """Return the interior of a used surface (`used_surface`) that must be covered, besides the surface and its margin.
 
-    Every cell is either entirely inside the solid, or entirely within two half diagonals of the surface. The lattice is
-    chosen fine enough that the margin covers the latter cells, up to a limit; a smaller margin leaves a thin layer
-    under the surface unchecked (`shell_m`). Overlapping parts are one solid; a plane has no interior.
+    A cell is entirely inside the solid, or within two half diagonals of the surface; up to a limit the lattice is so
+    fine that the margin covers the latter (else `shell_m`). Overlapping parts are one solid; a plane has no interior.
     """
     extent = np.ptp(vertices_world, axis=0) if len(faces) else np.zeros(3)
     if not extent.min() > 1e-6 * extent.max():
@@ -173,8 +168,8 @@ def inside_of(vertices_world: NDArray[np.float64], faces: NDArray[np.int32], *, 
 def uncovered_cells(primitives: Superquadrics, inside: Inside, g: float) -> NDArray[np.float64]:
     """Return (N, 4) the centres and half sides of the cells, or parts of cells, that lie in no primitive.
 
-    A cell that is not entirely in one primitive is split into eight, up to a few times: at the seam of two primitives
-    each part lies in one of them. Parts within the margin of the surface are dropped.
+    Cells are split into eight, up to a few times: at a seam each part lies in one primitive. Parts within the margin of
+    the surface are dropped.
     """
     log_g = float(log(g)) - NUMERICAL_MARGIN
     left = np.column_stack([inside.centers, inside.distances_m])
@@ -192,7 +187,7 @@ def uncovered_cells(primitives: Superquadrics, inside: Inside, g: float) -> NDAr
 
 
 def _row_ends(cells: NDArray[np.int64], row: int) -> NDArray[np.int64]:
-    """Return (N,) the last of the cells that follow each without a gap: sorted indices in a grid with rows of `row`."""
+    # Sorted indices in a grid with rows of `row`.
     is_last = np.ones(len(cells), bool)
     is_last[:-1] = (np.diff(cells) != 1) | (cells[1:] % row == 0)
     last = np.flatnonzero(is_last)
@@ -200,7 +195,7 @@ def _row_ends(cells: NDArray[np.int64], row: int) -> NDArray[np.int64]:
 
 
 def _parts(cells: NDArray[np.float64], half: float, margin_m: float) -> NDArray[np.float64]:
-    """Return (M, 4) the eighths of cells, with bounds of their distances, that may reach beyond the margin."""
+    # (M, 4) eighths of cells, with bounds of their distances, that may reach beyond the margin.
     # The distance function is 1-Lipschitz: between two centres it changes by at most their distance.
     way = half * np.sqrt(3)
     parts = cells[:, None, :3] + half * _EIGHTHS[None]
@@ -210,10 +205,7 @@ def _parts(cells: NDArray[np.float64], half: float, margin_m: float) -> NDArray[
 
 @kernel
 def _body(exponents, axes, pose):
-    """Return a primitive as numbers: an array is counted whenever it is passed on, which takes longer than the rest.
-
-    They are its centre, rotation, semi-axes and exponents.
-    """
+    # Centre, rotation, semi-axes, exponents as numbers: counting references to an array takes longer than the rest.
     return (
         (pose[0, 3], pose[1, 3], pose[2, 3]),
         (pose[0, 0], pose[0, 1], pose[0, 2], pose[1, 0], pose[1, 1], pose[1, 2], pose[2, 0], pose[2, 1], pose[2, 2]),
@@ -224,7 +216,6 @@ def _body(exponents, axes, pose):
 
 @kernel
 def _local(body, x, y, z):
-    """Return the local coordinates of a point."""
     center, r, _, _ = body
     dx, dy, dz = x - center[0], y - center[1], z - center[2]
     return r[0] * dx + r[3] * dy + r[6] * dz, r[1] * dx + r[4] * dy + r[7] * dz, r[2] * dx + r[5] * dy + r[8] * dz
@@ -232,14 +223,13 @@ def _local(body, x, y, z):
 
 @kernel
 def _ball_in(x, y, z, body, radius, log_g, net, factor):
-    """Return an upper bound of ln G over a ball in a primitive; infinity if the ball may protrude from it."""
+    # An upper bound of ln G over a ball; infinity if the ball may protrude.
     x, y, z = _local(body, x, y, z)
     return _local_ball_in(abs(x), abs(y), abs(z), body[2], body[3], radius, log_g, net, factor)
 
 
 @kernel
 def _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor):
-    """Return the same of a ball whose centre has these absolute local coordinates."""
     if x + radius > axes[0] or y + radius > axes[1] or z + radius > axes[2]:
         return np.inf
     e1, e2 = exponents[0], exponents[1]
@@ -250,10 +240,7 @@ def _local_ball_in(x, y, z, axes, exponents, radius, log_g, net, factor):
 
 @kernel
 def _balls_in(points, exponents, axes, pose, radius, log_g, net, factor):
-    """Return (N,) upper bounds of ln G as `_ball_in` over the balls around (N, 3) points, in one primitive.
-
-    A point that another one dominates is in where that is, with its bound.
-    """
+    # (N,) bounds as `_ball_in`; a dominated point has the bound of the one that dominates it.
     local = local_abs(points, pose)
     sizes, powers = (axes[0], axes[1], axes[2]), (exponents[0], exponents[1])
     out = np.empty(len(points))
@@ -291,7 +278,7 @@ def _balls(points, exponents, axes, poses, radius, log_g, net, factor):
 
 @kernel
 def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, factor):
-    """Return the number of pieces, that of uncovered triangles, and the largest ln G of a covered one."""
+    # The pieces, the uncovered triangles, and the largest ln G of a covered one.
     count = len(axes)
     bounds = np.empty((len(vertices), count))
     for k in range(count):
@@ -347,7 +334,7 @@ def _triangles(vertices, faces, exponents, axes, poses, radius, log_g, net, fact
 
 @kernel
 def _is_lost(values):
-    """Return whether a corner lies in no primitive, so that no bisection helps."""
+    # No bisection helps a corner that lies in no primitive.
     for c in range(3):
         if values[c].min() == np.inf:
             return True
@@ -356,10 +343,7 @@ def _is_lost(values):
 
 @kernel
 def _cells(centers, row_ends, half, exponents, axes, poses, log_g):
-    """Return (N,) which cells lie in no primitive as a whole.
-
-    Primitives are convex: one that contains two cells of a row contains those between them.
-    """
+    # Primitives are convex: one that contains two cells of a row contains those between them.
     out = np.ones(len(centers), np.bool_)
     reach = np.empty((len(axes), 3))
     for k in range(len(axes)):
@@ -393,7 +377,6 @@ def _cells(centers, row_ends, half, exponents, axes, poses, log_g):
 
 @kernel
 def _holds(x, y, z, half, reach, body, log_g):
-    """Return whether a primitive contains the cell around a centre."""
     center = _local(body, x, y, z)
     x, y, z = abs(center[0]), abs(center[1]), abs(center[2])
     axes, exponents = body[2], body[3]
@@ -408,7 +391,6 @@ def _holds(x, y, z, half, reach, body, log_g):
 
 @kernel
 def _holds_corners(center, half, body, limit):
-    """Return whether a primitive contains the eight corners of a cell, and so, being convex, all of the cell."""
     _, r, axes, exponents = body
     for corner in range(8):
         dx = half if corner & 1 else -half
@@ -426,8 +408,8 @@ def _holds_corners(center, half, body, limit):
 _G = 1.0
 
 
-def proven_anew(shape: ObjectShape, mesh: Mesh, points_world: NDArray[np.floating]) -> Certificate:
-    """Return whether the inflated primitives contain mesh, points (N, 3) and interior with the recorded margin.
+def certified_again(shape: ObjectShape, mesh: Mesh, points_world: NDArray[np.floating]) -> Certificate:
+    """Return the certificate of a stored layer 4, checked again from mesh, points (N, 3) and primitives.
 
     Raises:
         ValueError: the margin is negative or not finite, or the mesh has no surface.

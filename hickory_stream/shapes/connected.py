@@ -9,11 +9,8 @@ from hickory_stream.base.compiled import kernel
 
 @kernel
 def pieces_of(cells):
-    """Return the pieces of the set ones of (nx, ny, nz) cells, numbered from 1 in the order of their first cells.
-
-    They are int32 labels of the cells, 0 for what is not set, (N + 1,) sizes, and (N + 1, 2, 3) first cells and ends of
-    the pieces' bounds; what is not set has size 0.
-    """
+    """Return the pieces of the set ones of (nx, ny, nz) cells, numbered from 1 in the order of their first cells."""
+    # int32 labels, (N + 1,) sizes, (N + 1, 2, 3) first cells and ends of bounds; other cells have label and size 0.
     nx, ny, nz = cells.shape
     labels, stack = np.zeros(cells.shape, np.int32), np.empty(cells.size, np.int64)
     count = 0
@@ -47,7 +44,6 @@ def piece_around(cells, i, j, k):
 
 @kernel
 def _flood(cells, labels, stack, i, j, k, label):
-    """Label the piece of a set cell; the stack has room for all cells."""
     nx, ny, nz = cells.shape
     labels[i, j, k] = label
     stack[0] = (i * ny + j) * nz + k
@@ -76,10 +72,8 @@ def _flood(cells, labels, stack, i, j, k, label):
 
 @kernel
 def joined_faces(faces, num_vertices):
-    """Return the piece of each of (F, 3) faces, and whether one of its edges is passed more often one way.
-
-    A piece is called by the least of its vertices. In a closed piece each edge is as often passed one way as the other.
-    """
+    """Return the piece of each of (F, 3) faces, and whether one of its edges is passed more often one way."""
+    # A piece is called by its least vertex. In a closed piece each edge is passed as often one way as the other.
     count = len(faces)
     root = np.arange(num_vertices)
     for f in range(count):

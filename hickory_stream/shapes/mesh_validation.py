@@ -1,7 +1,6 @@
-"""Validation and clean-up of meshes from any reconstructor: which of their triangles are surface.
+"""Validation and clean-up of meshes from any reconstructor: unused vertices and triangles of one point go.
 
-Vertices that no triangle uses, and triangles that collapse to one point, are removed: one of them a hundred metres away
-would make the certified object a hundred metres large. A triangle that collapses to a line has an extent and is kept.
+One such vertex a hundred metres away would make the certified object that large. A triangle that is a line stays.
 """
 
 from __future__ import annotations
@@ -23,8 +22,7 @@ def usable(mesh: Mesh) -> Mesh:
     """Return the mesh without vertices that no triangle uses and triangles that are one point.
 
     Raises:
-        ValueError: there are no triangles, or none with an extent, or they use vertices that do not exist or are not
-            finite.
+        ValueError: no triangle has an extent, or they use vertices that do not exist or are not finite.
     """
     if len(mesh.faces) == 0:
         raise ValueError("an empty mesh: it has no triangles; a shape needs at least one")

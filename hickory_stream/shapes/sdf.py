@@ -1,8 +1,7 @@
-"""The signed distance field of a mesh on a grid.
+"""The signed distance field of a mesh on a grid, exact within a narrow band of the surface and truncated beyond.
 
-The distance is exact within a narrow band of the surface and truncated beyond it. The sign comes from winding numbers:
-the oriented crossings along the six grid directions, averaged, so that a mesh with holes still has an inside, and
-overlapping parts count as one solid. A mesh whose faces point inwards is reversed first.
+The sign comes from winding numbers, the oriented crossings along the six grid directions, averaged: a mesh with holes
+still has an inside, and overlapping parts count as one solid. A mesh whose faces point inwards is reversed first.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import numpy as np
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import cbrt
-from hickory_stream.shapes.narrow_band import is_buried, lower_to_distances, unit_normal
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,11 +20,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class DistanceGrid:
-    """Signed distances `values` (nx, ny, nz) float32 in metres, negative inside, cut off at +-`band_m`.
+    """Signed distances; the centre of cell (i, j, k) is `origin` + `step_m` * (i, j, k) in the frame of the mesh."""
 
-    The centre of cell (i, j, k) is `origin` + `step_m` * (i, j, k) in the frame of the mesh.
-    """
-
+    #: (nx, ny, nz) in metres, negative inside, cut off at +-`band_m`
     values: NDArray[np.float32]
     origin: NDArray[np.float64]
     step_m: float
@@ -67,8 +63,8 @@ def adapted_cells(
 ) -> int:
     """Return the number of cells along the longest side at which the thinnest part has `min_thickness_cells`.
 
-    It is at least `cells`, at most `max_cells`, and lower if the whole grid would exceed a cube of 1.5 `cells`. The
-    thickness of the thinnest part is the 10th percentile, by area, of the depth of the solid inwards from its surface.
+    From `cells` to `max_cells`, lower if the grid would exceed a cube of 1.5 `cells`. The thickness is the 10th
+    percentile, by area, of the depth of the solid inwards from its surface.
     """
     low, size = vertices.min(axis=0), np.ptp(vertices, axis=0)
     step = float(size.max()) / cells
@@ -93,15 +89,14 @@ def adapted_cells(
 def winding_numbers(corners: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Return the mean oriented number of surfaces around each cell; `corners` (F, 3, 3) in cell units.
 
-    A closed mesh with outward faces gives 1 inside and 0 outside; overlapping parts give more. A mesh with negative
-    signed volume is reversed.
+    A closed mesh gives 1 inside and 0 outside, overlapping parts more; of negative signed volume it is reversed.
     """
     return np.asarray(np.sign(_signed_volume(corners)) * _windings(corners, np.array(shape)) / 3)
 
 
 @kernel
 def _signed_volume(corners):
-    """Return six times the signed volume of (F, 3, 3) triangles, positive for outward faces."""
+    # Six times the volume, positive for outward faces.
     total = 0.0
     for f in range(len(corners)):
         a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
@@ -113,10 +108,7 @@ def _signed_volume(corners):
 
 @kernel
 def _windings(corners, shape):
-    """Return (nx, ny, nz) the sums over three axes of the mean of the oriented crossings ahead and behind a cell.
-
-    All are multiples of a half, so that no sum is rounded.
-    """
+    # All terms are multiples of a half, so that no sum is rounded.
     out = np.zeros((shape[0], shape[1], shape[2]), np.float32)
     for axis in range(3):
         # Cells in the order of the array: those before the axis, along it, after it.
@@ -130,7 +122,6 @@ def _windings(corners, shape):
 
 @kernel
 def _crossings(corners, shape, axis, num_after):
-    """Return the means of the crossings for the first cell of each line along an axis, and the changes at each cell."""
     across, up = (axis + 1) % 3, (axis + 2) % 3
     size = shape[axis]
     first = np.zeros(shape[across] * shape[up], np.float32)
@@ -170,7 +161,6 @@ def _crossings(corners, shape, axis, num_after):
 
 @kernel
 def _add_running_sums(first, steps, size, num_after, out):
-    """Add to each cell what its line begins with and the changes up to the cell."""
     for before in range(len(first) // num_after):
         level = first[before * num_after : (before + 1) * num_after]
         for i in range(size):
@@ -182,12 +172,9 @@ def _add_running_sums(first, steps, size, num_after, out):
 
 @kernel
 def _inward_reach(corners, inside, samples):
-    """Return for samples of the surface the depth of the solid inwards, in cells, the sample's area and its patch.
-
-    The depth is measured along the grid axis nearest to the normal, since the object is aligned with the grid. A patch
-    is a block of cells with one such direction.
-    About `samples` points per face on a regular pattern, fewer on small faces; surface within the solid is left out.
-    """
+    # (depth inwards in cells along the grid axis nearest to the normal, area, patch) of samples of the surface, since
+    # the object is aligned with the grid. A patch is a block of cells with one such axis. About `samples` points per
+    # face, fewer on small faces; surface within the solid is left out.
     most = 60_000
     thickness, areas, patches = np.empty(most), np.empty(most), np.empty(most, np.int64)
     count = 0
@@ -230,3 +217,161 @@ def _inward_reach(corners, inside, samples):
                 thickness[count], areas[count] = reach, area / (side * (side + 1) / 2)
                 count += 1
     return thickness[:count], areas[:count], patches[:count]
+
+
+_ROOM = 512
+# The columns: cells, their squared distances so far, and whether the triangle may be nearer.
+_X, _Y, _Z, _KNOWN, _IS_NEAR = 0, _ROOM, 2 * _ROOM, 3 * _ROOM, 4 * _ROOM
+# The same columns for those to which it may be, moved together; their squared distances and nearest points.
+_NEAR_X, _NEAR_Y, _NEAR_Z, _NEAR_KNOWN = 5 * _ROOM, 6 * _ROOM, 7 * _ROOM, 8 * _ROOM
+_SQUARED, _ALONG_AB, _ALONG_AC = 9 * _ROOM, 10 * _ROOM, 11 * _ROOM
+_COLUMNS = 12
+
+
+@kernel(error_model="numpy")
+def lower_to_distances(corners, inside, squared, band):
+    """Lower `squared` to the squared distance to the nearest triangle, for cells within `band` of one."""
+    # `corners` (F, 3, 3) and `band` in cells; `squared` (nx, ny, nz) float32 in C order is at most band^2. Only the
+    # surface of the solid counts, not one part's inside another.
+    _, size_y, size_z = squared.shape
+    cells = squared.reshape(-1)
+    block, where, near_where = np.ones(_COLUMNS * _ROOM), np.empty(_ROOM, np.int64), np.empty(_ROOM, np.int64)
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    nearest, normal, middle = np.empty(3), np.empty(3), np.empty(3)
+    for f in range(corners.shape[0]):
+        t = corners[f]
+        if not unit_normal(t, normal):
+            continue
+        a = (t[0, 0], t[0, 1], t[0, 2])
+        ab = (t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2])
+        ac = (t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2])
+        radius2 = 0.0
+        for axis in range(3):
+            middle[axis] = (t[0, axis] + t[1, axis] + t[2, axis]) / 3.0
+        for corner in range(3):
+            x, y, z = t[corner, 0] - middle[0], t[corner, 1] - middle[1], t[corner, 2] - middle[2]
+            radius2 = max(radius2, x * x + y * y + z * z)
+        for axis in range(3):
+            low[axis] = max(int(np.ceil(min(t[0, axis], t[1, axis], t[2, axis]) - band)), 0)
+            high[axis] = min(int(np.floor(max(t[0, axis], t[1, axis], t[2, axis]) + band)), squared.shape[axis] - 1)
+        # Rows that pass the bounding ball by more than the band have no cell within it.
+        reach2 = (np.sqrt(radius2) + band) ** 2 * (1.0 + 1e-6)
+        count = 0
+        for i in range(low[0], high[0] + 1):
+            for j in range(low[1], high[1] + 1):
+                if (i - middle[0]) ** 2 + (j - middle[1]) ** 2 >= reach2:
+                    continue
+                row = (i * size_y + j) * size_z
+                for k in range(low[2], high[2] + 1):
+                    block[_X + count], block[_Y + count], block[_Z + count] = i, j, k
+                    block[_KNOWN + count] = cells[row + k]
+                    where[count] = row + k
+                    count += 1
+                    if count == _ROOM:
+                        num_near = _gather_near(block, where, near_where, count, normal, middle, radius2)
+                        _fill_squared(block, num_near, a, ab, ac)
+                        _lower(cells, block, near_where, num_near, a, ab, ac, inside, normal, nearest)
+                        count = 0
+        num_near = _gather_near(block, where, near_where, count, normal, middle, radius2)
+        _fill_squared(block, num_near, a, ab, ac)
+        _lower(cells, block, near_where, num_near, a, ab, ac, inside, normal, nearest)
+
+
+@kernel(error_model="numpy")
+def _gather_near(block, where, near_where, count, normal, middle, radius2):
+    # By the triangle's plane and bounding ball, which are lower bounds of the distance.
+    n0, n1, n2, m0, m1, m2 = normal[0], normal[1], normal[2], middle[0], middle[1], middle[2]
+    for n in range(count):
+        x, y, z = block[_X + n] - m0, block[_Y + n] - m1, block[_Z + n] - m2
+        known = (1.0 - 1e-5) * block[_KNOWN + n]
+        out = n0 * x + n1 * y + n2 * z
+        away = x * x + y * y + z * z
+        slack = away + radius2 - known
+        is_far = (out * out >= known) | ((away > radius2) & (slack > 0.0) & (slack * slack >= 4.0 * radius2 * away))
+        block[_IS_NEAR + n] = 0.0 if is_far else 1.0
+    num_near = 0
+    for n in range(count):
+        m = num_near
+        block[_NEAR_X + m], block[_NEAR_Y + m], block[_NEAR_Z + m] = block[_X + n], block[_Y + n], block[_Z + n]
+        block[_NEAR_KNOWN + m] = block[_KNOWN + n]
+        near_where[m] = where[n]
+        num_near += int(block[_IS_NEAR + n])
+    return num_near
+
+
+@kernel(error_model="numpy")
+def _fill_squared(block, count, a, ab, ac):
+    # Nearest points a + v ab + w ac: Ericson, Real-Time Collision Detection (2005), 5.1.5.
+    a0, a1, a2 = a
+    abx, aby, abz = ab
+    acx, acy, acz = ac
+    bb, bc, cc = (
+        abx * abx + aby * aby + abz * abz,
+        abx * acx + aby * acy + abz * acz,
+        acx * acx + acy * acy + acz * acz,
+    )
+    for n in range(count):
+        apx, apy, apz = block[_NEAR_X + n] - a0, block[_NEAR_Y + n] - a1, block[_NEAR_Z + n] - a2
+        d1 = abx * apx + aby * apy + abz * apz
+        d2 = acx * apx + acy * apy + acz * apz
+        d3, d4 = d1 - bb, d2 - bc
+        d5, d6 = d1 - bc, d2 - cc
+        vc, vb, va = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
+        at_a = (d1 <= 0.0) & (d2 <= 0.0)
+        at_b = (d3 >= 0.0) & (d4 <= d3)
+        at_c = (d6 >= 0.0) & (d5 <= d6)
+        on_ab = (vc <= 0.0) & (d1 >= 0.0) & (d3 <= 0.0)
+        on_ac = (vb <= 0.0) & (d2 >= 0.0) & (d6 <= 0.0)
+        on_bc = (va <= 0.0) & (d4 - d3 >= 0.0) & (d5 - d6 >= 0.0)
+        part = d1 if on_ab else (d2 if on_ac else (d4 - d3 if on_bc else 1.0))
+        whole = d1 - d3 if on_ab else (d2 - d6 if on_ac else ((d4 - d3) + (d5 - d6) if on_bc else va + vb + vc))
+        share = part / max(whole, 1e-30)
+        v = share if on_ab else (0.0 if on_ac else (1.0 - share if on_bc else vb * share))
+        w = 0.0 if on_ab else (share if (on_ac | on_bc) else vc * share)
+        v = 0.0 if at_a else (1.0 if at_b else (0.0 if at_c else v))
+        w = 0.0 if (at_a | at_b) else (1.0 if at_c else w)
+        ex = apx - v * abx - w * acx
+        ey = apy - v * aby - w * acy
+        ez = apz - v * abz - w * acz
+        block[_SQUARED + n] = ex * ex + ey * ey + ez * ez
+        block[_ALONG_AB + n] = v
+        block[_ALONG_AC + n] = w
+
+
+@kernel(error_model="numpy")
+def _lower(cells, block, where, count, a, ab, ac, inside, normal, nearest):
+    for n in range(count):
+        if block[_SQUARED + n] >= block[_NEAR_KNOWN + n]:
+            continue
+        v, w = block[_ALONG_AB + n], block[_ALONG_AC + n]
+        for axis in range(3):
+            nearest[axis] = a[axis] + v * ab[axis] + w * ac[axis]
+        if not is_buried(inside, nearest, normal):
+            cells[where[n]] = block[_SQUARED + n]
+
+
+@kernel
+def unit_normal(t, normal):
+    """Fill the unit normal of a triangle; return whether it has one."""
+    ax, ay, az = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
+    bx, by, bz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
+    normal[0], normal[1], normal[2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    if length < 1e-12:
+        return False
+    normal /= length
+    return True
+
+
+@kernel
+def is_buried(inside, point, normal):
+    """Return whether the solid continues on both sides of a point of a triangle, at most of a cell's distance."""
+    for side in (-0.75, 0.75):
+        i = int(np.floor(point[0] + side * normal[0] + 0.5))
+        j = int(np.floor(point[1] + side * normal[1] + 0.5))
+        k = int(np.floor(point[2] + side * normal[2] + 0.5))
+        if i < 0 or j < 0 or k < 0 or i >= inside.shape[0] or j >= inside.shape[1] or k >= inside.shape[2]:
+            return False
+        if not inside[i, j, k]:
+            return False
+    return True

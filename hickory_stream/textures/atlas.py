@@ -1,12 +1,7 @@
 """The charts of a mesh side by side in one square image, at the resolution that the views have, or what fits.
 
-Charts stand on shelves, the tallest ones first, with a gap between them that keeps filtering from mixing neighbours.
-Where two sheets of one chart lie over one another, as in a coil, the second one becomes a chart of its own.
-
-Charts of a mesh: connected parts whose faces all look to one side of its box, and so lie flat seen from there.
-
-Meshes of layer 2 stand in a box of their own, along which most of their faces lie; projected along its axes nothing is
-stretched by more than 1.7 times, and whatever is seen from one side shares a chart.
+Charts are connected parts whose faces look to one side of the object's box: projected along its axes nothing is
+stretched by more than 1.7 times. A sheet that lies over another one in a chart, as in a coil, gets its own chart.
 """
 
 from __future__ import annotations
@@ -86,20 +81,19 @@ _INSIDE = 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Atlas:
-    """Where the faces of a mesh lie in an image of `side_px`.
-
-    `corners_px` (F, 3, 2) are places of the faces' corners, x right and y down; `owner` (S, S) int32 is the face that
-    the centre of each texel lies in, -1 for none; `of_face` (F,) numbers the charts.
-    """
+    """Where the faces of a mesh lie in an image of `side_px`."""
 
     side_px: int
+    #: (F, 3, 2) places of the faces' corners, x right and y down
     corners_px: NDArray[np.float64]
+    #: (S, S) int32: the face that the centre of each texel lies in, -1 for none
     owner: NDArray[np.int32]
+    #: (F,) the number of the chart
     of_face: NDArray[np.int64]
 
 
 def atlas_of(vertices: NDArray[Any], faces: NDArray[np.int32], texel_m: float, most_px: int) -> Atlas:
-    """Return the atlas of a mesh with texels of `texel_m`, or as large as they must be to fit `most_px` squared.
+    """Return the atlas of a mesh with texels of `texel_m`, or larger ones to fit `most_px` squared.
 
     It is larger than `most_px` only where that has no room for a texel of every chart.
     """
@@ -122,7 +116,6 @@ def atlas_of(vertices: NDArray[Any], faces: NDArray[np.int32], texel_m: float, m
 def _packed(
     charts: Charts, of_face: NDArray[np.int64], texel_m: float, most_px: int
 ) -> tuple[int, NDArray[np.float64]]:
-    """Return the side of the image, a power of two, and the corners of the faces in it."""
     count = int(of_face.max()) + 1
     low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
     np.minimum.at(low, of_face, charts.flat_m.min(axis=1))
@@ -144,7 +137,6 @@ def _packed(
 
 
 def _shelved(sizes: NDArray[np.int64], side: int) -> NDArray[np.int64] | None:
-    """Return (N, 2) the low corners of rectangles (N, 2) in a square; None where they do not fit."""
     if int(sizes.prod(axis=1).sum()) > side * side or int(sizes.max()) > side:
         return None
     places = np.zeros_like(sizes)
@@ -162,7 +154,7 @@ def _shelved(sizes: NDArray[np.int64], side: int) -> NDArray[np.int64] | None:
 
 @kernel
 def _claim(corners, owner, is_covered, inside):
-    """Give each texel to a face whose projection has its centre; a face that lies over another one gets none."""
+    # The face whose projection has the texel's centre; a face that lies over another one gets none.
     side = owner.shape[0]
     for f in range(len(corners)):
         ax, ay = corners[f, 0]
@@ -192,7 +184,6 @@ def _claim(corners, owner, is_covered, inside):
 
 @kernel
 def _is_inside(corners, px, py, inside):
-    """Return whether a place is inside of a triangle by more than a share."""
     ax, ay = corners[0]
     bx, by = corners[1]
     cx, cy = corners[2]

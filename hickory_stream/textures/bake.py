@@ -1,10 +1,7 @@
-"""Layer 2 with a texture: the pixels of the views that show each place best.
+"""Layer 2 with a texture: the pixels of the views that show each place best, their exposures evened.
 
-Of the views that show a place the sharpest ones count, by a high power of their detail, so that one view holds most of
-a side and passes into the next without a seam. What no view shows has a plain colour: that of the seen surface around
-it, which fades from one side to the other.
-
-The exposure of views evened: a gain for each view and colour, by what two views show of the same places.
+A high power of their detail weighs the views, so that one view holds most of a side and passes into the next without a
+seam. Unseen surface has a plain colour, which fades between the colours of the seen surface around it.
 """
 
 from __future__ import annotations
@@ -17,11 +14,11 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 
 from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.mesh import Mesh
-from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.textures import DEFAULT_TEXTURE_PX, LEAST_TEXTURE_PX, MOST_TEXTURE_PX
 from hickory_stream.textures.atlas import atlas_of
-from hickory_stream.textures.sightings import sightings
 from hickory_stream.textures.textured_mesh import TexturedMesh
 
 if TYPE_CHECKING:
@@ -31,7 +28,97 @@ if TYPE_CHECKING:
 
     from hickory_stream.ports import Crop
     from hickory_stream.textures.atlas import Atlas
-    from hickory_stream.textures.sightings import Sightings
+
+_HOLE_PX = 3.0
+_LEAST_COSINE = 0.12
+# Over so many pixels the colours of a view fade in from the border of what it shows of the object.
+_RIM_PX = 1.0
+_FADE_PX = 5.0
+_SIGMAS = 3.0
+_SAMPLES_A_ROW = 1024
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Sightings:
+    """What V views show of N points; trust is 0 where a view does not show a point, and falls towards its border."""
+
+    #: (V, N, 3)
+    colors: NDArray[np.float32]
+    #: (V, N) pixels a metre
+    detail: NDArray[np.float32]
+    #: (V, N) in 0..1
+    trust: NDArray[np.float32]
+
+
+def sightings(
+    points: NDArray[np.float64], normals: NDArray[np.float64], crops: Sequence[Crop], reach_m: float
+) -> Sightings:
+    """Return the sightings of (N, 3) points in the world with unit normals.
+
+    A view shows a point in its mask if it measured a surface within `reach_m`, or within the noise of its depth.
+    """
+    count = len(points)
+    colors = np.zeros((len(crops), count, 3), np.float32)
+    detail, trust = np.zeros((2, len(crops), count), np.float32)
+    for i, crop in enumerate(crops):
+        _see(crop, points, normals, reach_m, colors[i], detail[i], trust[i])
+    return Sightings(colors=colors, detail=detail, trust=trust)
+
+
+def _see(
+    crop: Crop,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    reach_m: float,
+    colors: NDArray[np.float32],
+    detail: NDArray[np.float32],
+    trust: NDArray[np.float32],
+) -> None:
+    camera = crop.camera
+    towards = crop.world_from_camera[:3, 3] - points
+    slant = (normals * towards).sum(axis=1)
+    facing = np.flatnonzero(slant > _LEAST_COSINE * np.linalg.norm(towards, axis=1))
+    local = apply(invert(crop.world_from_camera), points[facing])
+    pixels = project(local, camera)
+    in_image = np.isfinite(pixels).all(axis=1)
+    in_image &= ((pixels >= 0) & (pixels <= (camera.width - 1, camera.height - 1))).all(axis=1)
+    here, local, pixels = facing[in_image], local[in_image], pixels[in_image]
+    if len(here) == 0:
+        return
+    places = pixels.astype(np.float32)
+    column, row = np.rint(places).astype(np.int64).T
+    depth = _without_holes(crop)[row, column]
+    tolerance = np.maximum(reach_m, _SIGMAS * crop.sensor.sigma_m(depth))
+    shown = crop.mask[row, column] & (np.abs(depth - local[:, 2]) <= tolerance)
+    here, local, places, column, row = here[shown], local[shown], places[shown], column[shown], row[shown]
+    if len(here) == 0:
+        return
+    colors[here] = _sampled(crop.rgb, places)
+    cosine = slant[here] / np.linalg.norm(towards[here], axis=1)
+    detail[here] = cosine * camera.fx / local[:, 2]
+    within = ndimage.distance_transform_edt(np.pad(crop.mask, 1))[1:-1, 1:-1]
+    trust[here] = np.clip((within[row, column] - _RIM_PX) / _FADE_PX, 0.01, 1.0)
+
+
+def _sampled(image: NDArray[np.uint8], places: NDArray[np.float32]) -> NDArray[np.uint8]:
+    import cv2
+
+    # OpenCV takes no image of more than 32767 rows or columns.
+    rows = -(-len(places) // _SAMPLES_A_ROW)
+    grid = np.zeros((rows * _SAMPLES_A_ROW, 2), np.float32)
+    grid[: len(places)] = places
+    x, y = np.moveaxis(grid.reshape(rows, _SAMPLES_A_ROW, 2), 2, 0)
+    sampled = cv2.remap(image, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    return np.asarray(sampled.reshape(-1, 3)[: len(places)])
+
+
+def _without_holes(crop: Crop) -> NDArray[np.float32]:
+    # Small holes get the depth of the nearest pixel.
+    is_missing = np.isnan(crop.depth_m)
+    if is_missing.all():
+        return crop.depth_m
+    away, nearest = ndimage.distance_transform_edt(is_missing, return_indices=True)
+    return np.where(away <= _HOLE_PX, crop.depth_m[tuple(nearest)], np.float32(np.nan))
 
 
 _MOST_PLACES = 4000
@@ -45,7 +132,7 @@ _HOLD = 10.0
 
 
 def gains_of(seen: Sightings) -> NDArray[np.float64]:
-    """Return (V, 3) what the colours of each view are to be multiplied by, least squares of the logarithms.
+    """Return (V, 3) the gains of the views' colours, least squares of the logarithms.
 
     The ratio of two views is the median over the places that both show; a view that shares none keeps its colours.
     """
@@ -122,7 +209,7 @@ def textured(
 
 
 def _texel_m(mesh: Mesh, crops: Sequence[Crop], config: TextureConfig) -> float:
-    """Return the side of a pixel on the object in the view that comes nearest; a whole atlas where there is no view."""
+    # The side of a pixel on the object in the nearest view; a whole atlas without a view.
     finest = [
         float(np.median(crop.depth_m[crop.mask & np.isfinite(crop.depth_m)])) / crop.camera.fx
         for crop in crops
@@ -138,13 +225,8 @@ def _reach_m(mesh: Mesh, config: TextureConfig) -> float:
 
 
 def _blended(
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    crops: Sequence[Crop],
-    reach_m: float,
-    sharpness: int,
+    points: NDArray[np.float64], normals: NDArray[np.float64], crops: Sequence[Crop], reach_m: float, sharpness: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the colours (N, 3) of points by all views, 0 where none shows them, and the highest trust (N,)."""
     if not crops:
         return np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
     seen = sightings(points, normals, crops, reach_m)
@@ -157,7 +239,7 @@ def _blended(
 
 
 def _filled(mesh: Mesh, colors: NDArray[np.float32], trust: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return (V, 3) colours of all vertices: those that no view shows have the mean of the vertices around them."""
+    # Vertices that no view shows have the mean of the vertices around them.
     filled = np.where((trust > 0)[:, None], colors, mesh.colors).astype(np.float64)
     # What was seen keeps the colour that layer 2 has of it.
     unknown = ~mesh.is_seen & (trust <= 0)
@@ -176,7 +258,7 @@ def _filled(mesh: Mesh, colors: NDArray[np.float32], trust: NDArray[np.float32])
 
 
 def _barycentric(corners: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (N, 3) the weights of the corners (N, 3, 2) at places (N, 2)."""
+    # (N, 3) weights of the corners (N, 3, 2) at places (N, 2).
     b, c, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], places - corners[:, 0]
     area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
     wb = (p[:, 0] * c[:, 1] - p[:, 1] * c[:, 0]) / area
@@ -185,7 +267,6 @@ def _barycentric(corners: NDArray[np.float64], places: NDArray[np.float64]) -> N
 
 
 def _vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
-    """Return (V, 3) the mean of the normals of the faces around each vertex, weighted by area; not of unit length."""
     a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
     per_face = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     count = len(mesh.vertices)
@@ -195,7 +276,6 @@ def _vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def _unwrapped(mesh: Mesh, atlas: Atlas, image: NDArray[np.uint8]) -> TexturedMesh:
-    """Return the mesh with a vertex for each chart that it lies in."""
     keys = mesh.faces.astype(np.int64) * (int(atlas.of_face.max()) + 1) + atlas.of_face[:, None]
     _, first, corner = np.unique(keys.reshape(-1), return_index=True, return_inverse=True)
     source = mesh.faces.reshape(-1)[first]

@@ -19,15 +19,14 @@ _JPEG_QUALITY = 92
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TexturedMesh:
-    """A mesh whose vertices lie in an image: `image` (S, S, 3) uint8 RGB, `uv` (V, 2) float32 in 0..1.
-
-    u goes right and v down, as in glTF and Rerun. A vertex on the border of two charts is in `mesh` once for
-    each; `source` (V,) says which vertex of the bare mesh it is.
-    """
+    """A mesh whose vertices lie in an image; a vertex on the border of two charts is in `mesh` once for each."""
 
     mesh: Mesh
+    #: (V, 2) float32 in 0..1, u right and v down, as in glTF and Rerun
     uv: NDArray[np.float32]
+    #: (S, S, 3) uint8 RGB
     image: NDArray[np.uint8]
+    #: (V,) the vertex of the bare mesh
     source: NDArray[np.int32]
 
     def __post_init__(self) -> None:

@@ -3,7 +3,6 @@
 import itertools
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,14 +15,13 @@ from hickory_stream.geometry.voxels import (
     dilate,
     exchanged,
     groups_of,
-    in_company,
     keys_of_cells,
     keys_of_points,
-    overlap_share,
     places,
     sorted_unique,
     sums_of_equal,
     union,
+    without_outliers,
 )
 from tests.strategies import integer_cells, seeds
 
@@ -89,20 +87,12 @@ def test_dilation_keeps_unions_and_order(a: np.ndarray, b: np.ndarray) -> None:
     assert contains(union, dilate(sorted_keys(a))).all()
 
 
-@given(few_cells, few_cells)
-def test_the_overlap_share_is_the_share_of_cells_with_a_neighbour(a: np.ndarray, b: np.ndarray) -> None:
-    near = neighbours(b)
-    cells = {tuple(int(v) for v in c) for c in a}
-    expected = sum(cell in near for cell in cells) / len(cells) if cells else 0.0
-    assert overlap_share(sorted_keys(a), dilate(sorted_keys(b))) == pytest.approx(expected)
-
-
 def test_stray_points_have_no_company_and_a_tables_leg_has() -> None:
     rng = np.random.default_rng(5)
     top = rng.uniform((0, 0, 0.7), (1, 0.6, 0.74), (3000, 3))
     leg = rng.uniform((0.04, 0.04, 0.0), (0.08, 0.08, 0.7), (300, 3))
     strays = np.array([[0.5, 0.3, 1.2], [2, 2, 2], [-1, 0, 0.4]])
-    kept = in_company(np.concatenate([top, leg, strays]))
+    kept = without_outliers(np.concatenate([top, leg, strays]))
     assert kept[3000:3300].all()
     assert not kept[3300:].any()
 
@@ -110,7 +100,7 @@ def test_stray_points_have_no_company_and_a_tables_leg_has() -> None:
 @given(seeds, st.integers(1, 30))
 def test_where_few_points_have_company_all_of_them_are_kept(seed: int, count: int) -> None:
     spread = np.random.default_rng(seed).permutation(1000)[:count, None] * np.array([[0.2, 0.1, 0.3]])
-    assert in_company(spread).all()
+    assert without_outliers(spread).all()
 
 
 key_lists = st.lists(st.integers(-(2**40), 2**40) | st.integers(0, 12), max_size=40).map(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.merging.graph import Relation, odometry, solve
+from hickory_stream.merging.layout import Relation, odometry, solve
 from tests.alignment.map_fixtures import frame
 
 TRUE = [frame(0, 0, 0), frame(30, 4, 1), frame(-50, 2, 6), frame(170, -3, 2)]

@@ -13,7 +13,7 @@ from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, joined, log_implicit_value, taken
 from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.navigation.clearance import Answer, Body, ClearanceScene
+from hickory_stream.navigation.clearance import Answer, ClearanceScene
 from hickory_stream.navigation.sweep_kernels import NEAR_M
 from hickory_stream.records import ObservedSpace
 from tests.navigation.rooms import tracked
@@ -76,7 +76,7 @@ def test_updates_one_by_one_leave_the_scene_as_if_it_were_new(seed: int) -> None
         scene.put(i, taken(second, np.array([i])))
     points = rng.uniform(-0.5, 9.5, (4000, 3))
     assert np.array_equal(scene.classify(points) == Answer.HIT_SEEN, brute_force(second, points))
-    assert scene.num_primitives == 12
+    assert len(scene.rows()) == 12
     ways = rng.normal(size=points.shape)
     assert np.array_equal(
         scene.sweep(points, points + ways, radius_m=0.1),
@@ -214,17 +214,6 @@ def test_what_was_never_seen_is_unknown_and_a_wall_is_a_hit() -> None:
     assert scene.classify(points).tolist() == [Answer.FREE, Answer.HIT_SEEN, Answer.HIT_SEEN, Answer.UNKNOWN]
     scene.observe(None)
     assert scene.classify(points)[3] == Answer.FREE
-
-
-def test_a_body_touches_when_one_of_its_parts_does() -> None:
-    scene = scene_of(one((0.2, 0.2, 0.2), at=(1.0, 0, 1.0)))
-    body = Body(
-        centers_m=np.array([[0.0, 0, 0.2], [0.0, 0, 1.0]]),
-        half_extents_m=np.array([[0.2, 0.2, 0.1], [0.0, 0, 0]]),
-        radii_m=np.array([0.0, 0.1]),
-    )
-    ways = np.zeros((2, 3)), np.array([[0.5, 0, 0], [1.0, 0, 0]])
-    assert scene.sweep_body(*ways, body).tolist() == [Answer.FREE, Answer.HIT_SEEN]
 
 
 def test_an_empty_scene_is_free_and_a_broken_primitive_is_refused() -> None:

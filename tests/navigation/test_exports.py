@@ -6,15 +6,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
 
-from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import support
 from hickory_stream.geometry.superquadric_surface import display_mesh
-from hickory_stream.navigation.nav2 import pgm_of, read_served_map, yaml_of
+from hickory_stream.navigation.nav2 import pgm_of, yaml_of
 from hickory_stream.navigation.observed import Band
 from hickory_stream.navigation.occupancy import Cell, frame_around
 from hickory_stream.navigation.simulators import SimulatedObject, mjcf_files, polyhedron_around, urdf_files
@@ -33,31 +33,23 @@ def test_a_grid_is_read_back_by_the_rules_of_map_server(tmp_path: Path) -> None:
     states = np.random.default_rng(0).choice([-1, 0, 100], frame.shape).astype(np.int8)
     (tmp_path / "grid.pgm").write_bytes(pgm_of(states))
     (tmp_path / "grid.yaml").write_text(yaml_of(frame, "grid.pgm"))
-    served = read_served_map(tmp_path / "grid.yaml")
-    assert np.array_equal(served.states, states)
-    assert np.array_equal(served.frame.origin_m, frame.origin_m)
-    assert (served.frame.cell_m, served.frame.shape) == (0.25, frame.shape)
+    served = dict(line.split(": ", 1) for line in (tmp_path / "grid.yaml").read_text().splitlines())
+    grey = cv2.imread(str(tmp_path / served["image"]), cv2.IMREAD_GRAYSCALE)[::-1]
+    chance = (255.0 - grey) / 255.0
+    is_occupied, is_free = chance > float(served["occupied_thresh"]), chance < float(served["free_thresh"])
+    assert np.array_equal(np.select([is_occupied, is_free], [100, 0], -1), states)
+    assert (served["mode"], served["negate"], served["resolution"], served["origin"]) == (
+        "trinary",
+        "0",
+        "0.25",
+        "[-1.0, 0.5, 0.0]",
+    )
     # The thresholds by hand: 254 -> 0.004 free, 205 -> 0.19608 neither, 0 -> 1 occupied; row 0 is the far end of y.
     data = (tmp_path / "grid.pgm").read_bytes()
     assert data.startswith(b"P5\n6 4\n255\n")
-    grey = {Cell.FREE: 254, Cell.UNKNOWN: 205, Cell.OCCUPIED: 0}
-    assert data[-1] == grey[Cell(int(states[0, -1]))]
-    assert data[len(b"P5\n6 4\n255\n")] == grey[Cell(int(states[-1, 0]))]
-
-
-def test_a_map_of_someone_else_is_read_with_its_own_thresholds_and_nonsense_refused(tmp_path: Path) -> None:
-    (tmp_path / "a.pgm").write_bytes(b"P5\n3 1\n255\n" + bytes([255, 100, 20]))
-    text = (
-        "image: a.pgm\nresolution: 0.1\norigin: [1, 2, 0]\nnegate: 1\noccupied_thresh: 0.9\nfree_thresh: 0.1  # low\n"
-    )
-    (tmp_path / "a.yaml").write_text(text)
-    assert read_served_map(tmp_path / "a.yaml").states.tolist() == [[100, -1, 0]]
-    (tmp_path / "a.yaml").write_text(text + "mode: scale\n")
-    with pytest.raises(InputError, match="only trinary is read"):
-        read_served_map(tmp_path / "a.yaml")
-    (tmp_path / "a.yaml").write_text("image: a.pgm\n")
-    with pytest.raises(InputError, match=r"is no map of map_server: KeyError\('negate'\)"):
-        read_served_map(tmp_path / "a.yaml")
+    greys = {Cell.FREE: 254, Cell.UNKNOWN: 205, Cell.OCCUPIED: 0}
+    assert data[-1] == greys[Cell(int(states[0, -1]))]
+    assert data[len(b"P5\n6 4\n255\n")] == greys[Cell(int(states[-1, 0]))]
 
 
 @pytest.mark.parametrize("seed", range(4))

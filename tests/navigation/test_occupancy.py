@@ -17,9 +17,8 @@ from hickory_stream.navigation import observed
 from hickory_stream.navigation.observed import Band, rectangles, seen_columns, unknown_hulls, wall_hulls
 from hickory_stream.navigation.occupancy import Cell, Occupancy, distance_field_m, frame_around
 from hickory_stream.navigation.robot import Part
-from hickory_stream.navigation.voxel_occupancy import VoxelOccupancy
 from hickory_stream.records import Submap
-from tests.navigation.rooms import TABLE_AT, boxes, seen_room, snapshot, table
+from tests.navigation.rooms import boxes, seen_room, snapshot, table
 from tests.navigation.test_clearance import random_primitives
 
 # The first call of a kernel compiles it.
@@ -57,9 +56,6 @@ def test_a_grid_that_would_need_too_much_memory_is_refused_with_the_number() -> 
         frame_around(np.zeros(2), np.full(2, 1000.0005), 0.001)
     with pytest.raises(InputError, match="a cell of nan m"):
         frame_around(np.zeros(2), np.ones(2), float("nan"))
-    with pytest.raises(InputError, match="MiB, allowed are 1;"):
-        frame = frame_around(np.zeros(2), np.ones(2), 0.01)
-        VoxelOccupancy(frame, low_m=0.0, layer_m=0.1, num_layers=50, most_bytes=1 << 20)
 
 
 def test_what_is_not_finite_is_refused_by_name() -> None:
@@ -160,29 +156,6 @@ def test_a_submap_is_looked_up_only_around_it_and_nothing_is_missed(
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(observed, "_corners_around", lambda *_: everywhere)
         assert np.array_equal(found, seen_columns(submaps, frame, band, 0.0).is_known)
-
-
-def test_the_traversable_height_under_a_table_is_that_below_its_top() -> None:
-    frame = frame_around(np.zeros(2), np.array([3.0, 4.0]), 0.05)
-    voxels = VoxelOccupancy(frame, low_m=0.0, layer_m=0.1, num_layers=12, radius_m=0.1)
-    voxels.put(1, table())
-    height = voxels.traversable_height_m()
-    rows = {
-        name: frame.cells_of(np.array([place]))[0]
-        for name, place in {
-            "under": TABLE_AT,
-            "leg": (TABLE_AT[0] - 0.55, TABLE_AT[1] - 0.35),
-            "beside": (0.4, 0.4),
-        }.items()
-    }
-    # The top begins at 0.69 m: six whole layers fit.
-    assert height[tuple(rows["under"])] == pytest.approx(0.6)
-    assert height[tuple(rows["leg"])] == 0.0
-    assert np.isinf(height[tuple(rows["beside"])])
-    voxels.remove(1)
-    assert np.isinf(voxels.traversable_height_m()).all()
-    voxels.put_hulls(2, np.array([[[0, 0, 0.35], [3, 0, 0.35], [3, 4, 0.35], [0, 4, 0.35]]], dtype=float))
-    assert voxels.traversable_height_m() == pytest.approx(np.full(frame.shape, 0.3))
 
 
 def test_the_walls_of_a_submap_that_a_correction_tilts_a_little_are_as_few_as_before_it() -> None:

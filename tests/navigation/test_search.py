@@ -9,7 +9,7 @@ import pytest
 from hickory_stream.errors import InputError
 from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.navigation.free_space import FreeSpace, free_space_of, without_layer_four
-from hickory_stream.navigation.robot import Robot, load_robot, robot_of, round_robot
+from hickory_stream.navigation.robot import Part, Posture, Robot, load_robot, robot_of
 from hickory_stream.navigation.search import NoPath, NoPathReason, Path, SearchConfig, first_path, plan
 from hickory_stream.records import MapSnapshot, Phase
 from tests.navigation.rooms import TABLE_AT, boxes, seen_room, snapshot, table, tracked
@@ -148,7 +148,8 @@ def test_a_request_that_cannot_be_meant_is_refused(space: FreeSpace, room: MapSn
     with pytest.raises(InputError, match="the map is empty"):
         free_space_of(MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=()), POINT)
     with pytest.raises(InputError, match=r"reaches 5.00 m from its middle; the map is only 4.1"):
-        free_space_of(room, round_robot("giant", radius_m=5.0, base_m=0.05, height_m=1.0))
+        part = Part(low_m=0.05, high_m=1.0, disc_m=5.0)
+        free_space_of(room, Robot(name="giant", postures=(Posture(name="upright", parts=(part,)),)))
     with pytest.raises(InputError, match="expected one of rrt, rrt-connect, rrt-star"):
         SearchConfig(planner="prm")
 
@@ -166,9 +167,9 @@ def test_an_object_without_layer_4_is_avoided_by_its_box_and_named(room: MapSnap
 
 def test_an_object_that_goes_gives_its_place_back(room: MapSnapshot) -> None:
     space = free_space_of(room, POINT)
-    before = space.free_ratio()
+    before = space.blocked().mean()
     space.remove(2)
-    assert space.free_ratio() > before
+    assert space.blocked().mean() < before
     assert isinstance(answer_of(space, goal=(4.5, 1.0)), Path)
     space.put(2, room.objects[1].shape.inflated)  # type: ignore[union-attr]
-    assert space.free_ratio() == before
+    assert space.blocked().mean() == before

@@ -8,7 +8,8 @@ from shape_fixtures import as_mesh, test_mesh
 from hickory_stream.geometry.rigid import apply, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, volumes_m3, world_bounds
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics, fitted_shape
-from hickory_stream.shapes.fit.quadric_lm import distances_to, refined, row_of
+from hickory_stream.shapes.fit.quadric_lm import refined, row_of
+from hickory_stream.shapes.fit.tangent_planes import distances_of
 from hickory_stream.shapes.sdf import distance_grid
 from tools.evaluation.shapes.meshes import hollow_mesh
 
@@ -113,11 +114,11 @@ def test_a_flat_mesh_becomes_one_box_of_its_extent() -> None:
     assert fitted.world_from_local[0, :3, 3] == pytest.approx([0.5, 1.0, 0.0])
 
 
-def test_distances_to_to_a_sphere_are_exact() -> None:
+def test_distances_to_a_sphere_are_exact() -> None:
     row = row_of((1.0, 1.0), np.full(3, 5.0), np.array([1.0, 2.0, 3.0]), np.eye(3))
     points = np.random.default_rng(0).uniform(-8, 8, (200, 3))
     truth = np.linalg.norm(points - row[5:8], axis=1) - 5.0
-    found = distances_to(row, points)
+    found = distances_of(row, points, np.inf)
     outside = truth > 0
     assert found[outside] == pytest.approx(truth[outside], abs=1e-6)
     assert (np.abs(found[~outside] - truth[~outside]) < 1e-6).mean() > 0.9
@@ -126,13 +127,13 @@ def test_distances_to_to_a_sphere_are_exact() -> None:
 def test_distances_inside_a_sharp_plate_are_those_to_its_faces() -> None:
     row = row_of((0.1, 0.1), np.array([30.0, 20.0, 2.0]), np.zeros(3), np.eye(3))
     points = np.random.default_rng(0).uniform([-27, -17, -1.5], [27, 17, 1.5], (200, 3))
-    assert distances_to(row, points) == pytest.approx(np.abs(points[:, 2]) - 2.0, abs=0.1)
+    assert distances_of(row, points, np.inf) == pytest.approx(np.abs(points[:, 2]) - 2.0, abs=0.1)
 
 
 def test_a_fit_from_nearby_finds_the_primitive_that_made_the_distances() -> None:
     truth = row_of((0.5, 1.0), np.array([6.0, 4.0, 9.0]), np.array([15.0, 15, 15]), np.eye(3))
     points = np.stack(np.meshgrid(*[np.arange(30.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    distances = distances_to(truth, points)
+    distances = distances_of(truth, points, np.inf)
     near = np.abs(distances) < 3
     pose = np.eye(4)
     pose[:3, :3] = yaw_rotation(0.2)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hickory_stream.shapes.narrow_band import lower_to_distances
+from hickory_stream.shapes.sdf import lower_to_distances
 
 
 def squared_distance(point: np.ndarray, triangle: np.ndarray) -> float:

@@ -1,12 +1,7 @@
-"""Colours that are means of a few whole ones as bytes that compress: of how many each is the mean, and of what sum.
+"""Colours as bytes that compress: means of whole colours, and colours of voxels by their neighbours in space.
 
-A mean in float32 looks like noise in its lower bytes. As a sum of whole numbers over their number it takes a third
-less, and the last bits, in which the order of adding shows, are told beside it: it comes back to the bit.
-
-Colours of the voxels of surfaces as bytes that compress: each as how it differs from its neighbours'.
-
-Neighbours in space are more alike than those next to one another in the order of keys: a ninth less than with
-`packing.color_planes`.
+A mean in float32 looks like noise in its lower bytes. As a sum over a number, with the last bits in which the order of
+adding shows, it takes a third less and returns to the bit. Neighbours in space take a ninth less than those in keys.
 """
 
 from __future__ import annotations
@@ -24,7 +19,7 @@ if TYPE_CHECKING:
 
 
 _MOST_HITS, _MOST_OFF = 255, 7
-# A row that is no such mean is stored as it is; where most of these are none, the array is no array of means.
+# Rows that are no means are stored unchanged; an array of mostly such rows is no array of means.
 _ROW_BYTES, _MEAN_BYTES, _SAMPLED = 12, 10, 64
 
 
@@ -64,10 +59,8 @@ def unpacked_means(data: bytes, count: int) -> NDArray[np.float32]:
 
 @kernel
 def _split(colors, bits, hits, sums, off):
-    """Put into `hits` the number of colours that each is a mean of, 0: of none; the sums; and how far off the bits are.
-
-    What fits the one before, its neighbour, is tried first.
-    """
+    # `hits`: the number of colours that each is a mean of, 0 for none. The number of the neighbour before is tried
+    # first.
     one, as_bits = np.empty(1, dtype=np.float32), np.empty(1, dtype=np.int32)
     last = 1
     for i in range(len(colors)):
@@ -102,17 +95,14 @@ _STEP_X, _STEP_Y, _ = (int(step) for step in keys_of_cells(np.eye(3)) - keys_of_
 
 
 def packed_colors(keys: NDArray[np.int64], colors: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return (3, N) what is left of the (N, 3) colours of voxels of strictly ascending keys: red, green, blue.
-
-    Red and blue as what they differ from green.
-    """
+    """Return (3, N) residuals of (N, 3) colours of voxels of strictly ascending keys: red and blue against green."""
     left: NDArray[np.uint8] = np.empty((3, len(keys)), dtype=np.uint8)
     _pack(keys, colors, left)
     return left
 
 
 def unpacked_colors(keys: NDArray[np.int64], left: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the (N, 3) colours of which `packed_colors` gave what is left."""
+    """Return the (N, 3) colours of the residuals that `packed_colors` gave."""
     colors = np.empty((len(keys), 3), dtype=np.uint8)
     _unpack(keys, left, colors)
     return colors
@@ -120,10 +110,7 @@ def unpacked_colors(keys: NDArray[np.int64], left: NDArray[np.uint8]) -> NDArray
 
 @kernel
 def _expected(keys, colors, i, beside, behind):
-    """Return what the neighbours of voxel `i` say of its red, green and blue, and the places to go on at.
-
-    Neighbours are the voxel below, and those one step along x and one along y, or just below or above one of these.
-    """
+    # Neighbours are the voxel below, and those one step along x and y, or just below or above one of these.
     key = keys[i]
     while beside < i and keys[beside] < key - _STEP_X:
         beside += 1

@@ -1,8 +1,7 @@
-"""Depth images in whole millimetres as bytes that compress: each return as how far it is from what is beside it.
+"""Depth images in whole millimetres as bytes that compress: each return as its difference to a prediction.
 
-Of a return is said what the median of its left and upper neighbour, and of the plane through both and the one between
-them, does not (LOCO-I, Weinberger et al. 2000): a byte for most, so that a general compressor finds nothing but their
-frequencies. Where there are returns is not in these bytes.
+The prediction is the median of left, upper and plane through both and the one between them (LOCO-I, Weinberger et al.
+2000): most returns take a byte. The places of returns are not in these bytes.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ def packed_depths(images: Sequence[NDArray[np.uint16]]) -> bytes:
 
 
 def unpacked_depths(data: bytes, are_there: Sequence[NDArray[np.bool_]]) -> list[NDArray[np.uint16]]:
-    """Return the images of which `packed_depths` gave the bytes; `are_there` (h, w) says where they have returns.
+    """Return the images of `packed_depths`, which have returns where `are_there` (h, w).
 
     Raises:
         ValueError: there are more or fewer bytes than these returns take, or a return of no depth.
@@ -55,7 +54,6 @@ def unpacked_depths(data: bytes, are_there: Sequence[NDArray[np.bool_]]) -> list
 
 @kernel
 def _expected(image, y, x, last):
-    """Return what the neighbours of a pixel say of it, of which those above and to the left are known."""
     left = np.int64(image[y, x - 1]) if x > 0 else np.int64(0)
     above = np.int64(image[y - 1, x]) if y > 0 else np.int64(0)
     corner = np.int64(image[y - 1, x - 1]) if x > 0 and y > 0 else np.int64(0)

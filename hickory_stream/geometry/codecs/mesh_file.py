@@ -1,10 +1,9 @@
-"""The file of a mesh in a map folder: its arrays as they compress, exact, and a fifth of a GLB of the same mesh.
+"""The file of a mesh in a map folder: its arrays as they compress, exact, a fifth of a GLB of the same mesh.
 
-It begins with `HSM2`, the numbers of vertices and of faces (little-endian, 4 bytes each), and goes on with a frame of
-zstd: vertices (V, 3) in steps, each as how far it is from the one before it (`lattice`), colours as `packing` has them,
-the indices of the faces, and a bit for each vertex that was seen. Of each index there is how far it is below the next
-vertex that no face before it has named (`packing.unsigned`): meshes name their vertices in order, so that most of these
-numbers are small. Where a vertex lies at no step it begins with `HSM1`, and vertices are float32 (`packing`).
+`HSM2`, the numbers of vertices and of faces (little-endian, 4 bytes each), then a frame of zstd: vertices (V, 3) in
+steps from one to the next (`lattice`), colours (`packing`), indices of faces, and a bit for each seen vertex. An index
+is its distance below the next vertex that no face before it has named (`packing.unsigned`), mostly small. Where a
+vertex lies at no step the file begins with `HSM1`, and vertices are float32 (`packing`).
 """
 
 from __future__ import annotations
@@ -43,11 +42,7 @@ def mesh_file_bytes(mesh: Mesh) -> bytes:
 
 
 def mesh_of_file(data: bytes) -> Mesh:
-    """Return the mesh of a file that `mesh_file_bytes` gave, or of a GLB.
-
-    Raises:
-        ValueError: it is neither, or damaged.
-    """
+    """Return the mesh of a file of `mesh_file_bytes`, or of a GLB; raises ValueError if it is neither, or damaged."""
     if not data.startswith((_AT_STEPS, _ANYWHERE)):
         return mesh_of_glb(data)
     if len(data) < _HEADER.size:
@@ -79,13 +74,12 @@ def mesh_of_file(data: bytes) -> Mesh:
 
 
 def _below_next(indices: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return (N,) how far each index is below the least that is greater than all before it."""
+    # (N,) how far each index is below the least that is greater than all before it.
     following = np.maximum.accumulate(np.concatenate([[-1], indices[:-1]])) + 1
     return (following - indices).astype(np.int32)
 
 
 def _indices(below_next: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the (N,) indices of which `_below_next` was given."""
     gained = np.maximum(1 - below_next.astype(np.int64), np.int64(0))
     following = np.cumsum(gained, dtype=np.int64) - gained
     return following - below_next.astype(np.int64)

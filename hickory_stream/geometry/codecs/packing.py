@@ -1,7 +1,4 @@
-"""Arrays as bytes that compress: the first bytes of all numbers, then the second ones, ...; colours by their changes.
-
-A general compressor finds in planes of bytes what it does not in numbers: their upper bytes hardly differ.
-"""
+"""Arrays as planes of bytes, and colours by their changes: the upper bytes of numbers hardly differ, and compress."""
 
 from __future__ import annotations
 
@@ -34,20 +31,17 @@ def array_of(planes: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDA
 
 
 def unsigned(numbers: NDArray[np.int32]) -> NDArray[np.uint32]:
-    """Return whole numbers as 0, -1, 1, -2, 2, ... are counted: the upper bytes of small ones are 0, whatever the sign.
-
-    They take a third less than with signs, whose upper bytes are 0 and 255 in turn.
-    """
+    """Return whole numbers as 0, -1, 1, -2, 2, ... are counted: upper bytes of small ones are 0, a third less."""
     return ((numbers << 1) ^ (numbers >> 31)).astype("<u4", copy=False)
 
 
 def signed(numbers: NDArray[np.uint32]) -> NDArray[np.int32]:
-    """Return the numbers of which `unsigned` was given."""
+    """Return the inverse of `unsigned`."""
     return (numbers >> 1).astype(np.int32) ^ -(numbers & 1).astype(np.int32)
 
 
 def color_planes(colors: NDArray[np.uint8]) -> bytes:
-    """Return the bytes of (N, 3) colours, each as what it changes: red and blue against green, all against the last."""
+    """Return the bytes of (N, 3) colours: red and blue against green, all against the colour before."""
     planes = np.empty((3, len(colors)), dtype=np.uint8)
     _put_color_planes(colors, planes)
     return planes.tobytes()

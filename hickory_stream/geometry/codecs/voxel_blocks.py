@@ -1,7 +1,6 @@
 """Sorted voxel keys as blocks of bits: 64 cells above one another are one word, with a bit for each.
 
-What was seen to be free comes in long columns, of which a voxel takes less than a byte so, and a tenth of one once it
-is compressed. Voxels that lie apart take more than their keys would: whoever stores some asks `is_denser`.
+Long columns of free space take less than a byte a voxel so. Voxels that lie apart take more than keys: `is_denser`.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_KEYS = 1 << 24
-"""More than a submap has; a few bytes of blocks that somebody made could claim all of the memory."""
+"""More than a submap has; a few bytes of forged blocks could claim all of the memory."""
 
 _BITS = 6
 _LOW = (1 << _BITS) - 1
@@ -33,8 +32,7 @@ def keys_of_blocks(heads: NDArray[np.int64], words: NDArray[np.uint64]) -> NDArr
     """Return the keys (N,) of blocks, ascending where the heads are."""
     bits = np.unpackbits(words.astype("<u8").view(np.uint8), bitorder="little")
     at = np.flatnonzero(bits)
-    keys: NDArray[np.int64] = (heads[at >> _BITS] << _BITS) | (at & _LOW)
-    return keys
+    return (heads[at >> _BITS] << _BITS) | (at & _LOW)
 
 
 def count_in(words: NDArray[np.uint64]) -> int:
@@ -52,7 +50,7 @@ def is_denser(keys: NDArray[np.int64]) -> bool:
 
 @kernel
 def _num_blocks(keys):
-    """Return the number of blocks that at least one key lies in, 0 where they do not ascend strictly."""
+    # 0 where the keys do not ascend strictly.
     count = 1
     for i in range(1, len(keys)):
         if keys[i] <= keys[i - 1]:

@@ -12,7 +12,7 @@ from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.lazy_arrays import give_up
 from hickory_stream.geometry.sketch import sketch
-from hickory_stream.geometry.voxels import in_company
+from hickory_stream.geometry.voxels import without_outliers
 from hickory_stream.mapping.entities.cloud import Cloud, array_of, fuse, solid_part
 from hickory_stream.mapping.entities.existence import Existence, no_evidence
 from hickory_stream.mapping.entities.views import better
@@ -190,7 +190,7 @@ def touching(bounds: NDArray[np.float32], tracks: Sequence[Track], slack_m: floa
 def box_of(points: NDArray[np.float32], voxel_m: float) -> OrientedBox:
     """Return the gravity-aligned box of a cloud without outliers; large clouds are subsampled."""
     points = points[:: max(1, len(points) // _BOX_POINTS)]
-    return gravity_aligned_box(points[in_company(points)], voxel_m)
+    return gravity_aligned_box(points[without_outliers(points)], voxel_m)
 
 
 def as_object(track: Track) -> TrackedObject:

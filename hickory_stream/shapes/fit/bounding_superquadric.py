@@ -1,4 +1,4 @@
-"""One superquadric around a whole surface: of a box, its cylinders and a fitted one, that of least volume."""
+"""One superquadric around a whole surface: of its box, cylinders in it and a fitted one, the one of least volume."""
 
 from __future__ import annotations
 
@@ -27,10 +27,9 @@ def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superq
 
 
 def around_all(vertices: NDArray[np.float64], faces: NDArray[np.int32], min_size_m: float) -> Superquadrics:
-    """Return the superquadric of least volume, of a few candidates, that contains the surface of a mesh.
+    """Return the superquadric of least volume that contains the surface of a mesh, of a few candidates.
 
-    The candidates are its box, the cylinders in that box along each axis, and a superquadric fitted to the surface; the
-    latter are tighter for round objects such as bowls and bins.
+    These are its box, the cylinders in that box along each axis, and a fitted superquadric, for bowls and bins.
     """
     extent = np.ptp(vertices, axis=0)
     whole = box_superquadric(vertices, min_size_m)
@@ -44,7 +43,6 @@ def around_all(vertices: NDArray[np.float64], faces: NDArray[np.int32], min_size
 
 
 def _cylinders_in(box: Superquadrics) -> list[Superquadrics]:
-    """Return the elliptic cylinders along each axis of a box-like primitive."""
     pose = box.world_from_local[0]
     cylinders = []
     for turn in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
@@ -61,7 +59,7 @@ def _cylinders_in(box: Superquadrics) -> list[Superquadrics]:
 
 
 def _cover_m3(primitive: Superquadrics, points: NDArray[np.float64]) -> float:
-    """Return the volume of a superquadric scaled to contain (N, 3) points; a scale s divides G by s^(2 / e1)."""
+    # A scale s divides G by s^(2 / e1).
     scale = exp(float(log_implicit_value(primitive, 0, points).max()) * primitive.exponents[0, 0] / 2)
     return float(volumes_m3(primitive)[0] * (scale * scale * scale))
 

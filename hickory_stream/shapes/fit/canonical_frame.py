@@ -1,8 +1,7 @@
 """The canonical frame in which an object is fitted, so that fitting is equivariant under rotation of the object.
 
-In this frame the faces of most man-made objects are parallel to the grid, where seeds and distances are exact. It is
-the Manhattan frame, which maximises the sum of fourth powers of the normals' coordinates, weighted by area; each step
-of the fixed-point iteration (that of symmetric FastICA) increases the sum, since it is convex.
+It is the Manhattan frame: grid-parallel faces have exact seeds and distances. It maximises the sum of fourth powers of
+the normals' coordinates, weighted by area, by a fixed point (symmetric FastICA's) that rises, as the sum is convex.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ _MAX_FINAL = 20_000
 def object_axes(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return (3, 3) right-handed columns: the object's own axes in the frame of its mesh, longest extent first.
 
-    Each axis points in the direction of the surface's skewness; for a symmetric object the choice is arbitrary.
+    Each points in the direction of the surface's skewness; for a symmetric object the choice is arbitrary.
     """
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     doubled = np.cross(b - a, c - a)
@@ -78,7 +77,7 @@ def _manhattan(
 def _raised(
     axes: NDArray[np.float64], normals: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return (S, 3, 3) frames after one step of the fixed point."""
+    # One step of the fixed point for frames (S, 3, 3).
     # Frames last: what is done for one of them is done for all at once.
     weighted = normals * weights[:, None]
     if len(axes) == 1:
@@ -89,10 +88,7 @@ def _raised(
 
 @kernel
 def _raised_sums(axes, normals, weighted):
-    """Return (3, 3, S) sums over (P, 3) normals of the weighted normal times the cubes of its coordinates in a frame.
-
-    `axes` (3, 3, S) are frames, in columns.
-    """
+    # (3, 3, S) sums of weighted normals (P, 3) times the cubes of their coordinates in frames (3, 3, S).
     raised = np.zeros(axes.shape)
     cubes = np.empty(axes.shape[2])
     for n in range(len(normals)):
@@ -110,7 +106,6 @@ def _raised_sums(axes, normals, weighted):
 
 @kernel
 def _raised_sum(axes, normals, weighted):
-    """Return the same (3, 3) sum for one frame (3, 3)."""
     raised = np.zeros((3, 3))
     for n in range(len(normals)):
         x, y, z = normals[n, 0], normals[n, 1], normals[n, 2]
@@ -123,10 +118,7 @@ def _raised_sum(axes, normals, weighted):
 
 
 def _ordered(
-    axes: NDArray[np.float64],
-    vertices: NDArray[np.float64],
-    middles: NDArray[np.float64],
-    areas: NDArray[np.float64],
+    axes: NDArray[np.float64], vertices: NDArray[np.float64], middles: NDArray[np.float64], areas: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     extents = np.ptp(portable.matmul(vertices, axes), axis=0)
     axes = axes[:, np.argsort(-extents, kind="stable")]
@@ -142,7 +134,7 @@ def _ordered(
 
 @cache
 def _turns() -> NDArray[np.float64]:
-    """Return (T, 3, 3) rotations, spread over those that are distinct up to the symmetry of a cube."""
+    # (T, 3, 3), spread over the rotations that are distinct up to the symmetry of a cube.
     turns = [np.eye(3)]
     for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1)):
         for angle in (np.pi / 8, np.pi / 4, 3 * np.pi / 8) if sum(np.abs(axis)) == 1 else (np.pi / 3,):

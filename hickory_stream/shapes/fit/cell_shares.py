@@ -1,8 +1,7 @@
-"""How much of each cell of a grid a superquadric fills: linear in the distance, within half a cell of its surface.
+"""The share of each cell of a grid that a superquadric fills: linear in the distance, within half a cell.
 
-Most cells are in or out by bounds that take no logarithm. The distances of the others are those of
-`quadric_lm.tangent_distance` to the last bit, for a block of cells at a time and without branches, so that the compiler
-can vectorise them.
+Most cells are in or out by bounds without logarithms; the others have the distances of `quadric_lm.tangent_distance` to
+the last bit, for a block of cells at a time without branches, so that the compiler vectorises.
 """
 
 from __future__ import annotations
@@ -62,10 +61,8 @@ def occupancy(d):
 
 @kernel(error_model="numpy")
 def distance_bound(body, x, y, z):
-    """Return a bound of a cell's distance to a `body_of` a primitive, without logarithms.
-
-    It is beyond half a cell, in or out; 0 if there is none.
-    """
+    """Return a bound of a cell's distance to a `body_of` a primitive, without logarithms."""
+    # Beyond half a cell, in or out; 0 if there is no bound.
     cx, cy, cz, r0, r1, r2, r3, r4, r5, r6, r7, r8, ax, ay, az, within, is_round = body
     dx, dy, dz = x - cx, y - cy, z - cz
     u, v, w = abs(r0 * dx + r3 * dy + r6 * dz), abs(r1 * dx + r4 * dy + r7 * dz), abs(r2 * dx + r5 * dy + r8 * dz)
@@ -109,7 +106,7 @@ def _put_distances(block, where, count, row, distances):
 
 @kernel(error_model="numpy")
 def _fill_distances(block, row):
-    """Fill in the distances of a block; those deeper than half a cell are some value deeper than that."""
+    # Distances deeper than half a cell are some value deeper than that.
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = row[8], row[9], row[10], row[11], row[12], row[13], row[14], row[15], row[16]
     log_a, log_b, log_c, cx, cy, cz = row[2], row[3], row[4], row[5], row[6], row[7]
     e1, e2 = row[0], row[1]

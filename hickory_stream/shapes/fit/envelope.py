@@ -1,9 +1,7 @@
-"""The solid envelope of a hollow thing, such as a mug or a bowl: what it would be if its cavity were filled.
+"""The solid envelope of a hollow thing, such as a mug or a bowl: its shape with the cavity filled.
 
-A cell belongs to the cavity if the surface encloses it: if in one of the planes along the grid both ways of all four
-lines to neighbouring cells meet a wall, and if most of the ways to all 26 neighbours do. At the rim of a bowl
-these are the level ways and all ways down. The hole of a ring has the ways in its plane, but no others; the corner
-between walls and the inside of a bent sheet have many blocked ways, but no plane of them.
+A cell belongs to the cavity if in one plane along the grid all four lines to neighbouring cells meet a wall both ways,
+and most of the 26 ways do. The hole of a ring has only the ways in its plane; a corner between walls has no plane.
 """
 
 from __future__ import annotations
@@ -24,10 +22,7 @@ _DIRECTIONS = np.array([(x, y, z) for x in (0, 1) for y in (-1, 0, 1) for z in (
 
 
 def filled(grid: DistanceGrid) -> DistanceGrid | None:
-    """Return the field of the envelope: that of the solid, with what it encloses filled; None if that is little.
-
-    Distances to the filled opening are those between cells, accurate to about half of one.
-    """
+    """Return the field of the solid with its cavity filled, accurate to half a cell there; None if that is little."""
     cells = np.abs(grid.values) / np.float32(grid.step_m)
     is_inside = grid.values < 0
     # A way that crosses the surface has a cell within half a step of it, even where no cell is inside the wall.
@@ -50,7 +45,7 @@ def filled(grid: DistanceGrid) -> DistanceGrid | None:
 
 @kernel
 def _blocked(walls, directions):
-    """Return for each cell whether all lines of a plane are blocked both ways, and how many of the 26 ways are."""
+    # Whether all lines of a plane are blocked both ways, and how many of the 26 ways are.
     shape = walls.shape[1:]
     size = shape[0] * shape[1] * shape[2]
     lines, ways = np.zeros((size, 3), np.int8), np.zeros(size, np.int8)
@@ -70,7 +65,6 @@ def _blocked(walls, directions):
 
 @kernel
 def _met(is_wall, direction, is_backward):
-    """Return for each cell whether a wall lies on the way from it against the direction, or along it."""
     shape = is_wall.shape
     met = np.zeros(shape, np.bool_)
     sign = 1 if is_backward else -1

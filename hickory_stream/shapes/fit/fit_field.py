@@ -1,4 +1,4 @@
-"""The field that primitives are fitted to: signed distances in cells, and how much of each cell is explained."""
+"""The field that primitives are fitted to: signed distances in cells, and the explained share of each cell."""
 
 from __future__ import annotations
 
@@ -12,16 +12,7 @@ from hickory_stream.shapes.connected import piece_around
 from hickory_stream.shapes.fit.cell_shares import body_of, distance_bound, occupancies, occupancy
 from hickory_stream.shapes.fit.quadric_lm import lm_fit
 from hickory_stream.shapes.fit.seeds import chessboard_depth
-from hickory_stream.shapes.fit.tangent_planes import (
-    BLOCK,
-    DISTANCE,
-    X,
-    Y,
-    Z,
-    distances_of,
-    fill_distances,
-    new_block,
-)
+from hickory_stream.shapes.fit.tangent_planes import BLOCK, DISTANCE, X, Y, Z, distances_of, fill_distances, new_block
 from hickory_stream.shapes.fit.thinning import share_of, thinned
 
 if TYPE_CHECKING:
@@ -34,10 +25,7 @@ _FEWEST = 11
 
 
 class FitField:
-    """An object's signed distances, and the cover by the primitives so far.
-
-    `waste_weight` is the penalty on volume of primitives outside the object.
-    """
+    """An object's signed distances, and the cover so far; `waste_weight` penalises volume outside the object."""
 
     def __init__(self, grid: DistanceGrid, waste_weight: float) -> None:
         self._distance = (grid.values / grid.step_m).astype(np.float32)
@@ -106,14 +94,14 @@ class FitField:
         return np.argwhere(piece_around(is_reaching, i, j, k) if is_reaching[farthest] else ~is_reaching)
 
     def cover_with(self, rows: list[NDArray[np.float64]]) -> None:
-        """Set the cover to that of exactly these primitives."""
+        """Set the cover to exactly these primitives."""
         self._covered[...] = 0
         for row in rows:
             self.consume(row)
 
     def consume(self, row: NDArray[np.float64]) -> None:
         """Remove the volume that a primitive explains from the unexplained volume."""
-        low, high = self._window(row, 1.0)
+        low, high = _window(row, 1.0, self._object.shape)
         key = row.tobytes()
         if key not in self._occupancies:
             self._occupancies[key] = occupancies(row, low, high)
@@ -122,10 +110,7 @@ class FitField:
         self._speaking = None
 
     def gain(self, row: NDArray[np.float64], max_samples: int) -> float:
-        """Return the explained volume that a primitive adds, minus the penalty on volume outside the object, in cells.
-
-        It is estimated from about `max_samples` cells if the primitive's window has more.
-        """
+        """Return the explained volume that a primitive adds, less the penalty, by about `max_samples` cells."""
         return float(_gain(self._object, self._covered, row, max_samples, self._waste_weight))
 
     def fitted(self, row: NDArray[np.float64], max_samples: int, iterations: int) -> NDArray[np.float64]:
@@ -133,20 +118,9 @@ class FitField:
         if self._speaking is None:
             self._speaking = _speaking(self._distance, self._covered, self._band)
         found = _fitted(
-            row,
-            *self._speaking,
-            self._distance,
-            self._covered,
-            self._band,
-            max_samples,
-            iterations,
-            self.max_log_axis,
+            row, *self._speaking, self._distance, self._covered, self._band, max_samples, iterations, self.max_log_axis
         )
         return np.asarray(found)
-
-    def _window(self, row: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the first cells and the ends of the part of the grid within `margin` of the box of a primitive."""
-        return _window(row, margin, self._object.shape)
 
 
 @kernel
@@ -222,7 +196,6 @@ def _gain_of_block(block, count, row, shares, befores, waste_weight):
 
 @kernel
 def _gain_of(d, share, before, waste_weight):
-    """Return the gain of one cell at a distance `d`, of which the object fills a `share` and `before` is covered."""
     after = max(occupancy(d), before)
     more = min(after, share) - min(before, share)
     return more - waste_weight * (max(after - share, 0.0) - max(before - share, 0.0))
@@ -230,10 +203,7 @@ def _gain_of(d, share, before, waste_weight):
 
 @kernel
 def _speaking(distance, covered, band):
-    """Return the (N, 3) cells used for a fit, and where those of each row along z begin.
-
-    They are those near the surface, and one in eight of those deep inside.
-    """
+    # (N, 3) cells near the surface and one in eight deep inside, and where those of each row along z begin.
     out = np.empty((distance.size, 3), np.int64)
     starts = np.empty(distance.shape[0] * distance.shape[1] + 1, np.int64)
     count = 0
@@ -252,7 +222,6 @@ def _speaking(distance, covered, band):
 
 @kernel
 def _fitted(row, speaking, starts, distance, covered, band, max_samples, iterations, max_log_axis):
-    """Return a primitive fitted to the cells that speak around it, and trimmed; as it is where these are too few."""
     low, high = _window(row, band + 2.0, distance.shape)
     near = np.empty(len(speaking), np.int64)
     count = 0
@@ -278,10 +247,7 @@ def _fitted(row, speaking, starts, distance, covered, band, max_samples, iterati
 
 @kernel
 def _trimmed(row, distance, max_samples):
-    """Return a primitive cut back, along its own axes, to the part of the object that lies in it.
-
-    Distances are only known on the grid: beyond it nothing limits the growth of a thin primitive.
-    """
+    # Beyond the grid nothing limits the growth of a thin primitive.
     low, high = _window(row, 1.0, distance.shape)
     found = np.empty(((high[0] - low[0]) * (high[1] - low[1]) * (high[2] - low[2]), 3), np.int64)
     count = 0

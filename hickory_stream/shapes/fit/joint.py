@@ -1,11 +1,8 @@
 """Joint refinement of all primitives of an object, and rounding of their exponents to simple shapes.
 
-The distance to a union is the minimum of the distances to its parts, so that every sample belongs to one primitive and
-the normal equations are block diagonal: a sweep updates the primitives in turn, with the others fixed, and accepts a
-step only if the union fits better.
-
-A grid of cells hardly constrains the exponents: a box fits as well with 0.1 as with 0.2. A box, a cylinder and an
-ellipsoid are tried for every primitive, and kept if they fit nearly as well. This makes fits repeatable.
+The distance to a union is the least to its parts: every sample belongs to one primitive, and normal equations are block
+diagonal. A sweep updates the primitives in turn and accepts a step only if the union fits better. The grid hardly
+constrains exponents (0.1 or 0.2 for a box): simple shapes are kept if they fit nearly as well, so fits repeat.
 """
 
 from __future__ import annotations
@@ -105,7 +102,6 @@ def simplified(
 
 
 def _simple_rows(row: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return a primitive with each of the simple exponents, in each distinct order of its axes."""
     rows = []
     for e1, e2, turns in _SIMPLE:
         for turn in range(turns):
@@ -116,14 +112,14 @@ def _simple_rows(row: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def _stays(row: NDArray[np.float64], before: NDArray[np.float64]) -> bool:
-    """Return whether the axis-aligned box of a primitive has moved by at most two cells."""
+    # Within two cells.
     reach = portable.matmul(np.abs(row[8:17].reshape(3, 3)), exp_each(row[2:5]))
     room = portable.matmul(np.abs(before[8:17].reshape(3, 3)), exp_each(before[2:5])) + 2.0
     return bool((np.abs(row[5:8] - before[5:8]) + reach <= 1.1 * room).all())
 
 
 def _turned(row: NDArray[np.float64], turn: int) -> NDArray[np.float64]:
-    """Return a row with its axes in another cyclic order: the same box, another axis for a cylinder."""
+    # The same box, another axis for a cylinder.
     out = row.copy()
     order = _TURNS[turn]
     out[2:5] = row[2:5][order]
@@ -133,7 +129,6 @@ def _turned(row: NDArray[np.float64], turn: int) -> NDArray[np.float64]:
 
 @kernel
 def _near(row, points, band):
-    """Return which points may be within the band of a primitive: those near its box."""
     out = np.empty(len(points), np.bool_)
     reach = exp_each(row[2:5]) + band + 1.0
     for n in range(len(points)):
@@ -156,7 +151,6 @@ def _union(rows, points, band):
 
 @kernel
 def _misfit(found, targets, band):
-    """Return the root mean square of the misfit, in cells."""
     total = 0.0
     for n in range(len(found)):
         r = found[n] - targets[n]
@@ -195,7 +189,6 @@ def _swept(rows, points, targets, band, sweeps, max_log_axis, with_exponents):
 
 @kernel
 def _stepped_beside(row, points, targets, others, band, steps, max_log_axis, with_exponents):
-    """Return one primitive refined with the others held fixed, and the misfit of the union."""
     damping = np.full(1, 1e-3)
     found = cut_distances(row, points, band)
     for _ in range(steps):

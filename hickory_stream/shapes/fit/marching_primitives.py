@@ -1,10 +1,8 @@
-"""Layer 3: Marching-Primitives, a mesh as a few superquadrics.
+"""Layer 3: Marching-Primitives (Liu et al., 2023), a mesh as a few superquadrics.
 
-As in Liu et al. (2023) primitives are fitted one by one to a truncated signed distance field, and the volume explained
-by a primitive is removed from it at once. There are two differences. Candidates grow from deep seeds as well as from
-connected components, since thin parts that touch form one component at every level; and a candidate is scored by its
-increase of the intersection over union with the object, which also gives the stopping criterion. All lengths are in
-cells of the grid, so that no tolerance depends on the size of the object or on the unit.
+Primitives are fitted one by one to a truncated signed distance field, from which the explained volume is removed.
+Unlike in the paper, candidates also grow from deep seeds, since thin parts that touch form one component, and a
+candidate's score is its increase of the intersection over union, which also stops the fit. All lengths are in cells.
 """
 
 from __future__ import annotations
@@ -27,12 +25,7 @@ from hickory_stream.shapes.fit.fit_field import FitField
 from hickory_stream.shapes.fit.joint import jointly_refined, refined_beside, simplified
 from hickory_stream.shapes.fit.panels import panels, sheet_thickness
 from hickory_stream.shapes.fit.quadric_lm import ROW, row_of
-from hickory_stream.shapes.fit.seeds import (
-    bounds_along,
-    chessboard_depth,
-    grown_box,
-    principal_axes,
-)
+from hickory_stream.shapes.fit.seeds import bounds_along, chessboard_depth, grown_box, principal_axes
 from hickory_stream.shapes.fit.thin_parts import with_thin_parts
 from hickory_stream.shapes.mesh_validation import usable
 from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
@@ -105,30 +98,22 @@ class FitConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Fitted:
-    """Layer 3, and of what: "solid", the thin "panels" of a thing of sheets or rods, or the "envelope" of a hollow one.
-
-    An envelope is larger than the object: it is what the object would be without its cavity.
-    """
+    """Layer 3 of the "solid", of thin "panels" (sheets, rods), or of a hollow thing's "envelope", its cavity filled."""
 
     primitives: Superquadrics
     kind: FitKind
 
 
 def fit_superquadrics(mesh: Mesh, config: FitConfig) -> Superquadrics:
-    """Return the primitives of `fitted_shape` for a mesh as it came.
-
-    Raises:
-        ValueError: the mesh has no triangles or no extent, or is not finite (`usable`).
-    """
+    """Return the primitives of `fitted_shape` for any mesh; raises ValueError if it is not `usable`."""
     return fitted_shape(usable(mesh), config).primitives
 
 
 def fitted_shape(mesh: Mesh, config: FitConfig) -> Fitted:
-    """Return the primitives of a `usable` mesh in its own frame, largest first, at least one, and what they are of.
+    """Return the primitives of a `usable` mesh in its own frame, largest first, at least one, and their kind.
 
-    What primitives explain badly on the grid is too thin for it, or hollow. Thin parts get primitives as thick as they
-    are (`panels`). A hollow thing, such as a bowl, is no union of few convex bodies: its envelope is fitted instead. If
-    that does not work either, one superquadric is returned around all of it.
+    A shape that primitives explain badly on the grid is too thin for it (`panels`), or hollow: then no union of few
+    convex bodies, its envelope is fitted. Else one superquadric goes around all of it.
     """
     vertices = mesh.vertices.astype(np.float64)
     # Centred, since precision is lost far from the origin.
@@ -148,11 +133,7 @@ def _fitted(vertices: NDArray[np.float64], faces: NDArray[np.int32], config: Fit
     # A flat mesh has no inside, and one thinner than a few thousandths of its length would need too fine a grid.
     if extent.min() > _THINNEST * longest:
         cells = adapted_cells(
-            vertices,
-            faces,
-            cells=config.cells,
-            min_thickness_cells=_MIN_THICKNESS_CELLS,
-            max_cells=2 * config.cells,
+            vertices, faces, cells=config.cells, min_thickness_cells=_MIN_THICKNESS_CELLS, max_cells=2 * config.cells
         )
         solid, overlap = marched(distance_grid(vertices, faces, cells=cells, band_cells=_BAND_CELLS), config)
         if solid is not None:
@@ -186,10 +167,7 @@ def _fitted(vertices: NDArray[np.float64], faces: NDArray[np.int32], config: Fit
 
 
 def marched(grid: DistanceGrid, config: FitConfig) -> tuple[Superquadrics | None, float]:
-    """Return the primitives of Marching-Primitives and their intersection over union with the solid on the grid.
-
-    None if they explain less than half of its volume.
-    """
+    """Return the primitives and their intersection over union with the grid's solid; None below half of its volume."""
     field = FitField(grid, _WASTE_WEIGHT)
     rows = marching(field, config)
     if not rows:
@@ -216,13 +194,9 @@ def marching(field: FitField, config: FitConfig) -> list[NDArray[np.float64]]:
         before = rows = polished(field, rows, config)
         rows = pruned(field, merged(field, rows, config), config)
     rows = with_protruding(field, rows, config)
-    if not _are_same(rows, before):
+    if len(rows) != len(before) or any(row is not other for row, other in zip(rows, before, strict=True)):
         rows = polished(field, rows, config)
     return rows
-
-
-def _are_same(rows: list[NDArray[np.float64]], others: list[NDArray[np.float64]]) -> bool:
-    return len(rows) == len(others) and all(row is other for row, other in zip(rows, others, strict=True))
 
 
 def polished(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
@@ -254,7 +228,6 @@ def best_candidate(field: FitField, config: FitConfig) -> NDArray[np.float64] | 
 
 
 def _refined_best(field: FitField, starts: list[NDArray[np.float64]], config: FitConfig) -> NDArray[np.float64]:
-    """Return the best of the starts (at least one), each fitted coarsely, and of these the best two finely."""
     coarse = [field.fitted(row, config.coarse_samples, config.coarse_iterations) for row in starts]
     finalists = _best_by_gain(field, coarse, 2, config.fine_samples)
     fine = [field.fitted(row, config.fine_samples, config.fine_iterations) for row in finalists]
@@ -311,7 +284,7 @@ def _merged_pair(
 
 
 def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
-    """Return the primitives, with more added for small parts that protrude far, such as a handle.
+    """Return the primitives and more for small parts that protrude far, such as a handle.
 
     They add little volume, but without them layer 4 would have to grow a large primitive around them.
     """
@@ -330,7 +303,7 @@ def with_protruding(field: FitField, rows: list[NDArray[np.float64]], config: Fi
 
 
 def pruned(field: FitField, rows: list[NDArray[np.float64]], config: FitConfig) -> list[NDArray[np.float64]]:
-    """Return the primitives without those that add too little to the others; the least useful is dropped first."""
+    """Return the primitives that add enough to the others; the least useful is dropped first."""
     rows = list(rows)
     while len(rows) > 1:
         gains = []
@@ -374,7 +347,7 @@ def starting_rows(field: FitField, num_seeds: int) -> list[NDArray[np.float64]]:
 
 
 def _cropped(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the first cell of the bounding box of the set cells, padded by one cell, and the cells within it."""
+    # Padded by one cell.
     first, window = np.zeros(3, np.int64), []
     for axis in range(3):
         others = tuple(other for other in range(3) if other != axis)
@@ -398,7 +371,6 @@ _ORDERS = ([0, 1, 2], [2, 0, 1], [1, 2, 0])
 
 
 def _component_starts(cells: NDArray[np.int64]) -> list[NDArray[np.float64]]:
-    """Return ellipsoid-like starts over the bounds of a component, along the grid and along its principal axes."""
     cells = np.ascontiguousarray(cells[:: len(cells) // 5000 + 1])
     starts = []
     for axes in (np.eye(3), principal_axes(cells)):
@@ -410,20 +382,18 @@ def _component_starts(cells: NDArray[np.int64]) -> list[NDArray[np.float64]]:
 
 
 def _box_starts(box: NDArray[np.int64]) -> list[NDArray[np.float64]]:
-    """Return box-like starts over a grown box: one per order of the axes that the exponents distinguish."""
     half = (box[1] - box[0] + 1) / 2.0
     center = box.mean(axis=0)
     return [row_of((0.4, 0.6), half[order], center, np.eye(3)[:, order]) for order in _ORDERS]
 
 
 def _touch(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """Return whether the boxes of two primitives, along the grid, come within a cell of each other."""
     reach = _reach(a, np.eye(3)) + _reach(b, np.eye(3)) + 1.0
     return bool((np.abs(a[5:8] - b[5:8]) <= reach).all())
 
 
 def _enclosing(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a start with the orientation and exponents of `a` around the boxes of both."""
+    # With the orientation and exponents of `a`.
     axes = a[8:17].reshape(3, 3)
     center_a, center_b = portable.matmul(a[5:8], axes), portable.matmul(b[5:8], axes)
     reach_a, reach_b = exp_each(a[2:5]), _reach(b, axes)
@@ -433,7 +403,6 @@ def _enclosing(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def _reach(row: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the half extents of a primitive's box along the columns of `axes`."""
     return portable.matmul(np.abs(portable.matmul(axes.T, row[8:17].reshape(3, 3))), exp_each(row[2:5]))
 
 

@@ -1,10 +1,8 @@
 """Thin things as thin superquadrics: carpets, rods, panels, curved sheets, of which a grid sees little or nothing.
 
-The triangles are grouped: first by closed body, then the group is halved whose halves, each in a box along its own
-principal axes, save most volume. Each group gets the least box, cylinder or fitted superquadric around it, in the frame
-of its own normals. The thickness is the mesh's own: a body of volume V and area A is about 2 V / A thick if it is a
-sheet, so that a bent sheet's panels are as thick as the sheet, not as the bend. A bent sheet is cut further, until its
-panels are about as flat as they are thick, into up to twice as many; each then lies where it holds most of the surface.
+Triangles are grouped by closed body, then the group is halved whose halves, each in its principal box, save most
+volume. A group gets the least box, cylinder or fitted superquadric in the frame of its normals. A sheet of volume V and
+area A is about 2 V / A thick, and so are its panels; a bent one is cut further, until its panels are nearly flat.
 """
 
 from __future__ import annotations
@@ -43,22 +41,17 @@ _HEIGHTS = 50
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Panels:
-    """Primitives around all of a mesh, but for the bends of sheets.
-
-    `volume_m3` is theirs before bent ones were made thin, so that they contain the mesh. `share` is the intersection
-    over union of both as far as panels do not overlap; 0 where the mesh is not closed.
-    """
+    """Primitives around all of a mesh, but for the bends of sheets."""
 
     primitives: Superquadrics
+    #: before bent ones were made thin, when they contained the mesh
     volume_m3: float
+    #: the intersection over union as far as panels do not overlap; 0 where the mesh is not closed
     share: float
 
 
 def panels(vertices: NDArray[np.float64], faces: NDArray[np.int32], *, most: int, min_size_m: float) -> Panels:
-    """Return primitives around (V, 3) vertices with (F, 3) faces, none thinner than `min_size_m`.
-
-    They are up to `most`, or twice as many where sheets are bent.
-    """
+    """Return up to `most` primitives around a mesh, twice as many for bent sheets, none thinner than `min_size_m`."""
     body_of_face, volumes, areas = _bodies(vertices, faces)
     groups = [np.flatnonzero(body_of_face == body) for body in range(len(volumes))]
     if len(groups) > most:
@@ -76,7 +69,7 @@ def panels(vertices: NDArray[np.float64], faces: NDArray[np.int32], *, most: int
     around = [_around(vertices, faces[part.items], part.thickness) for part in parts]
     thinned = [_thinned(one, corners[part.items], part.thickness) for one, part in zip(around, parts, strict=True)]
     primitives = joined([one for one, _ in thinned])
-    sizes = np.array([_areas(corners[part.items]).sum() for part in parts])
+    sizes = np.array([areas_of(corners[part.items]).sum() for part in parts])
     solid, taken = float(volumes.sum()), float(volumes_m3(primitives).sum())
     held = solid * float((sizes * [share for _, share in thinned]).sum()) / max(float(sizes.sum()), 1e-300)
     return Panels(
@@ -91,11 +84,11 @@ def loose_panels(
 ) -> list[tuple[Superquadrics, float]]:
     """Return primitives around (F, 3) faces that are part of a surface, and the area of each in square metres.
 
-    Groups of connected faces that face all round, and not to one side, and are about as thick as `thin_m` at most, are
-    halved where that saves most; what then has less than `least_area` is left out.
+    Groups of connected faces that face all round and are at most about `thin_m` thick are halved where that saves most;
+    groups below `least_area` are left out.
     """
     corners = vertices[faces]
-    areas = _areas(corners)
+    areas = areas_of(corners)
     if areas.sum() < least_area:
         return []
     places, welded = _welded(corners.reshape(-1, 3))
@@ -125,11 +118,7 @@ def sheet_thickness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Part:
-    """The indices (N,) of triangles, the thickness of their body, the volume of their box, and what halves save.
-
-    `is_bent`: its box is that of a sheet, but thicker than the sheet.
-    """
-
+    # Triangles `items` (N,); `is_bent`: their box is that of a sheet, but thicker than the sheet.
     items: NDArray[np.int64]
     thickness: float
     volume: float
@@ -170,35 +159,29 @@ class _Part:
 
 
 def _outward(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (N, 3, 3) triangles turned over if they enclose a negative volume."""
     a, b, c = corners.transpose(1, 0, 2)
     return corners if (a * np.cross(b, c)).sum() >= 0 else np.ascontiguousarray(corners[:, ::-1])
 
 
-def _areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the areas (N,) of triangles."""
+def areas_of(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (N,) areas of (N, 3, 3) triangles."""
     return np.asarray(
         np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     )
 
 
 def _is_bent(extents: NDArray[np.float64], thickness: float) -> bool:
-    """Return whether what has a box of (3,) sorted extents is a sheet that is bent by more than its thickness."""
     return bool(extents[0] > _BENT * thickness and extents[1] >= _SHEET * thickness)
 
 
 def _box(corners: NDArray[np.float64], thickness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the extents of the box along the principal axes of (N, 3, 3) triangles, and these, the longest one last.
-
-    The box is larger by the thickness, so that the two sides of a panel are not worth a box each.
-    """
+    # Larger by the thickness, so that the two sides of a panel are not worth a box each; the longest axis last.
     extents, axes = _principal_box(np.ascontiguousarray(corners).reshape(-1, 3))
     return extents + thickness, axes
 
 
 @kernel(error_model="numpy")
 def _principal_box(points):
-    """Return the extents of (N, 3) points along their principal axes, and these, the longest one last."""
     middle, products, axes = np.zeros(3), np.zeros((3, 3)), np.empty((3, 3))
     for n in range(len(points)):
         for i in range(3):
@@ -221,7 +204,6 @@ def _principal_box(points):
 
 
 def _cut(parts: list[_Part], corners: NDArray[np.float64], most: int) -> list[_Part]:
-    """Return up to `most` parts, halved where that saves most, or twice as many where sheets are bent."""
     parts = list(parts)
     while len(parts) < 2 * most:
         total = sum(part.volume for part in parts)
@@ -237,7 +219,7 @@ def _cut(parts: list[_Part], corners: NDArray[np.float64], most: int) -> list[_P
 def _bodies(
     vertices: NDArray[np.float64], faces: NDArray[np.int32]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the body (F,) of each face, and the volume and area (B,) of each body; an open body has no volume."""
+    # The body (F,) of each face, volumes and areas (B,); an open body has no volume.
     found = _joined(vertices, faces)
     if (found[1] > 0).all():
         return found
@@ -247,7 +229,7 @@ def _bodies(
 
 
 def _welded(vertices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the distinct ones of (V, 3) vertices, and (V,) which of them each is."""
+    # Distinct vertices, and (V,) which of them each is.
     # As one number each: NumPy sorts rows ten times as slowly.
     key = np.zeros(len(vertices), np.int64)
     for along in vertices.T:
@@ -260,7 +242,6 @@ def _welded(vertices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray
 def _joined(
     places: NDArray[np.float64], faces: NDArray[np.integer], *, closed_only: bool = True
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the same of faces that are joined where they share a vertex."""
     piece, is_open_face = joined_faces(np.ascontiguousarray(faces, np.int64), len(places))
     _, body = np.unique(piece, return_inverse=True)
     is_open = np.zeros(body.max() + 1, bool)
@@ -280,7 +261,6 @@ def _joined(
 
 
 def _around(vertices: NDArray[np.float64], faces: NDArray[np.int32], min_size_m: float) -> Superquadrics:
-    """Return the least primitive around the triangles, in the frame of their normals."""
     used, own = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], own.reshape(-1, 3).astype(np.int32)
     axes = object_axes(vertices, faces)
@@ -289,10 +269,8 @@ def _around(vertices: NDArray[np.float64], faces: NDArray[np.int32], min_size_m:
 
 
 def _thinned(one: Superquadrics, corners: NDArray[np.float64], thickness: float) -> tuple[Superquadrics, float]:
-    """Return a primitive around a bent sheet as thick as the sheet, and where it holds most of it, with the share held.
-
-    `corners` (N, 3, 3) are the sheet's triangles, facing outwards. What is not bent is held as it is.
-    """
+    # As thick as the bent sheet, where it holds most of its middle; `corners` (N, 3, 3) face outwards. Also the share
+    # held.
     order = np.argsort(one.semi_axes_m[0], kind="stable")
     if not _is_bent(2 * one.semi_axes_m[0, order], thickness):
         return one, 1.0
@@ -311,6 +289,5 @@ def _thinned(one: Superquadrics, corners: NDArray[np.float64], thickness: float)
 
 
 def _normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (N, 3) unit normals of triangles; 0 where one has no area."""
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(doubled / np.maximum(np.linalg.norm(doubled, axis=1, keepdims=True), 1e-300))

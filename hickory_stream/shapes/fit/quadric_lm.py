@@ -1,13 +1,11 @@
 """One superquadric fitted to signed distances: Levenberg-Marquardt with analytic Jacobians.
 
-The distance of a point to the primitive is that to a tangent plane near it, exact for spheres and over a box's faces.
-With the gauge h = G^(e1/2), ln h is a nested log-sum-exp of the log coordinates, whose derivatives are its
-softmax weights and entropies, so that nothing overflows for exponents down to 0.1. Rotations are updated on the
-manifold.
+The distance of a point is to a tangent plane near it, exact for spheres and over a box's faces. With the gauge h =
+G^(e1/2), ln h is a nested log-sum-exp of the log coordinates; its derivatives are softmax weights and entropies, so
+nothing overflows for exponents down to 0.1. Rotations are updated on the manifold.
 
 Residuals follow Marching-Primitives (Liu et al., 2023): truncated distances, and a mixture of a Gaussian and a uniform
-distribution, which estimates how much of a residual belongs to another primitive. Only missing cover can belong to
-another primitive; a residual where this primitive extends outside of the object is always its own.
+distribution for the share that belongs to another primitive. Only missing cover can belong to another primitive.
 """
 
 from __future__ import annotations
@@ -35,6 +33,8 @@ from hickory_stream.shapes.fit.tangent_planes import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hickory_stream.geometry.superquadric import Superquadrics
+
 # A primitive is a row of 17 numbers: e1, e2, ln a1..a3, the centre, the rotation row by row.
 ROW = 17
 # Outside, distances are cut off early: near an edge the tangent planes understate them, which would round every box.
@@ -57,6 +57,17 @@ def row_of(
     return np.concatenate([exponents, portable.log(semi_axes), center, rotation.ravel()])
 
 
+def rows_in(primitives: Superquadrics, unit_m: float, offset_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (K, 17) rows of primitives, in a unit, off an offset (3,)."""
+    parts = zip(primitives.exponents.tolist(), primitives.semi_axes_m, primitives.world_from_local, strict=True)
+    return np.stack(
+        [
+            row_of((e1, e2), axes / unit_m, (pose[:3, 3] - offset_m) / unit_m, pose[:3, :3])
+            for (e1, e2), axes, pose in parts
+        ]
+    )
+
+
 def refined(
     row: NDArray[np.float64],
     points: NDArray[np.float64],
@@ -67,30 +78,21 @@ def refined(
     iterations: int,
     max_log_axis: float,
 ) -> NDArray[np.float64]:
-    """Return the fitted (17,) row.
+    """Return the row fitted to signed `distances` (N,) at `points` (N, 3), negative inside, truncated at `band`.
 
-    `points` (N, 3), signed `distances` (N,), negative inside, truncated at `band`, and `weights` (N,): 0 where another
-    primitive already explains the object. Everything is in units of cells, so that no tolerance depends on the scale.
+    `weights` (N,) are 0 where another primitive explains the object. The unit is a cell.
     """
     return np.asarray(lm_fit(row, points, distances, weights, band, iterations, max_log_axis))
 
 
-def distances_to(row: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (N,) signed tangent-plane distances of (N, 3) points to a primitive, in the units of its row."""
-    return np.asarray(distances_of(row, points, np.inf))
-
-
 @kernel
 def tangent_distance(row, x, y, z, local, gradient, shape, with_shape, depth):
-    """Return the signed distance of a point to a tangent plane near it; fill the local point and the derivatives there.
-
-    `gradient` (3,) is that of ln h at the point of `local` (3,), `shape` (5,) its derivatives by e1, e2, ln a1, ln a2
-    and ln a3. A convex body lies behind its tangent planes: the distance to one bounds the true distance from below
-    outside, from above inside. For a point outside, the plane touches where the ray from the centre meets the surface;
-    for a point inside, it is the nearest of that plane and of those met along the three axes, since the first alone
-    would place the rim of a plate nearer than its faces. For points deeper than `depth`, some value deeper than `depth`
-    is returned, and nothing is filled.
-    """
+    """Return the signed distance of a point to a tangent plane near it; fill local point and derivatives."""
+    # Of ln h: `gradient` (3,), and `shape` (5,) by e1, e2, ln a1..a3. A convex body lies behind its tangent planes: the
+    # distance to one bounds the true distance from below outside, from above inside. Outside, the plane touches on the
+    # ray from the centre; inside it is the nearest of that plane and of those met along the three axes, since the first
+    # alone would place the rim of a plate nearer than its faces. Beyond `depth`, some deeper value is returned, and
+    # nothing is filled.
     dx, dy, dz = x - row[5], y - row[6], z - row[7]
     # The columns of the rotation are the local axes.
     px = row[8] * dx + row[11] * dy + row[14] * dz
@@ -137,7 +139,7 @@ def tangent_distance(row, x, y, z, local, gradient, shape, with_shape, depth):
 
 @kernel
 def _softmax(log_a, log_b, exponent):
-    """Return ln (a^(2/e) + b^(2/e))^(e/2) and the shares of both in the sum, without overflow."""
+    # ln (a^(2/e) + b^(2/e))^(e/2) and the shares of both in the sum, without overflow.
     gap = 2.0 / exponent * (log_b - log_a)
     small = exp(-abs(gap))
     total = 1.0 + small
@@ -148,7 +150,7 @@ def _softmax(log_a, log_b, exponent):
 
 @kernel
 def _fill_shape(share_x, share_y, share_r, share_z, shape):
-    """Fill d ln h / d (e1, e2, ln a1, ln a2, ln a3)."""
+    # d ln h / d (e1, e2, ln a1, ln a2, ln a3).
     shape[0] = 0.5 * _entropy(share_r, share_z)
     shape[1] = 0.5 * share_r * _entropy(share_x, share_y)
     shape[2] = -share_r * share_x
@@ -163,7 +165,6 @@ def _entropy(p, q):
 
 @kernel
 def _nearest_along_axes(row, px, py, pz, log_rho, log_h, share_x, share_y, share_r, share_z):
-    """Return the nearest surface point along the axes from an inner point: axis, distance, and the shares there."""
     e1, e2 = row[0], row[1]
     whole = exp(2.0 / e1 * log_h)
     in_plane, along_z = share_r * whole, share_z * whole
@@ -189,7 +190,7 @@ def _nearest_along_axes(row, px, py, pz, log_rho, log_h, share_x, share_y, share
 
 @kernel
 def _cost(d, targets, weights, band, sigma2):
-    """Return the robust cost of distances `d`: the negative log likelihood of the mixture, up to constants."""
+    # The negative log likelihood of the mixture, up to constants.
     total = 0.0
     for n in range(len(d)):
         r = min(max(d[n], -band), OUTER_BAND) - targets[n]
@@ -229,7 +230,7 @@ def _normal_equations(row, points, targets, weights, band, sigma2):
 
 @kernel
 def _add(a, b, block, which, weights, residuals, count):
-    """Add points of a block to the normal equations; rows are padded to a length that fits registers."""
+    # Rows are padded to a length that fits registers.
     jacobian = np.zeros(_PADDED)
     for m in range(count):
         for p in range(11):
@@ -265,7 +266,7 @@ def _stepped(row, step, max_log_axis):
 
 @kernel
 def _sigma2(d, targets, weights, band, sigma2):
-    """Return the mixture's variance, the maximisation step; never below half a cell squared."""
+    # The maximisation step of the mixture's variance; never below half a cell squared.
     total, count = 0.0, 0.0
     for n in range(len(d)):
         r = min(max(d[n], -band), OUTER_BAND) - targets[n]
@@ -342,10 +343,8 @@ def cut_distances(row, points, band):
 
 @kernel
 def normal_step(row, points, targets, others, found, band, damping, k, max_log_axis, with_exponents):
-    """Return the row after one step with the others held fixed, its distances, and the relative gain (0: no step).
-
-    `others` (N,) are the distances to the union of the others, `found` (N,) those to this one; `damping[k]` is updated.
-    """
+    """Return the row after one step with the others held fixed, its distances, and the relative gain (0: no step)."""
+    # `others` (N,) are distances to the union of the others, `found` (N,) to this one; `damping[k]` is updated.
     padded, b = np.zeros((11, _PADDED)), np.zeros(11)
     block, which, in_order = new_block(), np.empty(BLOCK, np.int64), np.arange(BLOCK)
     weights, residuals = np.empty(BLOCK), np.empty(BLOCK)

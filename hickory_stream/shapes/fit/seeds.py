@@ -1,7 +1,6 @@
 """Initial primitives of the fit: boxes grown inside the unexplained volume, and bounds of whole components.
 
-A box that grows from a deep cell until its faces leave the object finds a table's top or a chair's leg directly, where
-the bounds of their common component are uninformative.
+A box grown from a deep cell finds a table's top or a chair's leg; the bounds of their common component do not.
 """
 
 from __future__ import annotations
@@ -102,7 +101,7 @@ def _grow(solid, seed, min_fill):
 
 @kernel
 def _depth(solid):
-    """Rosenfeld and Pfaltz: one pass forwards, one backwards; each looks at the 13 neighbours before a cell."""
+    # Rosenfeld and Pfaltz: one pass forwards, one backwards; each looks at the 13 neighbours before a cell.
     nx, ny, nz = solid.shape
     far = np.int32(nx + ny + nz)
     # The rim has the maximum depth: cells beyond the grid are not known to be empty.

@@ -1,7 +1,6 @@
-"""Partition of an object's surface among its primitives: each triangle is owned by the one that has to contain it.
+"""Partition of an object's surface: each triangle is owned by the primitive nearest to its farthest corner.
 
-A triangle is owned by the primitive nearest to its farthest corner. If it is far outside of all primitives, it is
-bisected: a large triangle from a seat down to a leg must not make the seat's primitive grow.
+Triangles far outside are bisected: one from a seat down to a leg must not make the seat's primitive grow.
 """
 
 from __future__ import annotations
@@ -17,12 +16,9 @@ _MOST_PIECES = 20_000
 
 @kernel
 def owned_pieces(vertices, faces, rows, tolerance, min_edge):
-    """Return the vertices, with those that bisection adds, (P, 3) triangles, and the owner and distance (P,) of each.
-
-    `rows` (K, 17) as in `quadric_lm`, in the unit of the vertices. The distance is that of the farthest corner to the
-    owner, negative inside. A triangle whose farthest corner is more than `tolerance` outside of all primitives is
-    bisected until its edges are shorter than `min_edge`.
-    """
+    """Return vertices, with those that bisection adds, (P, 3) triangles, and owner and distance (P,) of each."""
+    # `rows` (K, 17) as in `quadric_lm`. The distance is the farthest corner's, negative inside. A triangle is bisected
+    # while that is more than `tolerance` outside of all primitives, until its edges are shorter than `min_edge`.
     most = len(faces) + _MOST_PIECES
     points = np.empty((len(vertices) + most, 3))
     distances = np.empty((len(vertices) + most, len(rows)))
@@ -85,7 +81,6 @@ def _distances(point, rows, out):
 
 @kernel
 def _owner(distances, a, b, c):
-    """Return the primitive whose farthest corner is the nearest, and how far outside that one is."""
     best, least = 0, 1e300
     for k in range(distances.shape[1]):
         farthest = max(distances[a, k], distances[b, k], distances[c, k])
@@ -96,7 +91,6 @@ def _owner(distances, a, b, c):
 
 @kernel
 def _longest_edge(points, corners):
-    """Return the first corner of the longest edge, and its length."""
     longest, most = 0, -1.0
     for c in range(3):
         d = (c + 1) % 3

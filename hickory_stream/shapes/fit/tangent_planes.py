@@ -1,13 +1,8 @@
 """Signed distances to tangent planes of a superquadric, a block of points at a time.
 
-The same distances as `quadric_lm.tangent_distance`, in an order that the compiler can vectorise: first the computation
-for all points, then that for points inside only, which are moved together. A block is one array with columns of `BLOCK`
-numbers each, so that the compiler knows that no two columns overlap.
-
-Logarithm and exponential that the compiler can vectorise.
-
-The functions of the system's library process one number per call, and their last bits depend on the library. These have
-a relative error below 1e-12 and no branches, and give the same bits on every machine with IEEE doubles.
+They equal `quadric_lm.tangent_distance`, in an order that the compiler vectorises: all points, then those inside, moved
+together. A block is one array with columns of `BLOCK` numbers, so that no two columns overlap. Its logarithm and
+exponential have a relative error below 1e-12, no branches, and the same bits on every machine with IEEE doubles.
 """
 
 from __future__ import annotations
@@ -76,10 +71,8 @@ def new_block():
 
 @kernel(error_model="numpy")
 def fill_distances(block, count, row, depth):
-    """Fill distances, local points, gradients and shares of the first `count` points of a block.
-
-    For points deeper than `depth` only the distance is filled, and it may be any value deeper than `depth`.
-    """
+    """Fill distances, local points, gradients and shares of the first `count` points of a block."""
+    # For points deeper than `depth` only the distance, of any value deeper than `depth`.
     _from_centre(block, row)
     smallest = exp(min(row[2], row[3], row[4])) * (1.0 if row[0] <= 1.0 and row[1] <= 1.0 else 0.57735)
     which = np.empty(BLOCK, np.int64)
@@ -114,7 +107,6 @@ def fill_distances(block, count, row, depth):
 
 @kernel(error_model="numpy")
 def _from_centre(block, row):
-    """Fill in all columns by the tangent planes where the rays from the centre meet the surface."""
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = row[8], row[9], row[10], row[11], row[12], row[13], row[14], row[15], row[16]
     log_a, log_b, log_c, cx, cy, cz = row[2], row[3], row[4], row[5], row[6], row[7]
     half_1, half_2 = 0.5 * row[0], 0.5 * row[1]
@@ -151,7 +143,7 @@ def _from_centre(block, row):
 
 @kernel(error_model="numpy")
 def _along_axes(block, count, row):
-    """Find the surface along the axes of points inside: gradients in place of points, 1 in place of rho if nearer."""
+    # Gradients in place of points, 1 in place of rho if the surface along an axis is nearer.
     log_a, log_b, log_c = row[2], row[3], row[4]
     half_1, half_2 = 0.5 * row[0], 0.5 * row[1]
     power_1, power_2 = 2.0 / row[0], 2.0 / row[1]
@@ -193,10 +185,8 @@ def _along_axes(block, count, row):
 
 @kernel(error_model="numpy")
 def fill_jacobian(block):
-    """Fill the derivatives of the distances: the plane moves with the surface, its direction held fixed.
-
-    dd = d ln h / |grad ln h|, by e1, e2, ln a (3), the centre and the rotation in the local frame (3 and 3).
-    """
+    """Fill the derivatives of the distances: the plane moves with the surface, its direction held fixed."""
+    # dd = d ln h / |grad ln h|, by e1, e2, ln a (3), the centre and the rotation in the local frame (3 and 3).
     for n in range(BLOCK):
         gx, gy, gz = block[GX + n], block[GY + n], block[GZ + n]
         px, py, pz = block[X + n], block[Y + n], block[Z + n]

@@ -1,8 +1,7 @@
-"""Thin parts that the fit left out, such as a bin's rim or a chair's rods: less than a share of the volume, yet seen.
+"""Thin parts that the fit left out, such as a bin's rim or a chair's rods: little volume, yet seen.
 
-The surface outside of all primitives is grouped and cut as that of thin bodies is (`panels`). A group is a part if it
-is as thin as a few cells and encloses what its box would: the surface of a rod or a board goes all round its box, that
-of a bulge lies on one side of it, and that of a pipe goes round it twice.
+The surface outside of all primitives is cut like thin bodies (`panels`). A part is a few cells thick, and its surface
+goes once around its box: a bulge's lies on one side, a pipe's goes round twice.
 """
 
 from __future__ import annotations
@@ -12,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.superquadric import Superquadrics, joined
-from hickory_stream.shapes.fit.panels import loose_panels
-from hickory_stream.shapes.fit.quadric_lm import row_of
+from hickory_stream.shapes.fit.panels import areas_of, loose_panels
+from hickory_stream.shapes.fit.quadric_lm import rows_in
 from hickory_stream.shapes.fit.surface_partition import owned_pieces
 
 if TYPE_CHECKING:
@@ -34,26 +33,16 @@ def with_thin_parts(
     most: int,
     least_area: float,
 ) -> Superquadrics:
-    """Return the primitives, and up to `most` in all with those for thin parts of (V, 3) vertices with (F, 3) faces.
+    """Return the primitives, up to `most` in all with those for thin parts of (V, 3) vertices with (F, 3) faces.
 
-    `step_m` is the side of the cells of the fit; a part has at least the share `least_area` of the surface.
+    `step_m` is the side of the fit's cells; a part has at least the share `least_area` of the surface.
     """
-    rows = np.stack(
-        [
-            row_of(tuple(exponents), axes / step_m, pose[:3, 3] / step_m, pose[:3, :3])
-            for exponents, axes, pose in zip(
-                primitives.exponents, primitives.semi_axes_m, primitives.world_from_local, strict=True
-            )
-        ]
-    )
+    rows = rows_in(primitives, step_m, np.zeros(3))
     points, pieces, _, distances = owned_pieces(vertices / step_m, faces.astype(np.int64), rows, _OUTSIDE, _PIECE)
     pieces = pieces[distances > _OUTSIDE].astype(np.int32)
     if len(pieces) == 0 or len(primitives) >= most:
         return primitives
-    corners = vertices[faces]
-    total = (
-        float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()) / 2
-    )
+    total = float(areas_of(vertices[faces]).sum())
     found = []
     for panel, area_m2 in loose_panels(
         points * step_m, pieces, least_area=least_area * total, min_size_m=0.1 * step_m, thin_m=_THIN * step_m

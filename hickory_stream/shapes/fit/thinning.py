@@ -1,4 +1,4 @@
-"""Thinning of many samples to a stride, without aliasing with the rows of the grid that they come from."""
+"""Thinning of many samples to a stride, without aliasing with the rows of their grid."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ from hickory_stream.base.compiled import kernel
 
 @kernel
 def thinned(count, most):
-    """Return the indices of about `most` of `count` samples; all of them if there are fewer.
-
-    One sample of each interval is taken, at an offset by the golden ratio: a constant stride through the cells of a
-    thin plate could hit the same layer every time.
-    """
+    """Return the indices of about `most` of `count` samples; all of them if there are fewer."""
+    # One of each interval, at an offset by the golden ratio: a stride could hit one layer of a thin plate every time.
     if count <= most:
         return np.arange(count)
     stride = count / most

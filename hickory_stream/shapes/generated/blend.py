@@ -1,8 +1,7 @@
-"""A generated shape made to agree with what was seen: measured surface where there is some, the generator's elsewhere.
+"""A generated shape that agrees with what was seen: measured surface where there is some, generated elsewhere.
 
-The signed distances of the generated shape are corrected by how far they miss the measured surface, near it fully and
-farther away less and less, so that the two meet without a step. What was seen to be free is cut away. The result is
-closed, of one grid, and every vertex says whether it was seen.
+Its signed distances are corrected by their miss of the measured surface, fully near it and less farther away, so that
+both meet without a step; space that was seen to be free is cut away. The result is closed.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import NoShape, Reconstruction
-from hickory_stream.shapes.reconstruct.fused import MAX_FACES, SEEN_VOXELS, SMOOTHING, VolumeConfig, view_of
-from hickory_stream.shapes.reconstruct.meshing import extract, in_object_frame, painted, taubin_smoothed
+from hickory_stream.shapes.reconstruct.completion import large_pieces
+from hickory_stream.shapes.reconstruct.fused import VolumeConfig, mesh_of_field, view_of, voxel_over
 from hickory_stream.shapes.reconstruct.tsdf import VoxelGrid, gaussian_blurred, integrate
 from hickory_stream.shapes.sdf import distance_grid
 
@@ -52,22 +51,16 @@ def blended(placed: Reconstruction, inputs: ShapeInputs, volume: VolumeConfig) -
         # Nothing of an object is below what it stands on.
         heights = grid.world_from_grid[2, 3] + grid.voxel_m * np.arange(grid.shape[2])
         field = np.maximum(field, ((inputs.support_z_m - heights) / grid.voxel_m).astype(np.float32))
-    solid = _main_parts(field < 0, _MIN_PART)
+    solid = large_pieces(field < 0, _MIN_PART)
     if not solid.any():
         return NoShape(reason="nothing of the generated shape is outside of free space")
     field = np.where(solid, field, np.maximum(field, np.float32(1e-3)))
-    vertices, faces = extract(field, grid)
-    vertices = taubin_smoothed(vertices, faces, SMOOTHING)
-    reach = SEEN_VOXELS * grid.voxel_m
-    colors, is_seen = painted(vertices, inputs.crops, inputs.points_world, inputs.colors, reach)
-    return in_object_frame(vertices, faces, colors, is_seen)
+    return mesh_of_field(field, grid, inputs)
 
 
 def _with_silhouette(view: DepthView) -> DepthView:
-    """Return a view in which pixels beside the mask that have no depth look far: what a mask leaves out is not there.
-
-    For a surface that was made up; the fused shape takes a missing depth for no evidence.
-    """
+    # Pixels beside the mask without depth look far. For a generated surface; the fused shape takes them for no
+    # evidence.
     near = ndimage.binary_dilation(view.mask, iterations=_EDGE_PX)
     return replace(view, depth_m=np.where(~near & np.isnan(view.depth_m), np.float32(_FAR_M), view.depth_m))
 
@@ -75,14 +68,11 @@ def _with_silhouette(view: DepthView) -> DepthView:
 def _generated_field(
     vertices_world: NDArray[np.float64], faces: NDArray[np.int32], inputs: ShapeInputs, volume: VolumeConfig
 ) -> tuple[VoxelGrid, NDArray[np.float32]]:
-    """Return a grid over the shape and layer 1, and the shape's signed distances on it in voxels."""
+    # Signed distances in voxels.
     around = np.concatenate([vertices_world, inputs.points_world.astype(np.float64)])
     box = gravity_aligned_box(around, _MIN_HALF_EXTENT_M)
     half = box.half_extents_m
-    area = 8 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])
-    # As for the fused shape: marching cubes yields about two faces per voxel face.
-    voxel = max(2 * float(half.max()) / volume.cells, float(np.sqrt(2 * area / MAX_FACES)))
-    voxel = float(np.clip(voxel, volume.min_voxel_m, volume.max_voxel_m))
+    voxel = voxel_over(half, volume)
     # Points of layer 1 are vertices that no face uses: the grid reaches over them.
     own = apply(invert(box.world_from_box), around)
     cells = max(int(np.ceil(2 * float(half.max()) / voxel)), 4)
@@ -95,7 +85,6 @@ def _generated_field(
 
 
 def _joined(generated: NDArray[np.float32], evidence: Evidence) -> NDArray[np.float32]:
-    """Return the field, in voxels, whose zero is the blended surface."""
     measured = (evidence.near > evidence.free) & (evidence.near > 0) & (np.abs(evidence.distance) < 1.5)
     free = (evidence.free > evidence.near) & (evidence.free > 0)
     field = generated
@@ -109,12 +98,3 @@ def _joined(generated: NDArray[np.float32], evidence: Evidence) -> NDArray[np.fl
     # Never exactly zero on a voxel: its level set is then a closed manifold.
     field = np.where(free, np.maximum(field, np.float32(0.5)), field)
     return np.where(np.abs(field) < 1e-3, np.float32(1e-3), field).astype(np.float32)
-
-
-def _main_parts(solid: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
-    labels, count = ndimage.label(solid)
-    if count < 2:
-        return solid
-    sizes = np.bincount(labels.reshape(-1))
-    sizes[0] = 0
-    return np.asarray((sizes >= max(least * sizes.max(), 1))[labels] & solid)

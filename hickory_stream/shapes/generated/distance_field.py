@@ -1,7 +1,6 @@
 """The distance to a surface as a grid over it: looked up in nanoseconds, where a search takes microseconds.
 
-The surface is sampled evenly, each cell that it passes keeps the mean of its samples, and every other cell the distance
-to that of the nearest one.
+A cell with even samples of the surface keeps their mean; every other cell has the distance to the nearest mean.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ class DistanceField:
 def even_samples(
     vertices: NDArray[Any], faces: NDArray[np.int32], count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return (count, 3) points spread evenly by area over a mesh, without chance, and the (count,) faces they lie on.
+    """Return (count, 3) points spread evenly by area over a mesh, deterministic, and their (count,) faces.
 
     Raises:
         ValueError: the mesh has no area.

@@ -1,14 +1,9 @@
-"""Whether a placed shape is true, by what was seen: each view is compared with what it would have seen of the shape.
+"""Whether a placed shape is true: each view is compared with a drawing of the shape as points with their depth.
 
-The shape is drawn into every view as points with their depth. A pixel then agrees, or the shape is missing there, lies
-behind what was measured, before it, or beside the object's mask, where nothing hides it. That is the share of the seen
-surface that it explains, the free space that it violates, and its silhouettes, in one drawing.
+A pixel agrees, or the shape is missing there, lies behind the measured surface, before it, or beside the object's mask.
 
-What a generated shape said of surface that it was not shown, checked by the views that it was not made from.
-
-What is joined with the measured surface agrees with it, whoever made the rest. How far the rest can be trusted is told
-by surface that other views saw and the generator's own did not: the shape, placed but not corrected, lies there or not.
-The embedded shape is asked the same: made from those first views alone. No view, no answer.
+How far the unseen rest can be trusted shows on surface that only views other than the generator's saw: the shape, not
+yet corrected, lies there or not. The embedded shape made from those first views alone is judged alike.
 """
 
 from __future__ import annotations
@@ -26,12 +21,7 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
 from hickory_stream.ports import Reconstruction
 from hickory_stream.shapes.generated.distance_field import even_samples
-from hickory_stream.shapes.generated.placement_evidence import (
-    evidence_of,
-    noise_of,
-    shown_surface_of,
-    surface_of,
-)
+from hickory_stream.shapes.generated.placement_evidence import evidence_of, noise_of, shown_surface_of, surface_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -68,23 +58,22 @@ class JudgementConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShapeEvidence:
-    """What the views say of a shape: shares in 0..1, None where nothing was seen that could say it.
+    """The views' evidence of a shape: shares in 0..1, None where nothing was seen that could say it."""
 
-    `explained` of the measured surface agrees; `violated` of what the views would see of the shape lies before the
-    measured surface, or beside the mask with nothing before it; `silhouette` is the IoU of masks over all views, and
-    `other_silhouette` the least of those it was not made from. `support_gap` is how far its foot is from the support,
-    as a share of its size.
-    """
-
+    #: of the measured surface, agrees
     explained: float
+    #: of the shape's surface in view, before the measured surface or beside the mask
     violated: float
+    #: the IoU of masks over all views
     silhouette: float
+    #: the least of the views that the shape was not made from
     other_silhouette: float | None
+    #: from its foot to the support, as a share of its size
     support_gap: float | None
 
     @property
     def worth(self) -> float:
-        """The measure by which two shapes of one object are compared: what it explains less what it violates."""
+        """The explained less the violated share, by which two shapes of one object are compared."""
         return self.explained - self.violated
 
 
@@ -111,7 +100,7 @@ def judged(shape: ShapeEvidence) -> Verdict:
         faults.append(f"{shape.support_gap:.2f} of its size off its support (at most {_MAX_SUPPORT_GAP:g})")
     if faults:
         return Verdict(is_accepted=False, reason="refused: " + ", ".join(faults))
-    return Verdict(is_accepted=True, reason="accepted: " + told(shape))
+    return Verdict(is_accepted=True, reason="accepted: " + shape_text(shape))
 
 
 def replaces(shape: ShapeEvidence, embedded: ShapeEvidence, config: JudgementConfig) -> Verdict:
@@ -119,11 +108,11 @@ def replaces(shape: ShapeEvidence, embedded: ShapeEvidence, config: JudgementCon
     numbers = f"worth {shape.worth:.2f}, the embedded one {embedded.worth:.2f}"
     if shape.worth < embedded.worth - config.max_less:
         return Verdict(is_accepted=False, reason=f"refused: {numbers}")
-    return Verdict(is_accepted=True, reason=f"{told(shape)}; {numbers}")
+    return Verdict(is_accepted=True, reason=f"{shape_text(shape)}; {numbers}")
 
 
-def told(shape: ShapeEvidence) -> str:
-    """Return the numbers of a shape for people."""
+def shape_text(shape: ShapeEvidence) -> str:
+    """Return the numbers of a shape as text."""
     other = "" if shape.other_silhouette is None else f", in another view {shape.other_silhouette:.2f}"
     gap = "" if shape.support_gap is None else f", support gap {shape.support_gap:.2f}"
     shares = f"explains {shape.explained:.2f}, free space {shape.violated:.2f}, silhouettes {shape.silhouette:.2f}"
@@ -131,10 +120,7 @@ def told(shape: ShapeEvidence) -> str:
 
 
 def shape_evidence(shape: Reconstruction, inputs: ShapeInputs, num_made_from: int) -> ShapeEvidence | None:
-    """Return what the views say of a shape, of which the first `num_made_from` views are those it was made from.
-
-    None where no surface was measured.
-    """
+    """Return the views' evidence, None without measured surface; `num_made_from` first views made the shape."""
     evidence = evidence_of(inputs)
     if evidence is None or not len(evidence.depth):
         return None
@@ -175,7 +161,7 @@ def _view_counts(
 
 @kernel
 def _draw(points, pose, intrinsics, out):
-    """Put the least depth of (N, 3) points into an image; each covers the four pixels around its place."""
+    # Each point covers the four pixels around its place.
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
@@ -193,7 +179,7 @@ def _draw(points, pose, intrinsics, out):
 
 @kernel
 def _counted(drawn, depth, beside, tolerance):
-    """Return (6,) how many pixels agree, miss the shape, have it behind, before, beside; and those of both masks."""
+    # (6,) pixels that agree, miss the shape, have it behind, before, beside; and those of both masks.
     counts = np.zeros(_NUM_FATES, np.int64)
     for r in range(drawn.shape[0]):
         for c in range(drawn.shape[1]):
@@ -253,17 +239,17 @@ def by_other_views(
     )
     other = embedded.reconstruct(shown)
     theirs = _share_at(other, new, reach_m) if isinstance(other, Reconstruction) else 0.0
-    told = f"foretold {ours:.2f} of what other views saw first, the embedded one {theirs:.2f}"
+    text = f"foretold {ours:.2f} of what other views saw first, the embedded one {theirs:.2f}"
     is_trusted = ours >= theirs - _MAX_LESS_FORETOLD
-    return Verdict(is_accepted=is_trusted, reason=told if is_trusted else f"refused: {told}")
+    return Verdict(is_accepted=is_trusted, reason=text if is_trusted else f"refused: {text}")
 
 
 def newly_seen(
     inputs: ShapeInputs, num_made_from: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
-    """Return the surface of the first views, what the others saw beside it, both (N, 3), and the size of all in metres.
+    """Return the surface (N, 3) of the first views, new surface (M, 3) of the others, and the size of all in metres.
 
-    None where that is next to nothing.
+    None where the new surface is next to nothing.
     """
     # Of what was shown all, to the edges of masks; what is asked for leaves them out: they may be another thing's.
     shown = np.concatenate([np.empty((0, 3)), *(shown_surface_of(crop) for crop in inputs.crops[:num_made_from])])
@@ -278,7 +264,6 @@ def newly_seen(
 
 
 def _cells(points: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
-    """Return the (N, 3) centres of the cells that hold points."""
     return centers_of_keys(np.unique(keys_of_points(points, cell_m)), cell_m).astype(np.float64)
 
 

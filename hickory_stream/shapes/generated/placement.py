@@ -1,10 +1,8 @@
 """Placement: a mesh in a frame and scale of its own is put into the world, where views and layer 1 saw the object.
 
-A network that generates a shape from an image knows neither its place nor its size, and each network has axes of its
-own. The search starts from rotations all over SO(3), each with the sizes at which the mesh covers what was seen, ranks
-them by a coarse cost, and descends from the best. The evidence is the surface that was measured, the silhouettes and
-the free space of all views, and the support. Once a pose is found, the mesh may be stretched along its own axes, within
-bounds, if that explains clearly more.
+Rotations all over SO(3), each with the sizes at which the mesh covers the seen surface, are ranked by a coarse cost,
+and the best descend. The evidence is the measured surface, silhouettes and free space of all views, and the support.
+Then the mesh may be stretched along its own axes, within bounds, if that explains clearly more.
 """
 
 from __future__ import annotations
@@ -63,8 +61,7 @@ class PlacementConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Model:
-    """The mesh along its own axes, of diagonal 1 about the origin: mesh point = `center` + `size` * `axes` @ point."""
-
+    # Of diagonal 1 about the origin: mesh point = `center` + `size` * `axes` @ point.
     center: NDArray[np.float64]
     size: float
     axes: NDArray[np.float64]
@@ -76,8 +73,7 @@ class _Model:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pose:
-    """A pose of the model: world point = `rotation` @ (`factors` * point) + `shift`; its cost and normal matrix."""
-
+    # World point = `rotation` @ (`factors` * point) + `shift`.
     rotation: NDArray[np.float64]
     shift: NDArray[np.float64]
     factors: NDArray[np.float64]
@@ -96,7 +92,7 @@ class EmbeddedPlacement:
     def place(
         self, mesh: Mesh, inputs: ShapeInputs, guess: NDArray[np.float64] | None = None
     ) -> MeshPlacement | NotPlaced:
-        """Return where the mesh lies in the world, or why that cannot be said."""
+        """Return where the mesh lies in the world, or why that is unknown."""
         evidence = evidence_of(inputs)
         if evidence is None or len(evidence.surface) < _MIN_SURFACE:
             return NotPlaced(reason="too little of the object's surface was measured to place a mesh on it")
@@ -129,11 +125,7 @@ def _placed(
     return _answer(best, finalists, model, evidence)
 
 
-# ---- the model ------------------------------------------------------------------------------------------------------
-
-
 def _model_of(mesh: Mesh) -> _Model:
-    """Return the mesh along its principal axes; raises ValueError where it has no area."""
     samples, _ = even_samples(mesh.vertices, mesh.faces, 20 * _MESH_POINTS)
     centered = samples - samples.mean(axis=0)
     _, axes = portable.eigh(portable.matmul(centered.T, centered) / len(centered))
@@ -157,7 +149,6 @@ def _model_of(mesh: Mesh) -> _Model:
 
 
 def _pose_of_guess(model: _Model, world_from_mesh: NDArray[np.float64]) -> _Pose:
-    """Return the pose of the model at which a similarity puts the mesh."""
     turned = portable.matmul(world_from_mesh[:3, :3], model.axes)
     scale = float(portable.cbrt([abs(portable.det3(turned))])[0])
     rotation = portable.nearest_orthogonal(turned[None] / max(scale, 1e-12))[0]
@@ -165,11 +156,8 @@ def _pose_of_guess(model: _Model, world_from_mesh: NDArray[np.float64]) -> _Pose
     return _Pose(rotation, shift, np.full(3, max(scale, 1e-12) * model.size), np.inf, np.zeros((7, 7)))
 
 
-# ---- where the search starts ----------------------------------------------------------------------------------------
-
-
 def _rotations(count: int) -> NDArray[np.float64]:
-    """Return (count, 3, 3) rotations spread evenly over SO(3): super-Fibonacci spirals (Alexa, CVPR 2022)."""
+    # Super-Fibonacci spirals over SO(3) (Alexa, CVPR 2022).
     s = np.arange(count) + 0.5
     alpha, beta = 2 * np.pi * s / 1.4142135623730951, 2 * np.pi * s / 1.533751168755204288
     r, q = np.sqrt(s / count), np.sqrt(1 - s / count)
@@ -180,7 +168,7 @@ def _rotations(count: int) -> NDArray[np.float64]:
 
 
 def _starts(model: _Model, evidence: Evidence, rotations: NDArray[np.float64]) -> list[_Pose]:
-    """Return poses at which the mesh covers what was seen, across the first view and along it."""
+    # The mesh covers the seen surface, across the first view and along it.
     axes = evidence.camera_from_world[0, :3, :3] if len(evidence.depth) else np.eye(3)
     seen = portable.matmul(evidence.surface, axes.T)
     seen_low, seen_high = np.quantile(seen, [0.02, 0.98], axis=0)
@@ -200,12 +188,7 @@ def _starts(model: _Model, evidence: Evidence, rotations: NDArray[np.float64]) -
     return poses
 
 
-# ---- the search -----------------------------------------------------------------------------------------------------
-
-
 class _Stage:
-    """The cost at one resolution: which points are compared, and what counts as far."""
-
     def __init__(
         self, model: _Model, evidence: Evidence, config: PlacementConfig, *, share: float, thinning: int
     ) -> None:
@@ -240,14 +223,12 @@ class _Stage:
 
 
 def _thinned(points: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return at most `count` of the points, evenly by their order."""
     if len(points) <= count:
         return np.ascontiguousarray(points)
     return np.ascontiguousarray(points[(np.arange(count) * len(points)) // count])
 
 
 def _distinct(poses: list[_Pose], model: _Model) -> list[_Pose]:
-    """Return the poses without those that put the mesh as a better one does."""
     kept: list[_Pose] = []
     for pose in poses:
         if all(_apart(pose, other, model) > 0.1 for other in kept):
@@ -256,14 +237,14 @@ def _distinct(poses: list[_Pose], model: _Model) -> list[_Pose]:
 
 
 def _apart(a: _Pose, b: _Pose, model: _Model) -> float:
-    """Return the mean distance of corresponding points of two poses, as a share of the size of the second."""
+    # The mean distance of corresponding points, as a share of the size of the second.
     points = model.samples[::8]
     moved = [portable.matmul(points * pose.factors, pose.rotation.T) + pose.shift for pose in (a, b)]
     return float(np.sqrt(np.square(moved[0] - moved[1]).sum(axis=1)).mean() / b.factors.max())
 
 
 def _surface_apart(a: _Pose, b: _Pose, model: _Model) -> float:
-    """Return the mean distance from the mesh at one pose to its surface at another, as a share of its size."""
+    # From the mesh at one pose to its surface at another, as a share of its size.
     points = model.samples[::4]
     world = portable.matmul(points * a.factors, a.rotation.T) + a.shift
     own = portable.matmul(world - b.shift, b.rotation) / b.factors
@@ -286,9 +267,6 @@ def _costs(rotations, shifts, factors, model, views, weights, tolerance):
         residuals(rotations[i], shifts[i], factors[i], model, views, weights, values)
         out[i] = cost_of(values, len(model[0]), tolerance, weights)
     return out
-
-
-# ---- the answer -----------------------------------------------------------------------------------------------------
 
 
 def _answer(best: _Pose, finalists: list[_Pose], model: _Model, evidence: Evidence) -> MeshPlacement:
@@ -320,10 +298,8 @@ def _answer(best: _Pose, finalists: list[_Pose], model: _Model, evidence: Eviden
 
 
 def _sigmas(pose: _Pose, evidence: Evidence) -> tuple[float, float, float]:
-    """Return the standard deviations of place (m), rotation (rad) and size (share): the cost's curvature at the pose.
-
-    The cost is a mean; as many of its terms are taken for independent as the surface has points.
-    """
+    # Of place (m), rotation (rad) and size (share), by the cost's curvature. The cost is a mean of as many independent
+    # terms as the surface has points.
     normal = pose.normal[:7, :7] * max(len(evidence.surface), 1)
     values, vectors = portable.eigh(normal)
     # What the evidence does not say at all is as uncertain as the object is large.

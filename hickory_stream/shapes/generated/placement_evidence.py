@@ -1,6 +1,6 @@
-"""What the kept views and layer 1 say of where an object's surface is, and where it is not, as a placement uses it.
+"""The evidence of kept views and layer 1 for a placement: where an object's surface is, and where it is not.
 
-Images are taken at a stride that leaves a few thousand pixels of each view: a placement asks them ten thousand times.
+Images have a stride that leaves a few thousand pixels a view: a placement reads them ten thousand times.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Crop, ShapeInputs
 
 _SIDE_PX = 96
+_SIDES = (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])
 _SLACK_PX = 1.0
 _CELLS = 24
 _FAR_SIGMAS = 3.0
@@ -30,24 +31,26 @@ _FAR_SIGMAS = 3.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """`surface` (N, 3), points of the object's surface in the world, even over it; views as stacks of K.
+    """The surface seen, evenly thinned, and K views as stacks."""
 
-    `depth` and `beside` (K, H, W) float32: the depth, NaN where there is none, and the pixels to the nearest one of the
-    mask, 0 in it. `sizes` (K, 2) rows and columns that are used; `intrinsics` (K, 4) fx, fy, cx, cy;
-    `camera_from_world` (K, 4, 4). `is_cut` (K, 4): the mask reaches the top, bottom, left, right border, beyond which
-    the object may go on. `support_z_m` is NaN where unknown; `noise_m` is sigma of the depth, `size_m` the diagonal of
-    the surface seen.
-    """
-
+    #: (N, 3) in the world
     surface: NDArray[np.float64]
+    #: (K, H, W), NaN without a return
     depth: NDArray[np.float32]
+    #: (K, H, W) pixels to the nearest one of the mask, 0 in it
     beside: NDArray[np.float32]
+    #: (K, 2) rows and columns that are used
     sizes: NDArray[np.int64]
+    #: (K, 4) fx, fy, cx, cy
     intrinsics: NDArray[np.float64]
     camera_from_world: NDArray[np.float64]
+    #: (K, 4) the mask reaches top, bottom, left, right, beyond which the object may go on
     is_cut: NDArray[np.bool_]
+    #: NaN where unknown
     support_z_m: float
+    #: sigma of the depth
     noise_m: float
+    #: the diagonal of the surface
     size_m: float
 
 
@@ -70,6 +73,7 @@ def evidence_of(inputs: ShapeInputs) -> Evidence | None:
     for k, (depth, beside, _) in enumerate(small):
         depth_stack[k, : depth.shape[0], : depth.shape[1]] = depth
         beside_stack[k, : beside.shape[0], : beside.shape[1]] = beside
+    masks = [crop.mask for crop in inputs.crops]
     return Evidence(
         surface=_evenly(surface, size_m / _CELLS),
         depth=depth_stack,
@@ -77,16 +81,11 @@ def evidence_of(inputs: ShapeInputs) -> Evidence | None:
         sizes=np.array([depth.shape for depth, _, _ in small], dtype=np.int64).reshape(count, 2),
         intrinsics=np.array([intrinsics for _, _, intrinsics in small]).reshape(count, 4),
         camera_from_world=np.array([invert(crop.world_from_camera) for crop in inputs.crops]).reshape(count, 4, 4),
-        is_cut=np.array([_cut_sides(crop.mask) for crop in inputs.crops], dtype=bool).reshape(count, 4),
+        is_cut=np.array([[m[i].any() for i in _SIDES] for m in masks], dtype=bool).reshape(count, 4),
         support_z_m=np.nan if inputs.support_z_m is None else inputs.support_z_m,
-        noise_m=max((noise_of(crop) for crop in inputs.crops), default=inputs_noise_m(size_m)),
+        noise_m=max((noise_of(crop) for crop in inputs.crops), default=0.01 * size_m),
         size_m=size_m,
     )
-
-
-def inputs_noise_m(size_m: float) -> float:
-    """Return what stands for the noise of an object of which there are points alone: a hundredth of its size."""
-    return 0.01 * size_m
 
 
 def surface_of(crop: Crop) -> NDArray[np.float64]:
@@ -111,7 +110,6 @@ def _without_outliers(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _evenly(points: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
-    """Return the mean of the points in each cell."""
     _, which, counts = np.unique(keys_of_points(points, cell_m), return_inverse=True, return_counts=True)
     sums = np.stack([np.bincount(which.reshape(-1), weights=points[:, i]) for i in range(3)], axis=1)
     kept = counts >= min(2, int(counts.max()))
@@ -128,10 +126,6 @@ def _strided(crop: Crop) -> tuple[NDArray[np.float32], NDArray[np.float32], tupl
     camera = crop.camera
     scaled = (camera.fx / stride, camera.fy / stride, camera.cx / stride, camera.cy / stride)
     return crop.depth_m[::stride, ::stride], beside, scaled
-
-
-def _cut_sides(mask: NDArray[np.bool_]) -> tuple[bool, bool, bool, bool]:
-    return bool(mask[0].any()), bool(mask[-1].any()), bool(mask[:, 0].any()), bool(mask[:, -1].any())
 
 
 def noise_of(crop: Crop) -> float:

@@ -1,8 +1,7 @@
 """The cost of a placement, and its descent: compiled, since a placement takes ten thousand evaluations.
 
-A pose has thirteen numbers: the rotation (9, by rows), the translation (3) and the common factor of size are apart from
-the factors along the mesh's own axes. Robust is the loss of Geman and McClure, so that what a generator made up, and
-what a mask lost, stops pulling.
+A pose is rotation (9, by rows), translation (3) and factors of size. The loss of Geman and McClure stops the pull of
+generated surface, and of surface that a mask lost.
 """
 
 from __future__ import annotations
@@ -21,11 +20,9 @@ _ROOT_6, _ROOT_2 = 2.449489742783178, 1.4142135623730951
 
 @kernel
 def residuals(rotation, shift, factors, model, views, weights, out):
-    """Fill `out` (N + M + 1) with metres: how far surface points are from the mesh, how far samples contradict views.
-
-    `model` is (surface (N, 3), samples (M, 3), field, origin, cell); `views` (depth, beside, sizes, intrinsics, poses,
-    cuts, noise, support). The last one is the height of the lowest sample over the support.
-    """
+    """Fill `out` (N + M + 1), metres: surface points to the mesh, then the violation of views by samples."""
+    # The last one is the lowest sample over the support. `model`: surface (N, 3), samples (M, 3), field, origin, cell;
+    # `views`: depth, beside, sizes, intrinsics, poses, cuts, noise, support.
     surface, samples, field, origin, cell = model
     depth, beside, sizes, intrinsics, poses, cuts, noise, support = views
     mean = exp((log(factors[0]) + log(factors[1]) + log(factors[2])) / 3.0)
@@ -107,10 +104,8 @@ def within(factors, most):
 
 @kernel
 def descend(rotation, shift, factors, model, views, weights, tolerance, size, num, most, rounds):
-    """Improve a pose in place by Levenberg-Marquardt on its `num` (7 or 9) numbers; return cost and normal matrix.
-
-    `size` is the object's: turns are scaled by it, so that all steps are lengths. The factors stay within `most`.
-    """
+    """Improve a pose in place by Levenberg-Marquardt on its `num` (7 or 9) numbers; return cost and normal matrix."""
+    # Turns are scaled by the object's `size`: all steps are lengths. No factor exceeds another by more than `most`.
     n = len(model[0])
     count = n + len(model[1]) + 1
     here, there = np.empty(count), np.empty(count)

@@ -1,8 +1,7 @@
 """Layer 2 by a generator that knows neither place nor size: placed, judged, and joined with what was seen.
 
-The embedded shape is always made. The generated one takes its place only where the views say that it is the object, and
-that what was made of it contradicts them no more than the embedded one does, and that it foretold as much of what other
-views saw; the verdict says so with its numbers.
+The embedded shape is always made. The generated one replaces it only where the views say that it is the object, where
+it contradicts them no more, and where it foretold as much of what other views saw; the verdict has the numbers.
 """
 
 from __future__ import annotations
@@ -55,46 +54,45 @@ class GeneratedReconstructor:
             return embedded
         made = self._generator.generate(inputs)
         if isinstance(made, NoShape):
-            return self._kept(embedded, f"{self._generator.name}: {made.reason}", hit_limit=made.hit_limit)
+            return self._kept(embedded, made.reason, hit_limit=made.hit_limit)
         placed = self._placed(made, inputs)
         if isinstance(placed, NoShape):
-            return self._kept(embedded, f"{self._generator.name}: {placed.reason}")
+            return self._kept(embedded, placed.reason)
         evidence = shape_evidence(placed, inputs, made.num_views)
         if evidence is None:
-            return self._kept(embedded, f"{self._generator.name}: no view measured the object")
+            return self._kept(embedded, "no view measured the object")
         verdict = judged(evidence)
         if not verdict.is_accepted:
-            return self._kept(embedded, f"{self._generator.name}: {verdict.reason}")
+            return self._kept(embedded, verdict.reason)
         joined = blended(placed, inputs, self._volume)
         if isinstance(joined, NoShape):
-            return self._kept(embedded, f"{self._generator.name}: {joined.reason}")
+            return self._kept(embedded, joined.reason)
         final = shape_evidence(joined, inputs, made.num_views)
         own = None
         if isinstance(embedded, Reconstruction):
             own = shape_evidence(embedded, inputs, len(inputs.crops))
-        told = f"{self._generator.name}: {verdict.reason}, {placed.verdict}"
+        text = f"{self._generator.name}: {verdict.reason}, {placed.verdict}"
         if final is not None and own is not None:
             better = replaces(final, own, self._judgement)
             if not better.is_accepted:
-                return self._kept(embedded, f"{self._generator.name}: {better.reason}")
-            told += f"; blended {better.reason}"
+                return self._kept(embedded, better.reason)
+            text += f"; blended {better.reason}"
         foretold = by_other_views(placed, inputs, made.num_views, self._embedded)
         if foretold is not None:
             if not foretold.is_accepted and isinstance(embedded, Reconstruction):
-                return self._kept(embedded, f"{self._generator.name}: {foretold.reason}")
-            told += f"; {foretold.reason}"
-        return replace(joined, made_by=self._generator.name, verdict=told)
+                return self._kept(embedded, foretold.reason)
+            text += f"; {foretold.reason}"
+        return replace(joined, made_by=self._generator.name, verdict=text)
 
     def _kept(
         self, embedded: Reconstruction | NoShape, reason: str, *, hit_limit: bool = False
     ) -> Reconstruction | NoShape:
-        """Return the embedded shape, and why it is not the generated one."""
+        reason = f"{self._generator.name}: {reason}"
         if isinstance(embedded, NoShape):
             return NoShape(reason=f"{embedded.reason}; {reason}", hit_limit=hit_limit)
         return replace(embedded, made_by=self._embedded.name, verdict=reason, hit_limit=hit_limit)
 
     def _placed(self, made: GeneratedMesh, inputs: ShapeInputs) -> Reconstruction | NoShape:
-        """Return the mesh in the world; its verdict says how it was placed."""
         try:
             mesh = usable(made.mesh)
         except ValueError as error:

@@ -2,18 +2,13 @@
 
 A superquadric with exponents up to 2 is convex, and symmetric in its local planes: it contains the ball of radius r
 around p if it contains |p| + c r d for a net of directions d in the first octant, where c >= 1 makes the net's facets
-enclose the octant of the sphere. So a triangle with a margin is contained when 21 points for each of its corners are.
-This needs no bound on curvature, and holds for a plate as for a ball.
+enclose the octant of the sphere: 21 points for each corner of a triangle, without a bound on curvature.
 
 In the logarithms of the semi-axes ln h (h = G^(e1/2)) is convex and that of the volume linear: the smallest primitive
 around given points is a convex problem in two unknowns, the ratios, since the scale follows from the worst point.
 
-Which points decide whether a superquadric contains them all: those that none of the others dominates.
-
-A superquadric with exponents up to 2 is convex and symmetric in its three planes. So what contains a point contains all
-points that are no farther from any of the planes, and with the ball around the one the equal ball around the other. In
-absolute local coordinates only the maximal points count: of the 8,000 vertices of a scanned box about 200. They are
-found from the farthest along x to the nearest, with a staircase of those found: y rises along it, and z falls.
+A body that contains a point contains all points no farther from any of its planes: only the maximal points count, of
+8,000 vertices about 200. They are found from the farthest along x, with a staircase: y rises along it, and z falls.
 """
 
 from __future__ import annotations
@@ -32,7 +27,7 @@ _LOG_2 = 0.6931471805599453
 
 
 def _net() -> tuple[np.ndarray, float]:
-    """Return the (M, 3) unit directions of the net and the factor c that lets its facets enclose the octant."""
+    # (M, 3) unit directions, and the factor c that lets the net's facets enclose the octant.
     places = [(i, j) for i in range(_NET + 1) for j in range(_NET + 1 - i)]
     directions = np.array([[_STEPS[i], _STEPS[j], _STEPS[_NET - i - j]] for i, j in places])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -63,10 +58,8 @@ def log_gauge(x, y, z, axes, e1, e2):
 
 @kernel
 def log_gauge_of_ball(x, y, z, radius, axes, e1, e2, limit, net, factor):
-    """Return an upper bound of ln h over a ball around a local point, exact enough to tell whether it is <= limit.
-
-    Where the bound exceeds the limit, the first value found above it is returned.
-    """
+    """Return an upper bound of ln h over a ball around a local point, exact enough to tell whether it is <= limit."""
+    # Beyond the limit, the first value found above it.
     corner = log_gauge(x + radius, y + radius, z + radius, axes, e1, e2)
     if corner <= limit or radius == 0.0:
         return corner
@@ -87,10 +80,8 @@ def _worst_over_net(x, y, z, r, axes, e1, e2, limit, net):
 
 @kernel
 def least_axes(points, before, e1, e2, limit):
-    """Return the semi-axes of about the least volume, none below `before`, with ln h <= limit at (N, 3) points >= 0.
-
-    A simplex search over the two ratios of the axes. Containment is exact: the scale follows from the worst point.
-    """
+    """Return the semi-axes of about the least volume, none below `before`, with ln h <= limit at (N, 3) points >= 0."""
+    # A simplex search over the two ratios of the axes. Containment is exact: the scale follows from the worst point.
     logs = np.empty((len(points), 3))
     for n in range(len(points)):
         for i in range(3):
@@ -146,7 +137,7 @@ def _size(ratios, logs, floor, e1, e2, limit):
 
 @kernel
 def _scaled(logs, axes, floor, e1, e2, limit):
-    """Return the log axes of these ratios, at the scale that holds all points, raised to the floor."""
+    # Log axes of these ratios at the scale that holds all points, raised to the floor.
     worst = -1e300
     for n in range(len(logs)):
         u, v, w = logs[n, 0] - axes[0], logs[n, 1] - axes[1], logs[n, 2] - axes[2]
@@ -219,10 +210,8 @@ def worst_balls(points, radii, axes, e1, e2, limit, net, factor, most):
 
 @kernel
 def undominated(points):
-    """Return (N,) which of (N, 3) points, of coordinates of at least 0, have no other one beyond them in all three.
-
-    Of equal points at least one is kept.
-    """
+    """Return (N,) which of (N, 3) points, of coordinates of at least 0, have no other one beyond them in all three."""
+    # Of equal points at least one is kept.
     kept = np.zeros(len(points), np.bool_)
     stairs = new_stairs(len(points))
     count = 0

@@ -1,11 +1,9 @@
 """Layer 4: primitives grown until they provably contain the object and a margin.
 
-They contain the Minkowski sum of the surface and the points of layer 1 with a ball of the margin's radius, and the
-interior of a closed mesh. The surface is partitioned among the primitives (`surface_partition`), and each primitive
-grows to the least volume that contains its part (`cover`). Residuals of the fit, such as the leaves of a plant, would
-make a primitive much larger: they get boxes of their own (`residual_boxes`) if that takes clearly less volume. The
-result is checked by independent code (`certify`). If the check fails, a box around everything replaces the primitives,
-and is marked as such.
+They contain the Minkowski sum of surface and layer 1 with a ball of the margin's radius, and the interior of a closed
+mesh. Each primitive grows to the least volume around its part of the surface (`surface_partition`, `cover`); residuals
+of the fit, such as leaves, get boxes of their own (`residual_boxes`) if that takes clearly less volume. Independent
+code checks the result (`certify`); if that fails, a box around everything replaces the primitives.
 
 The paper grows all three axes by one factor, which turns a thin plate into a huge block: by default each semi-axis
 grows separately, and edges may become rounder, like those of the Minkowski sum.
@@ -26,7 +24,7 @@ from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, joined, volumes_m3
 from hickory_stream.records import Containment
 from hickory_stream.shapes.certify import Certificate, Inside, certify, inside_of, uncovered_cells
-from hickory_stream.shapes.fit.quadric_lm import row_of
+from hickory_stream.shapes.fit.quadric_lm import rows_in
 from hickory_stream.shapes.fit.surface_partition import owned_pieces, owners_of
 from hickory_stream.shapes.inflate.cover import (
     NET,
@@ -80,10 +78,7 @@ class InflateConfig(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Inflated:
-    """The inflated primitives in the world, their certificate, and whether they were replaced by one box.
-
-    The fitted primitives come first, in their order, then the boxes around residuals.
-    """
+    """The inflated primitives in the world, fitted ones first, then boxes around residuals, or one box for all."""
 
     primitives: Superquadrics
     certificate: Certificate
@@ -93,10 +88,7 @@ class Inflated:
 def inflate(
     fitted: Superquadrics, reconstruction: Reconstruction, points_world: NDArray[np.float32], config: InflateConfig
 ) -> tuple[Superquadrics, Containment]:
-    """Return the inflated primitives in the world, those fitted first, and the record of their certificate.
-
-    `fitted` in the world; `points_world` (N, 3) are those of layer 1.
-    """
+    """Return the inflated primitives, those fitted first, and the record of their certificate, all in the world."""
     vertices = apply(reconstruction.world_from_object, reconstruction.mesh.vertices.astype(np.float64))
     found = inflated(fitted, vertices, reconstruction.mesh.faces, points_world.astype(np.float64), config)
     certificate = found.certificate
@@ -118,9 +110,7 @@ def inflated(
     points_world: NDArray[np.float64],
     config: InflateConfig,
 ) -> Inflated:
-    """Return the primitives grown around (V, 3) vertices with (F, 3) faces and (N, 3) points, and their certificate.
-
-    Every vertex belongs to a face with an extent, as in a `usable` mesh.
+    """Return the primitives grown around the vertices of a `usable` mesh and (N, 3) points, and their certificate.
 
     Raises:
         ValueError: vertices or points are not finite, or there are none of either.
@@ -164,7 +154,7 @@ def inflate_to_cover(fitted: Superquadrics, points_world: NDArray[Any], config: 
 
 
 def _growths(share: _Share, inside: Inside) -> list[Superquadrics]:
-    """Return the candidates in order of preference: with boxes for residuals if these take clearly less volume."""
+    # In order of preference: with boxes for residuals if these take clearly less volume.
     grown = share.grown()
     whole = share.grown_over(inside, grown)
     if share.config.rule == "single_factor" or share.config.most_added == 0:
@@ -179,13 +169,9 @@ def _growths(share: _Share, inside: Inside) -> list[Superquadrics]:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Share:
-    """The set that each primitive has to contain: balls around (N, 3) points, in units of 1/64 of the object's size.
-
-    `items` (M, 3) are the corners of triangles, or one point three times; `owners` (M,) the primitives that have to
-    contain them, and `distances` (M,) how far they protrude from these. The unit makes tolerances independent of scale,
-    and the offset preserves precision far from the origin.
-    """
-
+    # The set that each primitive has to contain: balls around (N, 3) points, in units of 1/64 of the object's size
+    # (tolerances do not depend on scale), off the mean (precision far from the origin). `items` (M, 3) are corners of
+    # triangles, or one point three times; `owners` (M,) their primitives, `distances` (M,) how far they protrude.
     primitives: Superquadrics
     unit_m: float
     offset_m: NDArray[np.float64]
@@ -209,17 +195,7 @@ class _Share:
         offset = everything.mean(axis=0)
         diagonal = portable.norm(np.ptp(everything, axis=0))
         unit = max(diagonal, float(fitted.semi_axes_m.max())) / _UNIT_CELLS
-        rows = np.stack(
-            [
-                row_of(
-                    (float(fitted.exponents[i, 0]), float(fitted.exponents[i, 1])),
-                    fitted.semi_axes_m[i] / unit,
-                    (fitted.world_from_local[i, :3, 3] - offset) / unit,
-                    fitted.world_from_local[i, :3, :3],
-                )
-                for i in range(len(fitted))
-            ]
-        )
+        rows = rows_in(fitted, unit, offset)
         tolerance = _TOLERANCE * _UNIT_CELLS
         vertices, pieces, owners, distances = owned_pieces(
             (vertices_world - offset) / unit, faces.astype(np.int64), rows, tolerance, 2 * tolerance
@@ -240,9 +216,16 @@ class _Share:
         )
 
     def with_balls(self, centers_world: NDArray[np.float64], radii_m: NDArray[np.float64]) -> _Share:
-        """Return the share with more balls, each assigned to the nearest primitive by its gauge."""
         centers = (centers_world - self.offset_m) / self.unit_m
-        gauges = np.stack([_gauge_of(self.primitives, i, centers_world) for i in range(len(self.primitives))])
+        bodies = self.primitives
+        gauges = np.stack(
+            [
+                _log_gauges(local_abs(centers_world, pose), axes, *exponents)
+                for exponents, axes, pose in zip(
+                    bodies.exponents, bodies.semi_axes_m, bodies.world_from_local, strict=True
+                )
+            ]
+        )
         return replace(
             self,
             points=np.concatenate([self.points, centers]),
@@ -254,10 +237,7 @@ class _Share:
         )
 
     def with_residuals_boxed(self, grown: Superquadrics) -> _Share | None:
-        """Return the share in which residuals have boxes of their own; None if no residual makes a primitive grow much.
-
-        Residuals lie clearly outside of all primitives; `grown` are the primitives grown over this share.
-        """
+        # None if no residual makes a primitive grow much; residuals lie clearly outside of all primitives.
         is_residual = self.distances > _TOLERANCE * _UNIT_CELLS
         have_residuals = np.unique(self.owners[is_residual])
         # Their extreme points are enough to tell how large they would be: this is not a result.
@@ -286,10 +266,7 @@ class _Share:
         return replace(self, primitives=joined([self.primitives, added]), owners=owners)
 
     def grown_over(self, inside: Inside, grown: Superquadrics) -> Superquadrics:
-        """Return the primitives grown until they also contain the interior, or a maximum number of rounds is reached.
-
-        `grown` are the primitives grown over this share, from which to start.
-        """
+        # Until the primitives also contain the interior, from `grown`, which are grown over this share.
         share = self
         for _ in range(_ROUNDS):
             out = uncovered_cells(grown, inside, self.config.g)
@@ -302,10 +279,7 @@ class _Share:
         return grown
 
     def grown(self, which: NDArray[np.int64] | None = None, *, by_extremes: bool = False) -> Superquadrics:
-        """Return the primitives, each grown to contain its share; only those of the indices `which` (M,), if given.
-
-        `by_extremes`: not all of the share is looked at, only its extreme points, which nearly determine the result.
-        """
+        # `which` (M,): only these; `by_extremes`: by the extreme points alone, which nearly determine the result.
         exponents, axes = self.primitives.exponents.copy(), self.primitives.semi_axes_m.copy()
         for i in range(len(self.primitives)) if which is None else which:
             own = np.zeros(len(self.points), bool)
@@ -316,7 +290,7 @@ class _Share:
         return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=self.primitives.world_from_local)
 
     def grown_from(self, before: _Share, grown: Superquadrics) -> Superquadrics:
-        """Return the result of `grown()`, reusing the result `grown` of a share `before` with fewer primitives."""
+        # Reuses the result `grown` of a share `before` with fewer primitives.
         num_before = len(before.primitives)
         changed = self.owners != before.owners
         touched = np.unique(np.concatenate([self.owners[changed], before.owners[changed]]))
@@ -346,7 +320,9 @@ class _Share:
         binding = binding[extremes(binding / scale, _octant_directions())]
         candidates = _candidates(exponents)
         axes = [_least_around(binding, before, rounder, self.config.g) for rounder in candidates]
-        sizes = [_log_size(*tried) for tried in zip(axes, candidates, strict=True)]
+        sizes = [
+            float(portable.log(own).sum()) + _log_share(*e.tolist()) for own, e in zip(axes, candidates, strict=True)
+        ]
         best = int(np.argmin(sizes))
         if by_extremes:
             return candidates[best], axes[best]
@@ -356,7 +332,6 @@ class _Share:
 
 
 def _replaced(primitives: Superquadrics, others: Superquadrics, which: NDArray[np.int64]) -> Superquadrics:
-    """Return the primitives with those at the indices `which` replaced by `others`; the poses are the same."""
     exponents, axes = primitives.exponents.copy(), primitives.semi_axes_m.copy()
     exponents[which], axes[which] = others.exponents[which], others.semi_axes_m[which]
     return Superquadrics(exponents=exponents, semi_axes_m=axes, world_from_local=primitives.world_from_local)
@@ -365,7 +340,6 @@ def _replaced(primitives: Superquadrics, others: Superquadrics, which: NDArray[n
 def _deciding(
     points: NDArray[np.float64], radii: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return those of the balls around (N, 3) absolute local points that decide on growth, and their radii (N,)."""
     kept = np.zeros(len(points), bool)
     for radius in np.unique(radii):
         alike = np.flatnonzero(radii == radius)
@@ -374,7 +348,7 @@ def _deciding(
 
 
 def _candidates(exponents: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the exponents to try: the given ones first, then rounder edges, then a round cross-section about z."""
+    # The given ones first, then rounder edges, then a round cross-section about z.
     rounder = [np.maximum(exponents, rounding) for rounding in _ROUNDINGS]
     round_along = np.array([exponents[0], max(exponents[1], 1.0)])
     tried: list[NDArray[np.float64]] = []
@@ -385,21 +359,14 @@ def _candidates(exponents: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def _alone(first: int, count: int) -> NDArray[np.int64]:
-    """Return (count, 3) items that are one point each, counted from `first`."""
     return np.repeat(np.arange(first, first + count)[:, None], 3, axis=1)
 
 
 def _least_around(
     binding: NDArray[np.float64], before: NDArray[np.float64], exponents: NDArray[np.float64], g: float
 ) -> NDArray[np.float64]:
-    """Return the (3,) semi-axes of about the least volume, none below `before`, that contain (N, 3) points."""
     e1, e2 = float(exponents[0]), float(exponents[1])
     return np.asarray(least_axes(binding, before, e1, e2, e1 / 2 * float(log(g)) - _SLACK))
-
-
-def _log_size(axes: NDArray[np.float64], exponents: NDArray[np.float64]) -> float:
-    """Return the logarithm of the volume of a primitive, up to a constant."""
-    return float(portable.log(axes).sum()) + _log_share(float(exponents[0]), float(exponents[1]))
 
 
 def _axes_around(
@@ -412,10 +379,7 @@ def _axes_around(
     *,
     first: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the (3,) semi-axes of about the least volume that contain all balls; `first` are those around `binding`.
-
-    Balls that protrude from these are added to the points `binding`, round by round.
-    """
+    # Protruding balls are added to `binding` round by round; `first` are the semi-axes around `binding`.
     e1, e2 = float(exponents[0]), float(exponents[1])
     limit = e1 / 2 * float(log(g)) - _SLACK
     axes = first
@@ -435,33 +399,22 @@ def _by_one_factor(
     exponents: NDArray[np.float64],
     g: float,
 ) -> NDArray[np.float64]:
-    """Return the semi-axes times the paper's gamma = (G_max / g)^(e1 / 2), at least 1, over all balls."""
+    # The paper's gamma = (G_max / g)^(e1 / 2), at least 1, over all balls.
     e1, e2 = float(exponents[0]), float(exponents[1])
     limit = e1 / 2 * float(log(g)) - _SLACK
-    around = with_net(points, radii, NET, NET_FACTOR)
-    return np.asarray(np.maximum(_scaled_by_worst(around, axes, e1, e2, limit), axes))
+    worst = float(_log_gauges(with_net(points, radii, NET, NET_FACTOR), axes, e1, e2).max())
+    return np.asarray(np.maximum(axes * exp(worst - limit), axes))
 
 
-def _scaled_by_worst(
-    points: NDArray[np.float64], axes: NDArray[np.float64], e1: float, e2: float, limit: float
-) -> NDArray[np.float64]:
+def _log_gauges(points: NDArray[np.float64], axes: NDArray[np.float64], e1: float, e2: float) -> NDArray[np.float64]:
     logs = portable.log(np.maximum(points / axes, 1e-200))
-    log_rho = e2 / 2 * portable.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
-    worst = float((e1 / 2 * portable.logaddexp(2 / e1 * log_rho, 2 / e1 * logs[:, 2])).max())
-    return np.asarray(axes * exp(worst - limit))
-
-
-def _gauge_of(primitives: Superquadrics, index: int, points_world: NDArray[np.float64]) -> NDArray[np.float64]:
-    points = local_abs(points_world, primitives.world_from_local[index])
-    e1, e2 = primitives.exponents[index]
-    logs = portable.log(np.maximum(points / primitives.semi_axes_m[index], 1e-200))
     log_rho = e2 / 2 * portable.logaddexp(2 / e2 * logs[:, 0], 2 / e2 * logs[:, 1])
     return np.asarray(e1 / 2 * portable.logaddexp(2 / e1 * log_rho, 2 / e1 * logs[:, 2]))
 
 
 @lru_cache(maxsize=1024)
 def _log_share(e1: float, e2: float) -> float:
-    """Return the logarithm of the share that a primitive with these exponents fills of the product of its semi-axes."""
+    # Of the product of the semi-axes.
     unit = Superquadrics(exponents=np.array([[e1, e2]]), semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None])
     return float(log(volumes_m3(unit)[0]))
 

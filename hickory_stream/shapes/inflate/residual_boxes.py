@@ -1,8 +1,7 @@
-"""Boxes around the residuals of a fit: surface outside all primitives, such as a plant's leaves or the arms of a chair.
+"""Boxes around the residuals of a fit: surface outside all primitives, such as a plant's leaves or a chair's arms.
 
-At first, all residual triangles are one group. Greedily, the group is split by a plane for which this saves the most
-volume, until no split saves enough. Planes and boxes follow the axes of the object or the principal axes of the group,
-whichever gives less volume.
+Greedily, the group is split by the plane that saves the most volume, until no split saves enough. Planes and boxes
+follow the axes of the object or the principal axes of the group, whichever gives less volume.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ class Box:
 def boxes_around(corners: NDArray[np.float64], axes: NDArray[np.float64], *, margin: float, most: int) -> list[Box]:
     """Return up to `most` boxes that contain (N, 3, 3) triangles, each entirely in one box; their volume is kept small.
 
-    Volumes include the margin. `axes` (3, 3) are the columns of a frame that is tried besides the principal axes.
+    Volumes include the margin. The columns of `axes` (3, 3) are tried besides the principal axes.
     """
     groups = [_Group.of(np.arange(len(corners)), corners, axes, margin)]
     while len(groups) < most:
@@ -51,8 +50,6 @@ def boxes_around(corners: NDArray[np.float64], axes: NDArray[np.float64], *, mar
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Group:
-    """A group of triangles, its box, and its best split: the triangles of one side, and the volume of both boxes."""
-
     items: NDArray[np.int64]
     box: Box
     volume: float
@@ -86,16 +83,14 @@ class _Group:
 
 
 def _of_corners(reduced: np.ufunc, triangles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the least or greatest of the three corners; NumPy's own reduction of so short an axis is slow."""
+    # NumPy's own reduction of so short an axis is slow.
     return np.asarray(reduced(reduced(triangles[:, :, 0], triangles[:, :, 1]), triangles[:, :, 2]))
 
 
 @kernel
 def _best_cut(lows, highs, margin):
-    """Return (N,) which triangles are on the first side of the best plane, and the volume of the boxes of both sides.
-
-    `lows` and `highs` (F, N, 3) bound the triangles in each of F frames; planes are normal to the axes of all frames.
-    """
+    # (N,) triangles on the first side of the best plane, and the volume of both boxes; planes normal to the axes of F
+    # frames.
     num_frames, count = lows.shape[0], lows.shape[1]
     before = np.empty(count)
     after = np.empty(count)
@@ -118,7 +113,6 @@ def _best_cut(lows, highs, margin):
 
 @kernel
 def _volumes_from_first(lows, highs, order, margin, out):
-    """Fill in the volume of the smallest box, of all frames, around the first 1, 2, ... N triangles of an order."""
     out[:] = np.inf
     for frame in range(len(lows)):
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -132,7 +126,6 @@ def _volumes_from_first(lows, highs, order, margin, out):
 
 
 def _principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (3, 3) principal axes of points as columns, right-handed."""
     off = points - points.mean(axis=0)
     _, axes = portable.eigh(portable.matmul(off.T, off))
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])

@@ -1,8 +1,7 @@
 """Shape completion: which of the unobserved voxels belong to the object.
 
-An unknown voxel is taken as solid if most rays from it hit the object and hardly any reach free space: the inside of a
-box whose back was never seen is filled, the occluded space behind a leg is not. Below a wide object whose lower edge
-was seen in the air (a table), nothing is filled: it stands on its visible feet.
+An unknown voxel is solid if most rays from it hit the object and hardly any reach free space: the inside of a half-seen
+box is filled, the space behind a leg is not, nor that below a wide object whose lower edge was seen in the air.
 """
 
 from __future__ import annotations
@@ -36,10 +35,7 @@ _MIN_PIECE_SHARE = 0.02
 
 
 def classify(evidence: Evidence, surface_cells: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return UNKNOWN, FREE or SOLID per voxel.
-
-    `surface_cells` (N, 3) contain points of layer 1: they are solid unless a view observed them as free.
-    """
+    """Return UNKNOWN, FREE or SOLID per voxel; `surface_cells` (N, 3) of layer 1 are solid unless seen free."""
     states = np.full(evidence.near.shape, UNKNOWN, np.uint8)
     is_near = evidence.near > evidence.free
     states[evidence.free > 0] = FREE
@@ -59,10 +55,9 @@ def solid_of(
     *,
     is_wide: bool = False,
 ) -> NDArray[np.bool_]:
-    """Return the completed solid.
+    """Return the completed solid, unknown voxels filled within `fillable`; only if `is_wide` may it stand on feet.
 
-    Unknown voxels are filled within `fillable` only; `support_index` is the lowest layer above the support surface,
-    `max_gap` is in voxels; only an object that `is_wide` may stand on feet.
+    `support_index` is the lowest layer above the support surface, `max_gap` is in voxels.
     """
     states = states.copy()
     states[:, :, : support_index or 0] = UNKNOWN
@@ -81,15 +76,13 @@ def solid_of(
     if support_index is not None and clear is None:
         # A column under an outlier voxel must not become a spike on the floor.
         solid = _without_hair(_down_to_support(solid, states, support_index, max_gap), states)
-    return _large_pieces(np.asarray(ndimage.binary_fill_holes(solid)), _MIN_PIECE_SHARE)
+    return large_pieces(np.asarray(ndimage.binary_fill_holes(solid)), _MIN_PIECE_SHARE)
 
 
 def _under_edge(
-    states: NDArray[np.uint8],
-    fillable: tuple[slice, slice, slice],
-    support_index: int,
+    states: NDArray[np.uint8], fillable: tuple[slice, slice, slice], support_index: int
 ) -> NDArray[np.bool_] | None:
-    """Return the space under an object that stands on feet, without its visible feet; None if it has no feet."""
+    # None if the object has no feet; without its visible feet.
     observed = states == SOLID
     i, j = np.nonzero(observed.any(axis=2))
     lowest = observed.argmax(axis=2)[i, j]
@@ -122,7 +115,7 @@ def look_around(states: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray
 
 
 def _without_hair(solid: NDArray[np.bool_], states: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Remove completed voxels that a majority filter would not keep; observed voxels stay."""
+    # Completed voxels that a majority filter would not keep; observed voxels stay.
     share = ndimage.uniform_filter(solid.astype(np.float32), 3, mode="constant")
     return np.asarray((states == SOLID) | ((states == UNKNOWN) & (share > 0.5)))
 
@@ -130,7 +123,7 @@ def _without_hair(solid: NDArray[np.bool_], states: NDArray[np.uint8]) -> NDArra
 def _down_to_support(
     solid: NDArray[np.bool_], states: NDArray[np.uint8], support_index: int, max_gap: int
 ) -> NDArray[np.bool_]:
-    """Continue columns that end within `max_gap` voxels above the support, through unknown voxels only."""
+    # Through unknown voxels only.
     out = solid.copy()
     out[:, :, :support_index] = False
     top = min(support_index + max_gap, solid.shape[2] - 1)
@@ -139,7 +132,8 @@ def _down_to_support(
     return out
 
 
-def _large_pieces(solid: NDArray[np.bool_], min_share: float) -> NDArray[np.bool_]:
+def large_pieces(solid: NDArray[np.bool_], min_share: float) -> NDArray[np.bool_]:
+    """Return the solid without pieces below a share of the largest."""
     labels, count = ndimage.label(solid)
     if count < 2:
         return solid
@@ -150,10 +144,7 @@ def _large_pieces(solid: NDArray[np.bool_], min_share: float) -> NDArray[np.bool
 
 @kernel
 def _add_first_known(states, step, first, hits, frees):
-    """Count for each voxel whether the first known state met along `step` is SOLID, or FREE.
-
-    `first` is room for these states; they are UNKNOWN where the block ends first.
-    """
+    # `first` is room for the states; they are UNKNOWN where the block ends first.
     nx, ny, nz = states.shape
     for a in range(nx):
         i = nx - 1 - a if step[0] > 0 else a

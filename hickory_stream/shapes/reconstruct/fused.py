@@ -1,7 +1,6 @@
 """Layer 2 from all kept views: a truncated signed distance field over the object's box, completed and meshed.
 
-An object that is a surface of revolution in its best view is completed by rotating its views to its far side; other
-objects are completed from the surrounding evidence (`complete`).
+A surface of revolution, by its best view, is completed by rotating its views to its far side.
 """
 
 from __future__ import annotations
@@ -19,15 +18,9 @@ from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.rigid import apply, compose, invert
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.reconstruct.completion import classify, solid_of
-from hickory_stream.shapes.reconstruct.meshing import (
-    extract,
-    in_object_frame,
-    painted,
-    surface_field,
-    taubin_smoothed,
-)
+from hickory_stream.shapes.reconstruct.meshing import extract, in_object_frame, painted, surface_field, taubin_smoothed
 from hickory_stream.shapes.reconstruct.symmetry import half_turn_of
-from hickory_stream.shapes.reconstruct.tsdf import DepthView, Evidence, VoxelGrid, integrate, smoothed_depth
+from hickory_stream.shapes.reconstruct.tsdf import DepthView, VoxelGrid, integrate, smoothed_depth
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -110,10 +103,7 @@ def with_faced_box(inputs: ShapeInputs) -> ShapeInputs:
 def completed_round(
     inputs: ShapeInputs, views: list[DepthView], config: FusedConfig
 ) -> tuple[ShapeInputs, list[DepthView]]:
-    """Return the inputs with a box around the whole object and views rotated to its far side, if it is round.
-
-    An object that is not a surface of revolution by its best view is returned unchanged.
-    """
+    """Return the inputs with a box around the whole object and views rotated to its far side, if it is round."""
     if not inputs.crops:
         return inputs, views
     best = inputs.crops[0]
@@ -178,20 +168,19 @@ def reconstruct_views(inputs: ShapeInputs, views: list[DepthView], volume: Volum
     solid = solid_of(states, block.fillable, block.support_index, block.max_gap, is_wide=block.is_wide)
     if not solid.any():
         return NoShape(reason="no voxel of the object's box is solid: its views contradict one another")
-    return _mesh_of(solid, evidence, grid, inputs)
+    return mesh_of_field(surface_field(solid, evidence), grid, inputs)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Block:
-    """The grid of one object: unseen space is filled within `fillable` only, the object's box.
-
-    `support_index` is the lowest layer above the support surface, None if the object rests on none; columns that end
-    within `max_gap` layers above it are continued down to it. Only an object that `is_wide` may stand on feet.
-    """
+    """The grid of one object; only an object that `is_wide` may stand on feet."""
 
     grid: VoxelGrid
+    #: the object's box, within which unseen space is filled
     fillable: tuple[slice, slice, slice]
+    #: the lowest layer above the support surface, None without one
     support_index: int | None
+    #: layers above the support within which columns are continued down to it
     max_gap: int
     is_wide: bool
 
@@ -204,10 +193,7 @@ def block_over(box: OrientedBox, support_z_m: float | None, volume: VolumeConfig
     rests = support_z_m is not None and float_m <= _MAX_SUPPORT_GAP_M
     if rests and support_z_m is not None:
         low_z = min(low_z, support_z_m - float(box.center[2]))
-    area = 8 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])
-    # Marching cubes yields about two faces per voxel face.
-    voxel = max(2 * half.max() / volume.cells, float(np.sqrt(2 * area / MAX_FACES)))
-    voxel = float(np.clip(voxel, volume.min_voxel_m, volume.max_voxel_m))
+    voxel = voxel_over(half, volume)
     low = np.array([-half[0], -half[1], low_z]) - _MARGIN_VOXELS * voxel
     counts = [int(n) for n in np.ceil((half - low) / voxel) + _MARGIN_VOXELS + 1]
     world_from_grid = box.world_from_box.copy()
@@ -225,8 +211,17 @@ def block_over(box: OrientedBox, support_z_m: float | None, volume: VolumeConfig
     )
 
 
-def _mesh_of(solid: NDArray[np.bool_], evidence: Evidence, grid: VoxelGrid, inputs: ShapeInputs) -> Reconstruction:
-    vertices, faces = extract(surface_field(solid, evidence), grid)
+def voxel_over(half_m: NDArray[np.float64], volume: VolumeConfig) -> float:
+    """Return the side of voxels over a box of half extents (3,), metres."""
+    area = 8 * (half_m[0] * half_m[1] + half_m[1] * half_m[2] + half_m[2] * half_m[0])
+    # Marching cubes yields about two faces per voxel face.
+    voxel = max(2 * float(half_m.max()) / volume.cells, float(np.sqrt(2 * area / MAX_FACES)))
+    return float(np.clip(voxel, volume.min_voxel_m, volume.max_voxel_m))
+
+
+def mesh_of_field(field: NDArray[np.float32], grid: VoxelGrid, inputs: ShapeInputs) -> Reconstruction:
+    """Return the smoothed, coloured mesh of the zero of a field in voxels."""
+    vertices, faces = extract(field, grid)
     vertices = taubin_smoothed(vertices, faces, SMOOTHING)
     reach = SEEN_VOXELS * grid.voxel_m
     colors, is_seen = painted(vertices, inputs.crops, inputs.points_world, inputs.colors, reach)

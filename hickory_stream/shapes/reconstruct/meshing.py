@@ -1,9 +1,7 @@
 """Surface extraction: from a solid on a voxel grid to a closed, smooth, coloured mesh in the object's frame.
 
-Distances from the cells of a block to the boundary of a solid, exact up to a reach.
-
-The square of a distance is a sum of three squares of whole numbers: the least one is found axis by axis, of the cells
-within the reach alone. SciPy's transform looks at all of them, and at the nearest cell itself, which nobody asks for.
+Squared distances to a solid's boundary are least sums of three squares, found axis by axis within a reach; SciPy's
+transform looks at all cells.
 """
 
 from __future__ import annotations
@@ -30,10 +28,8 @@ if TYPE_CHECKING:
 
 @kernel
 def rough_distance(solid, reach):
-    """Return the signed distances to the faces between solid and other cells, in cells, negative inside, float32.
-
-    They are those between the middles of cells, less half a cell; what is farther away than `reach` cells, that far.
-    """
+    """Return the signed distances to the faces between solid and other cells, in cells, negative inside, float32."""
+    # Between the middles of cells, less half a cell; cut off at `reach`.
     outside, inside = _squared_distance(solid, True, reach), _squared_distance(solid, False, reach)
     out = np.empty(solid.shape, np.float32)
     flat, is_solid = out.reshape(-1), solid.reshape(-1)
@@ -45,7 +41,7 @@ def rough_distance(solid, reach):
 
 @kernel
 def _squared_distance(solid, to_solid, reach):
-    """Return the squared distance of each cell to the nearest that is solid, or the nearest that is not, int32."""
+    # int32.
     nx, ny, nz = solid.shape
     most = np.int32(reach * reach)
     along_z = np.empty((nx, ny, nz), np.int32)
@@ -87,10 +83,9 @@ _REACH = 9
 
 
 def surface_field(solid: NDArray[np.bool_], evidence: Evidence) -> NDArray[np.float32]:
-    """Return a signed field in voxels, negative inside, whose zero is the surface.
+    """Return a signed field in voxels, negative inside, whose zero is the surface: measured, else smoothed distance.
 
-    Where the surface was measured the field is the measured distance; elsewhere it is the distance to the completed
-    solid, smoothed. It is never exactly zero on a voxel, so that its level set is a closed manifold.
+    It is never exactly zero on a voxel, so that its level set is a closed manifold.
     """
     rough = rough_distance(solid, sum(solid.shape) if _meets_a_side(solid) else _REACH)
     smooth = gaussian_blurred(rough, 1.0, mode="nearest")
@@ -125,7 +120,6 @@ def taubin_smoothed(vertices: NDArray[np.float64], faces: NDArray[np.int32], ite
 
 @kernel
 def _means_of_neighbours(vertices, faces):
-    """Return (V, 3) the mean of the vertices that follow each one in a face; the vertex itself if it is in no face."""
     means, counts = np.zeros(vertices.shape), np.zeros(len(vertices), np.int64)
     for f in range(len(faces)):
         for corner in range(3):
@@ -146,10 +140,9 @@ def painted(
     point_colors: NDArray[np.uint8],
     reach_m: float,
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Return per vertex its colour and whether it was seen.
+    """Return per vertex its colour and whether it was seen, within `reach_m` of a crop's surface or a layer-1 point.
 
-    A vertex is seen if a crop measured the surface within `reach_m` of it, or if it is that close to a layer-1 point.
-    Its colour is the mean over those crops, else the point's; a generated vertex has that of the nearest seen vertex.
+    The colour is the mean over crops, else the point's; a generated vertex has that of the nearest seen one.
     """
     total = np.zeros((len(vertices), 3))
     weight = np.zeros(len(vertices))
@@ -174,10 +167,7 @@ def painted(
 
 
 def in_object_frame(
-    vertices_world: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    colors: NDArray[np.uint8],
-    is_seen: NDArray[np.bool_],
+    vertices_world: NDArray[np.float64], faces: NDArray[np.int32], colors: NDArray[np.uint8], is_seen: NDArray[np.bool_]
 ) -> Reconstruction:
     """Return the mesh in the frame of its own gravity-aligned box, the origin at the box's centre."""
     world_from_object = gravity_aligned_box(vertices_world, 1e-4).world_from_box
@@ -188,7 +178,7 @@ def in_object_frame(
 def _seen_in(
     vertices: NDArray[np.float64], crop: Crop, reach_m: float
 ) -> tuple[NDArray[np.int64], NDArray[Any], NDArray[np.float64]]:
-    """Return the vertices that a crop measured, their colours (n, 3) and weights 1/z^2."""
+    # Colours (n, 3) and weights 1/z^2.
     points = apply(invert(crop.world_from_camera), vertices)
     pixels = project(points, crop.camera)
     inside = np.isfinite(pixels).all(axis=1)

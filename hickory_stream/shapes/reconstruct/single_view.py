@@ -1,7 +1,6 @@
-"""Layer 2 from the best view alone: completed by the support plane and by mirror symmetry.
+"""Layer 2 from the best view alone, in place of a network: completed by the support plane and mirror symmetry.
 
-It takes the place of a network that reconstructs an object from a single image: the result depends on the choice of the
-view. A mirrored view is a view of a mirrored camera, so that it is fused like any other (`fused`).
+A mirrored view is a view of a mirrored camera, so that it is fused like any other (`fused`).
 """
 
 from __future__ import annotations

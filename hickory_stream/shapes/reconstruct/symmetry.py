@@ -1,13 +1,8 @@
-"""The vertical plane about which an object seen from one side is most plausibly symmetric.
+"""Mirror planes and vertical axes of objects seen from one side, to complete their unseen side.
 
-A mirror plane is scored by how much of the mirrored surface lies in observed free space (a contradiction), by how much
-of it coincides with measured surface, and by how much larger it makes the object.
-
-Detection of solids of revolution with a vertical axis, whose unseen side is completed by rotation.
-
-In the view from above, the visible front of a round object is a semicircle: half as deep as it is wide. The front of a
-box is a line or a corner. If an arc fits the front better than a line, the front is rotated by 180 degrees to form the
-back, unless the views observed free space there.
+The score of a plane: mirrored surface in observed free space, on measured surface, and the growth of the object. The
+front of a round object is a semicircle in the view from above; if an arc fits it better than a line, it is rotated by
+180 degrees to form the back, unless the views observed free space there.
 """
 
 from __future__ import annotations
@@ -85,7 +80,6 @@ def reflection_about(normal: NDArray[np.float64], offset_m: float) -> NDArray[np
 
 
 def _offsets(low: float, high: float, count: int) -> NDArray[np.float64]:
-    """Return the positions of a plane: at the middle, and from there to either end of the extent."""
     return np.concatenate([np.linspace((low + high) / 2, end, count // 2 + 1)[i:] for i, end in ((0, low), (1, high))])
 
 
@@ -104,7 +98,7 @@ def shares_against(mirrored: NDArray[np.float64], views: list[DepthView], tolera
 
 @kernel
 def _against(points, depth, mask, intrinsics, tolerance):
-    """Compare camera points with a depth image: 1 on the object's surface, 2 in free space, 0 occluded or unknown."""
+    # 1 on the object's surface, 2 in free space, 0 occluded or unknown.
     fx, fy, cx, cy = intrinsics
     out = np.zeros(len(points), np.uint8)
     for n in range(len(points)):
@@ -134,10 +128,7 @@ _MAX_TURNED_CONTRADICTION = 0.3
 
 
 def half_turn_of(
-    points_world: NDArray[np.float64],
-    camera_world: NDArray[np.float64],
-    views: list[DepthView],
-    tolerance_m: float,
+    points_world: NDArray[np.float64], camera_world: NDArray[np.float64], views: list[DepthView], tolerance_m: float
 ) -> NDArray[np.float64] | None:
     """Return world_from_turned (4, 4), the rotation by 180 degrees about an object's axis; None if it is not round.
 
@@ -162,7 +153,7 @@ def half_turn_of(
 
 
 def _axis(across: NDArray[np.float64], ahead: NDArray[np.float64]) -> tuple[float, float] | None:
-    """Return the position of the axis in the view from above, across and ahead; None if the front is not round."""
+    # Across and ahead in the view from above; None if the front is not round.
     low, high = np.quantile(across, [0.01, 0.99])
     radius, middle = (high - low) / 2, (high + low) / 2
     if not radius > 0:
@@ -187,6 +178,5 @@ def _axis(across: NDArray[np.float64], ahead: NDArray[np.float64]) -> tuple[floa
 
 
 def _off_the_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the residuals (N,) of y from the least-squares line through (x, y)."""
     x, y = x - x.mean(), y - y.mean()
     return np.asarray(y - portable.dot(x, y) / max(portable.dot(x, x), 1e-300) * x)

@@ -1,9 +1,7 @@
 """Fusion of depth images into a truncated signed distance field: near a surface, free, or unobserved.
 
-Two kinds of evidence are kept separate until the end: signed distances near a surface, and free space. Voxels behind a
-surface by more than a short band stay unknown, so that the front of a thin plate never overrules its far side.
-
-Gaussian blur of a voxel block with portable weights: SciPy's use `exp`, whose last bit depends on the processor.
+Signed distances near a surface and free space stay separate until the end. Voxels behind a surface by more than a short
+band stay unknown, so that the front of a thin plate never overrules its far side.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ if TYPE_CHECKING:
 def gaussian_blurred(
     values: NDArray[np.float32], sigma_voxels: float, mode: Literal["reflect", "nearest"] = "reflect"
 ) -> NDArray[np.float32]:
-    """Return the result of `scipy.ndimage.gaussian_filter`, truncated at four standard deviations."""
+    """Return `scipy.ndimage.gaussian_filter` at four standard deviations, with weights of the same bits everywhere."""
     radius = int(4 * sigma_voxels + 0.5)
     weights = portable.gaussian_weights(sigma_voxels, radius)
     for axis in range(values.ndim):
@@ -70,30 +68,28 @@ class VoxelGrid:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class DepthView:
-    """A depth image as the integration uses it.
-
-    `camera_from_world` may contain a reflection (a mirrored view). `law` is the depth noise between views, a multiple
-    of the sensor's; `trust` scales the view's weight.
-    """
+    """A depth image as the integration uses it."""
 
     depth_m: NDArray[np.float32]
     mask: NDArray[np.bool_]
     camera: Camera
+    #: may contain a reflection (a mirrored view)
     camera_from_world: NDArray[np.float64]
+    #: the depth noise between views, a multiple of the sensor's
     law: Law
+    #: scales the view's weight
     trust: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """The evidence of the views for every voxel of a grid, three float32 arrays of its shape.
+    """The evidence of the views for every voxel of a grid, three float32 arrays of its shape."""
 
-    `distance` is the weighted mean signed distance in voxels, `near` its weight, and `free` the weight of the views
-    that saw through the voxel.
-    """
-
+    #: the weighted mean signed distance in voxels
     distance: NDArray[np.float32]
+    #: the weight of `distance`
     near: NDArray[np.float32]
+    #: the weight of the views that saw through the voxel
     free: NDArray[np.float32]
 
 
@@ -147,7 +143,7 @@ def _smooth(depth, mask, law):
 
 @kernel
 def _cosine(depth, intrinsics):
-    """Return the cosine between surface normal and optical axis, in 0.25..1; it converts depths to true distances."""
+    # In 0.25..1; it converts depths to true distances.
     height, width = depth.shape
     fx, fy = intrinsics[0], intrinsics[1]
     out = np.ones_like(depth)
@@ -172,7 +168,7 @@ def _cosine(depth, intrinsics):
 
 @kernel
 def _carving_depth(depth):
-    """Return the nearest depth among 3 x 3 pixels, up to which space is certainly free, even beside an edge."""
+    # Up to the nearest depth among 3 x 3 pixels space is certainly free, even beside an edge.
     height, width = depth.shape
     out = np.full_like(depth, np.nan)
     for row in range(height):
@@ -190,7 +186,7 @@ def _carving_depth(depth):
 
 @kernel
 def _inner(mask):
-    """Return the pixels whose four neighbours are in the mask too; others may have a depth from behind the object."""
+    # Pixels at the border of the mask may have a depth from behind the object.
     height, width = mask.shape
     out = np.zeros_like(mask)
     for row in range(1, height - 1):
