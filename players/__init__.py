@@ -1,6 +1,6 @@
 """Sources: recorded logs and image folders as posed RGB-D frames.
 
-`open_source(uri)` is the way in; a source is whatever fulfils `hickory_stream.ports.Source`.
+`open_source(uri)` is the entry point; it returns a `hickory_stream.ports.Source`.
 """
 
 from players.opening import open_source

@@ -1,4 +1,4 @@
-"""Recognition of what a path holds: by its first bytes or by the files of a folder, never by its extension alone."""
+"""Recognition of logs and folders by their first bytes or files, never by extension alone."""
 
 from __future__ import annotations
 
@@ -34,9 +34,8 @@ _KINDS = (
 def open_source(uri: str | Path | Sequence[str | Path], options: SourceOptions | None = None) -> Source:
     """Return the source for a recorded log or an image folder; a list of logs is played as one log.
 
-    Raises:
-        RecordingError: nothing is there, it is of no known kind, or lacks what mapping needs.
-        CalibrationError: intrinsics or extrinsics are missing or contradict the images.
+    Raises `RecordingError`: nothing is there, it is of no known kind, or lacks what mapping needs; `CalibrationError`:
+    intrinsics or extrinsics are missing or contradict the images.
     """
     options = options or SourceOptions()
     if options.odometry == "auto":
@@ -49,10 +48,9 @@ def open_source(uri: str | Path | Sequence[str | Path], options: SourceOptions |
 
 
 def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Source:
-    """Return a source that estimates its poses, by the odometry that was chosen ("auto": LiDAR, else depth).
+    """Return a source that estimates its poses, by the chosen odometry ("auto": LiDAR, else depth).
 
-    Raises:
-        HickoryError: as of `open_source`; or the chosen sensor or method is not available.
+    Raises `HickoryError`: as of `open_source`; or the chosen sensor or method is not available.
     """
     from players.poses.odometry_source import with_odometry
 
@@ -61,7 +59,6 @@ def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptio
 
 
 def _open(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Source:
-    """Return the source of a log or a folder, with its own poses."""
     paths = [Path(uri)] if isinstance(uri, str | Path) else [Path(part) for part in uri]
     if len(paths) == 1 and paths[0].is_dir():
         source = _open_folder(paths[0], options)
@@ -84,8 +81,7 @@ def _open(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Sou
 def open_container(*paths: Path) -> Log:
     """Return the container of a recorded log, or of several logs as one.
 
-    Raises:
-        RecordingError: nothing is there, or it is of no known kind.
+    Raises `RecordingError`: nothing is there, or it is of no known kind.
     """
     if not paths:
         raise RecordingError(f"no log was named; expected {_KINDS}")
@@ -104,7 +100,6 @@ def open_container(*paths: Path) -> Log:
 
 
 def _open_file(path: Path) -> Log:
-    """Return the log in a single file."""
     if not path.exists():
         raise RecordingError(f"no such file or folder: {path}")
     if not path.is_file():
@@ -133,7 +128,6 @@ def _open_file(path: Path) -> Log:
 
 
 def _open_by_suffix(path: Path, suffix: str) -> Log:
-    """Return the log in a file of a known suffix whose first bytes are damaged."""
     from players.logs.mcap_log import McapLog
     from players.logs.ros1_log import Ros1Log
     from players.logs.sqlite_log import SqliteLog
@@ -145,7 +139,6 @@ def _open_by_suffix(path: Path, suffix: str) -> Log:
 
 
 def _open_bag_folder(folder: Path) -> Log:
-    """Return the log of a folder of bag files."""
     from players.logs.ros2_bag import METADATA, bag_files, open_ros2_bag
 
     names = sorted(entry.name for entry in folder.iterdir())
@@ -168,12 +161,10 @@ def _open_bag_folder(folder: Path) -> Log:
 
 
 def _is_split(names: list[str]) -> bool:
-    """Return whether names differ in a single number, as those of a split recording do."""
     return len({re.sub(r"\d+(?=\D*$)", "#", name.split(".")[0]) + name[name.index(".") :] for name in names}) == 1
 
 
 def _open_folder(folder: Path, options: SourceOptions) -> Source | None:
-    """Return the source of a folder of images, recognised by its files; None for a folder of bags."""
     try:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError as error:

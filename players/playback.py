@@ -1,7 +1,6 @@
 """The playback clock, and a source that follows it: rate, pause, step, seek, from any thread.
 
-A `PlayedSource` yields a frame when it is due by the clock. The time comes from a function that tests replace;
-`PlaybackClock.due_in_s` alone decides how long to wait.
+`PlaybackClock.due_in_s` alone decides how long to wait; tests replace the function of the time.
 """
 
 from __future__ import annotations
@@ -160,10 +159,7 @@ class PlayedSource(SourceAround):
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames when they are due; the first one after a seek back is marked, and has an earlier stamp.
 
-        A jump of the odometry in a skipped part is attached to the next frame.
-
-        Raises:
-            InputError: the log ends before the start.
+        A jump of the odometry in a skipped part moves to the next frame. Raises `InputError`: the log is too short.
         """
         self._num_skipped = 0
         index, last, goes_back = 0, None, False
@@ -234,7 +230,6 @@ class PlayedSource(SourceAround):
 
 
 def _joined(first: NDArray[np.float64] | None, second: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    """Return two consecutive jumps of the odometry as one; None if there is none."""
     return second if first is None else first if second is None else compose(second, first)
 
 

@@ -1,7 +1,7 @@
-"""A record of how a source was opened, from which it can be opened again in the same way.
+"""Record of how a source was opened, to open it again in the same way.
 
-The record is kept in the map folder, which may come from an untrusted source: its paths are only read, and only if they
-are files or folders of this machine. The identity of the log is compared before anything of it is mapped.
+The record is in the map folder, which may be untrusted: its paths are only read, and only if they are local files.
+The identity of the log is compared before it is mapped.
 """
 
 from __future__ import annotations
@@ -67,10 +67,9 @@ def open_noted(
 ) -> Source:
     """Return the source that was noted, following a clock (None: as fast as possible) that steps by `keyframes`.
 
-    Raises:
-        RecordingError: nothing is there, it is of no known kind, or lacks what mapping needs; or the note is damaged.
-        CalibrationError: intrinsics or extrinsics are missing or contradict the images.
-        InputError: the faults are invalid, or the log ends before the start.
+    Raises `RecordingError`: nothing is there, it is of no known kind, or lacks what mapping needs; or the note is
+    damaged; `CalibrationError`: intrinsics or extrinsics are missing or contradict the images; `InputError`: the faults
+    are invalid, or the log ends before the start.
     """
     _check(note)
     known = {field.name for field in fields(SourceOptions)}
@@ -91,7 +90,6 @@ def open_noted(
 
 
 def _check(note: Mapping[str, Any]) -> None:
-    """Check that `note_of` can have made a note, and that its paths are files or folders of this machine."""
     for name, kinds in _KINDS.items():
         value = note.get(name)
         is_missing = value is None and name != "uris"

@@ -1,7 +1,6 @@
-"""Diagnosis of a log before it is mapped: its contents, its flaws, and how many frames could be mapped.
+"""Diagnosis of a log before it is mapped: contents, flaws, and the number of usable frames.
 
-Two passes are made: one over every message, for stamps and damage, and one like that of `play`, which decodes a few
-frames.
+One pass covers every message, for stamps and damage; another plays like `play` and decodes a few frames.
 """
 
 from __future__ import annotations
@@ -164,7 +163,6 @@ def _examine_folder(
 
 
 def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions, *, is_heard: bool) -> Source:
-    """Return the source to be played; poses are estimated for a log without poses, but not for a live route."""
     try:
         _examine_opening(found, log, options)
         source = open_log(log, options)
@@ -179,7 +177,6 @@ def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions, *, is_hea
 
 
 def _examine_opening(found: Diagnosis, log: Log, options: SourceOptions) -> None:
-    """Note the image topics and coordinate frames at the beginning, also of a log that will be refused."""
     opening = read_opening(log, options)
     for role, probe in (("color", opening.color), ("depth", opening.depth)):
         first = probe.first
@@ -295,7 +292,6 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
 
 
 def _keyframes_due(last: Keyframe, now: Keyframe, config: KeyframeConfig) -> float:
-    """Return the number of keyframes that an unlimited frame rate would give between two keyframes."""
     if now.stamp_ns <= last.stamp_ns:
         return 0.0
     elapsed = (now.stamp_ns - last.stamp_ns) / 1e9 / config.min_interval_s
@@ -411,7 +407,6 @@ def _tell_stamps(found: Diagnosis, *, is_heard: bool) -> None:
 
 
 def _tell_frames(found: Diagnosis, fates: dict[str, int]) -> None:
-    """Report messages that became no frame as problems, except for colour images at a higher rate than depth."""
     total = found.frames["frames"] + sum(
         fates.get(name, 0) for name in ("no_pose", "color_without_depth", "frame_of_other_size", "late_color")
     )

@@ -1,4 +1,4 @@
-"""The checks of a log's colour images by `doctor`: brightness, and whether they have colour at all."""
+"""Checks of colour images: brightness, and whether they have colour."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A diagnosis for people: as text, and as a page with plots."""
+"""A diagnosis as text, and as a page with plots."""
 
 from __future__ import annotations
 
@@ -146,7 +146,6 @@ def _frames_line(frames: dict[str, Any]) -> str:
 
 
 def _depth_line(frames: dict[str, Any]) -> str:
-    """Return the findings on the depth camera in one line."""
     noise, bias, sensor = frames["depth_noise"], frames["depth_bias"], frames["sensor"]
     believed = f"{sensor['noise_per_m']:.4f} z2" + (f" + {1e3 * sensor['noise_m']:.1f} mm" * (sensor["noise_m"] > 0))
     told = f"depth: too little is flat to tell its noise, taken for {believed}"
@@ -246,7 +245,6 @@ def _topic_table(topics: dict[str, dict[str, Any]]) -> str:
 
 
 def _timeline(topics: dict[str, dict[str, Any]]) -> str:
-    """Return a bar per topic from its first to its last stamp; topics of another clock are marked."""
     spans = {name: (f["first_s"], f["last_s"]) for name, f in topics.items() if f.get("first_s")}
     if not spans:
         return ""

@@ -1,4 +1,4 @@
-"""Statistics of a topic's stamps: rate, order, gaps, and the lag of the log time behind the header stamp."""
+"""Statistics of a topic's stamps: rate, order, gaps, and lag of log time behind header stamps."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class StreamStats:
     log_ns: array[int] = field(default_factory=lambda: array("q"))
 
     def add(self, message: LogMessage) -> None:
-        """Take note of a message."""
+        """Count a message."""
         self.num_bytes += len(message.data)
         self.log_ns.append(message.log_ns)
         stamp_ns = peek_stamp_ns(self.topic, message.data)

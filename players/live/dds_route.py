@@ -1,6 +1,6 @@
-"""ROS 2 on the wire: DDS, by Cyclone, with the bytes of samples as they come. Peers and interface are named.
+"""ROS 2 over DDS, by Cyclone; peers and interface are named.
 
-Never the whole network: without an interface only this machine is asked, and there is no multicast.
+Without an interface only this machine is asked; there is no multicast.
 """
 
 from __future__ import annotations
@@ -41,11 +41,7 @@ class DdsRoute:
     """The `LiveSource` of `dds:`."""
 
     def __init__(self, uri: str) -> None:
-        """Parse the address.
-
-        Raises:
-            RecordingError: it is none, or Cyclone DDS is not installed.
-        """
+        """Parse the address. Raises `RecordingError`: it is none, or Cyclone DDS is not installed."""
         found = _ADDRESS.fullmatch(uri)
         asked = parse_qs(found["query"] or "", keep_blank_values=True) if found is not None else {}
         domain = int(found["domain"] or 0) if found is not None else -1
@@ -76,17 +72,17 @@ class DdsRoute:
         self._listeners: dict[str, Callable[[bytes], None]] = {}
 
     def start(self, inbox: Inbox) -> None:
-        """Join the domain and receive in a thread of its own."""
+        """Join the domain and receive in a separate thread."""
         self._thread = threading.Thread(target=self._run, args=(inbox,), name="dds", daemon=True)
         self._thread.start()
 
     def subscribe(self, names: Collection[str]) -> None:
-        """Ask for topics, with the QoS in which they are offered."""
+        """Subscribe to topics with the QoS of their publishers."""
         with self._lock:
             self._wanted |= set(names)
 
     def health(self) -> Health:
-        """Return whether somebody publishes in the domain, and what is odd about the topics."""
+        """Return whether the domain has a publisher, and problems of topics."""
         with self._lock:
             if not self._writers_of:
                 return Health(is_connected=False, problem=self._problem)
@@ -102,13 +98,13 @@ class DdsRoute:
     # ---- the way back ------------------------------------------------------------------------------------------------
 
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
-        """Announce a topic of ours: reliable, and kept for late comers where it is latched."""
+        """Announce a topic of ours: reliable, and latched for late subscribers if asked."""
         del definition, type_hash
         with self._lock:
             self._offers[name] = (type_name, is_latched)
 
     def send(self, name: str, data: bytes) -> bool:
-        """Publish a message of an offered topic; False where nobody subscribes to it and it is not latched."""
+        """Publish a message of an offered topic; False if nobody subscribes and the topic is not latched."""
         with self._lock:
             writer = self._writers.get(name)
             if writer is None:
@@ -117,7 +113,7 @@ class DdsRoute:
             return write(writer, data) and is_heard
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
-        """Have what is published under a name handed over as it comes."""
+        """Call `hear` with each message of a topic."""
         with self._lock:
             self._listeners[name] = hear
             self._wanted.add(name)
@@ -169,7 +165,6 @@ class DdsRoute:
             del publications, waiting, member, domain
 
     def _endpoint(self, inbox: Inbox, endpoint: Any, own: str) -> None:
-        """Take note of a writer that has come, or has gone."""
         from cyclonedds.core import InstanceState
 
         key = str(endpoint.key)
@@ -204,7 +199,6 @@ class DdsRoute:
             )
 
     def _declare(self, member: Any, waiting: Any) -> None:
-        """Make the readers of what is wanted and there, and the writers of what is offered."""
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.pub import DataWriter
         from cyclonedds.sub import DataReader
@@ -224,7 +218,6 @@ class DdsRoute:
 
 
 def _offered(kind: Any) -> tuple[bool, bool]:
-    """Return whether a writer is reliable, and keeps messages for who comes late."""
     from cyclonedds.core import Policy
 
     return (

@@ -1,7 +1,7 @@
-"""An MCAP stream that is being written: a pipe, standard input, or a file that grows.
+"""An MCAP stream that is still being written: a pipe, standard input, or a growing file.
 
-Records are read one after another; a chunk is a message's worth of delay. A pipe ends with its writer; of a file that
-grows the end is its footer. What stands still makes its writer wait: nothing is dropped before it is read.
+A chunk delays its messages until it is whole. A pipe ends with its writer, a growing file at its footer.
+The writer waits for the reader: nothing is dropped before it is read.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _POLL_S = 0.05
 
 
 class _NotMcapError(Exception):
-    """The bytes are no MCAP; says what was found."""
+    """Bytes that are no MCAP."""
 
 
 class McapStream:
@@ -62,7 +62,7 @@ class McapStream:
         self._health = Health(is_connected=False, problem=f"nothing was written to {path or 'standard input'} yet")
 
     def start(self, inbox: Inbox) -> None:
-        """Read in a thread of its own."""
+        """Read in a separate thread."""
         self._thread = threading.Thread(target=self._run, args=(inbox,), name="mcap-stream", daemon=True)
         self._thread.start()
 
@@ -70,7 +70,7 @@ class McapStream:
         """Do nothing: the writer sends everything."""
 
     def health(self) -> Health:
-        """Return whether something has been read, or why nothing is read any more."""
+        """Return whether something was read, or why reading has ended."""
         return self._health
 
     def stop(self) -> None:
@@ -112,7 +112,6 @@ class McapStream:
                 inbox.put(known[1], content[MESSAGE.size :], waits=True)
 
     def _records(self) -> Iterator[tuple[int, memoryview]]:
-        """Yield kind and content of each record until the footer or the end of the stream."""
         buffer, at = bytearray(), 0
         pieces = self._pieces()
         is_first = True
@@ -139,7 +138,6 @@ class McapStream:
             at = 0
 
     def _pieces(self) -> Iterator[bytes]:
-        """Yield what can be read, as it comes."""
         if self._path is None:
             yield from self._piped(sys.stdin.fileno())
             return

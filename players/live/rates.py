@@ -1,4 +1,4 @@
-"""How much has come of a topic, and how fast it comes now."""
+"""Number and rate of a topic's messages."""
 
 from __future__ import annotations
 
@@ -10,20 +10,18 @@ _WINDOW_S = 5
 
 @dataclass(slots=True)
 class Arrivals:
-    """The messages of one topic: how many came and what became of those that were not passed on.
-
-    `fates` counts by reason what was dropped, refused, or known to be lost on the way (`lost`, which never came).
-    """
+    """The received messages of one topic."""
 
     num_received: int = 0
     num_bytes: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
+    #: Messages by reason that were dropped, refused, or `lost` on the way.
     fates: Counter[str] = field(default_factory=Counter)
     _seconds: dict[int, tuple[int, int]] = field(default_factory=dict)
 
     def add(self, arrival_ns: int, size: int) -> None:
-        """Count a message that has come."""
+        """Count a message."""
         self.num_received += 1
         self.num_bytes += size
         self.first_ns = arrival_ns if self.first_ns is None else self.first_ns
@@ -35,10 +33,7 @@ class Arrivals:
             del self._seconds[old]
 
     def rate(self, now_ns: int) -> tuple[float, float]:
-        """Return messages and bytes per second over the last whole seconds, or since the first message if that is less.
-
-        The second that is still going on does not count, unless there is no other.
-        """
+        """Return messages and bytes per second over the last whole seconds, or since the first message."""
         if self.first_ns is None:
             return 0.0, 0.0
         now = now_ns // 1_000_000_000

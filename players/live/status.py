@@ -1,4 +1,4 @@
-"""How a live route and its topics are: rates, ages, losses, what is missing, and the likely reason."""
+"""Status of a live route and its topics: rates, ages, losses, what is missing, and the likely reason."""
 
 from __future__ import annotations
 
@@ -22,32 +22,34 @@ _OFF_S = 1.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopicStatus:
-    """One topic now: `role` in the map ("" for none), `age_s` since its last message (None: none came).
-
-    `lost` never came as far as sequence numbers tell, `dropped` came and was not passed on. `problem` says what is
-    missing and the likely reason, "" where nothing is.
-    """
+    """The current state of one topic."""
 
     topic: str
     type_name: str
+    #: In the map, "" for none.
     role: str
     rate_hz: float
+    #: Since the last message, None before the first.
     age_s: float | None
     bytes_per_s: float
     received: int
+    #: Received and not passed on.
     dropped: int
+    #: Never received, by sequence numbers.
     lost: int
+    #: What is missing and the likely reason, "" if nothing is.
     problem: str
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LiveStatus:
-    """A route now; `clock_offset_s` is our clock less the robot's, None before the first image."""
+    """The current state of a route."""
 
     uri: str
     kind: str
     is_connected: bool
     problem: str
+    #: Our clock less the robot's, None before the first image.
     clock_offset_s: float | None
     clock_steps: int
     unlisted_topics: int
@@ -99,7 +101,6 @@ def status_of(route: LiveSource, log: LiveLog) -> LiveStatus:
 
 
 def _problem(topic: Topic, role: str, age_s: float | None, fates: Mapping[str, int], withdrawn: Collection[str]) -> str:
-    """Return what is wrong with a topic and the likely reason; only of topics that the map needs."""
     if not role:
         return ""
     if topic.name in withdrawn:
@@ -126,7 +127,7 @@ _FATES = {
 
 
 def status_table(status: LiveStatus) -> str:
-    """Return a status as lines of text: the topics that the map uses, then what is announced beside them."""
+    """Return a status as lines of text: the topics of the map, then other announced ones."""
     clock = ""
     if status.clock_offset_s is not None and abs(status.clock_offset_s) > _OFF_S:
         clock = f"; the robot's clock is {_span(status.clock_offset_s)} ours, its stamps are kept"
@@ -153,7 +154,6 @@ def status_table(status: LiveStatus) -> str:
 
 
 def _span(seconds: float) -> str:
-    """Return how a clock lies to ours; `seconds` is ours less the other."""
     side = "behind" if seconds > 0 else "ahead of"
     size = abs(seconds)
     for unit, length in (("days", 86400.0), ("min", 60.0)):

@@ -1,7 +1,6 @@
 """A ZED camera by Stereolabs' SDK: on USB or GMSL, streamed over the network, or an SVO file.
 
-`pyzed.sl` is handed in at one seam (`zed_sdk.load_sdk`). Frames become the messages that the ROS 2 wrapper publishes,
-so that pairing, poses, recording and the ledger are those of every other route. An SVO file waits for its reader.
+Frames become the messages of the ROS 2 wrapper; an SVO file waits for its reader.
 """
 
 from __future__ import annotations
@@ -45,8 +44,6 @@ KNOWN = f"zed://[SERIAL], zed://IP[:{_PORT}], zed:FILE.svo2"
 
 
 class _Address(NamedTuple):
-    """One of the three, or none of them: the first camera that there is."""
-
     serial: int | None = None
     host: str = ""
     port: int = _PORT
@@ -54,16 +51,12 @@ class _Address(NamedTuple):
 
 
 class ZedRoute:
-    """The `LiveSource` of `zed:`; `sl` stands in for the SDK's module."""
+    """The `LiveSource` of `zed:`; `sl` replaces the SDK's module."""
 
     kind = "ZED SDK"
 
     def __init__(self, uri: str, sl: Any = None) -> None:
-        """Parse the address.
-
-        Raises:
-            RecordingError: it is none, the file is missing, or the SDK is.
-        """
+        """Parse the address. Raises `RecordingError`: it is none, the file is missing, or the SDK is."""
         self.uri = uri
         self._address = _address(uri)
         if sl is not None:
@@ -75,7 +68,7 @@ class ZedRoute:
         self._dropped = 0
 
     def start(self, inbox: Inbox) -> None:
-        """Open the camera and grab in a thread of its own; one that is not there is tried again and again."""
+        """Open the camera and grab in a separate thread, with retries."""
         for topic in TOPICS:
             inbox.announce(topic)
         self._thread = threading.Thread(target=self._run, args=(inbox,), name="zed", daemon=True)
@@ -85,7 +78,7 @@ class ZedRoute:
         """Do nothing: all of a frame is sent."""
 
     def health(self) -> Health:
-        """Return whether the camera is open, and what the SDK says where it is not, or does not track."""
+        """Return whether the camera is open, and the SDK's reason if it is closed or lost tracking."""
         return self._health
 
     def stop(self) -> None:
@@ -113,7 +106,6 @@ class ZedRoute:
             self._stopped.wait(_AGAIN_S)
 
     def _opened(self, camera: Any) -> str | None:
-        """Open a camera and its tracking; return why that failed, None where it did not."""
         sl, address = self._sl, self._address
         settings = sl.InitParameters()
         settings.coordinate_units = sl.UNIT.METER
@@ -138,7 +130,6 @@ class ZedRoute:
         return None
 
     def _grab(self, camera: Any, inbox: Inbox) -> str:
-        """Pass frames on until the end; return why the camera is lost, "" where a file or we have ended."""
         sl = self._sl
         runtime, color, depth, pose = sl.RuntimeParameters(), sl.Mat(), sl.Mat(), sl.Pose()
         pinhole = _pinhole(camera)
@@ -177,7 +168,6 @@ class ZedRoute:
         return ""
 
     def _count_dropped(self, camera: Any, inbox: Inbox) -> None:
-        """Note the frames that the SDK says it has dropped since the last one."""
         number = int(camera.get_frame_dropped_count())
         if number > self._dropped:
             inbox.lost(COLOR, number - self._dropped)
@@ -185,7 +175,6 @@ class ZedRoute:
 
 
 def _address(uri: str) -> _Address:
-    """Return what an address names; raises `RecordingError` where that is nothing."""
     if (found := _CAMERA.fullmatch(uri)) is not None:
         return _Address(serial=int(found["serial"]) if found["serial"] else None)
     if (found := _NETWORK.fullmatch(uri)) is not None and 0 < int(found["port"] or _PORT) < 65536:
@@ -199,7 +188,6 @@ def _address(uri: str) -> _Address:
 
 
 def _pinhole(camera: Any) -> Camera:
-    """Return the intrinsics of the rectified left images."""
     lens = camera.get_camera_information().camera_configuration.calibration_parameters.left_cam
     return Camera(
         width=int(lens.image_size.width),

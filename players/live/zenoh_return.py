@@ -1,4 +1,4 @@
-"""The way back over Zenoh: topics of ours in the layout of the robot that is heard, and what it publishes for us."""
+"""The way back over Zenoh: our topics in the robot's layout, and its messages for us."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class _Offer:
 
 
 class ZenohReturn:
-    """Publishes and listens once it is known how the robot's topics are laid out; until then nobody is there."""
+    """Publishes and listens once the layout of the robot's topics is known."""
 
     def __init__(self, namespace: str) -> None:
         self._namespace = namespace
@@ -44,14 +44,14 @@ class ZenohReturn:
         self._gid = uuid.uuid4().bytes
 
     def attach(self, session: Any, like: Publication) -> None:
-        """Begin to publish as a robot does that publishes `like`."""
+        """Begin to publish in the layout of `like`."""
         with self._lock:
             if self._like is None:
                 self._session, self._like = session, like
                 self._declare()
 
     def detach(self) -> None:
-        """Publish no more: the session is being closed."""
+        """Stop publishing, before the session is closed."""
         with self._lock:
             self._session = self._like = None
             declared = [*self._publishers.values(), *self._declared.values(), *self._tokens]
@@ -68,7 +68,7 @@ class ZenohReturn:
             self._declare()
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
-        """Have the messages of a topic handed over as they come."""
+        """Call `hear` with each message of a topic."""
         with self._lock:
             self._listeners[name] = hear
             self._declare()
@@ -94,7 +94,7 @@ class ZenohReturn:
             return False
 
     def _declare(self) -> None:
-        """Declare what was asked for and is not declared yet; called with the lock."""
+        # Called with the lock.
         if self._session is None or self._like is None:
             return
         import zenoh
@@ -141,7 +141,6 @@ class ZenohReturn:
         )
 
     def _key_of(self, name: str) -> str:
-        """Return the keys of a topic that we listen to, whatever its type's hash."""
         return self._ours(name, _Offer(type_name="", type_hash="", is_latched=False)).key
 
 

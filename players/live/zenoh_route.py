@@ -1,6 +1,6 @@
-"""ROS 2 over Zenoh: robots that run zenoh-bridge-ros2dds or rmw_zenoh, joined as a client.
+"""ROS 2 over Zenoh: a client of zenoh-bridge-ros2dds or rmw_zenoh.
 
-A client neither listens nor scouts: what is talked to is the address that was named, this machine if none was.
+A client neither listens nor scouts: it connects to the named address, or to this machine.
 """
 
 from __future__ import annotations
@@ -47,11 +47,7 @@ class ZenohRoute:
     kind = "ROS 2 over Zenoh"
 
     def __init__(self, uri: str) -> None:
-        """Parse the address.
-
-        Raises:
-            RecordingError: it is none.
-        """
+        """Parse the address. Raises `RecordingError`: it is none."""
         found = _ADDRESS.fullmatch(uri)
         if found is None or not 0 < int(found["port"] or _PORT) < 65536:
             raise RecordingError(
@@ -77,19 +73,19 @@ class ZenohRoute:
         self._return = ZenohReturn(self._namespace)
 
     def start(self, inbox: Inbox) -> None:
-        """Connect in a thread of its own, again and again until it is answered; Zenoh itself reconnects later."""
+        """Connect in a separate thread, with retries; Zenoh itself reconnects later."""
         self._inbox = inbox
         self._thread = threading.Thread(target=self._connect, name="zenoh-connect", daemon=True)
         self._thread.start()
 
     def subscribe(self, names: Collection[str]) -> None:
-        """Ask for topics; those that are kept for late comers with what came before us."""
+        """Subscribe to topics, with earlier messages of latched ones."""
         with self._lock:
             self._wanted |= set(names)
             self._declare_wanted()
 
     def health(self) -> Health:
-        """Return whether a router or a peer is there, and what is odd about the topics."""
+        """Return whether a router or a peer is connected, and problems of topics."""
         session = self._session
         if session is None:
             return Health(is_connected=False, problem=self._problem)
@@ -135,11 +131,11 @@ class ZenohRoute:
         self._return.offer(name, type_name, type_hash=type_hash, is_latched=is_latched)
 
     def send(self, name: str, data: bytes) -> bool:
-        """Publish a message of an offered topic; False while the robot is away, or nobody listens."""
+        """Publish a message of an offered topic; False while the robot is away or nobody listens."""
         return self._return.send(name, data)
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
-        """Have what the robot publishes under a name handed over as it comes."""
+        """Call `hear` with each message of a topic."""
         self._return.listen(name, hear)
 
     # ---- connection --------------------------------------------------------------------------------------------------
@@ -177,7 +173,6 @@ class ZenohRoute:
             return
 
     def _listen_to_keys(self) -> None:
-        """Where no token came, learn of topics from the keys of messages, until topics are asked for."""
         with self._lock:
             if not self._publications and not self._wanted:
                 self._listening = [self._session.declare_subscriber(keys, self._on_key) for keys in HASHED_KEYS]
@@ -240,7 +235,7 @@ class ZenohRoute:
     # ---- messages ----------------------------------------------------------------------------------------------------
 
     def _declare_wanted(self) -> None:
-        """Subscribe to what is wanted and was announced; called with the lock."""
+        # Called with the lock.
         if self._session is None or not self._wanted:
             return
         import zenoh
@@ -268,7 +263,7 @@ class ZenohRoute:
                 declared.append(self._session.liveliness().declare_token(token))
 
     def _ask_cache(self, publication: Publication, name: str) -> None:
-        """Ask bridges before 1.5, which have no advanced publishers, for what they keep."""
+        # Bridges before 1.5 have no advanced publishers, but answer queries.
         if publication.layout != "bridge":
             return
 
@@ -290,7 +285,7 @@ class ZenohRoute:
         self._inbox.put(name, sample.payload.to_bytes())
 
     def _count_lost(self, name: str, attachment: Any) -> None:
-        """Note a gap in the numbers of a publisher of rmw_zenoh; a message that comes late fills one."""
+        # A late message fills a gap in the sequence numbers of rmw_zenoh.
         if attachment is None or len(data := attachment.to_bytes()) != _ATTACHMENT.size:
             return
         sequence, _, _, publisher = _ATTACHMENT.unpack(data)
@@ -305,10 +300,8 @@ class ZenohRoute:
 
 
 def _callback_threads() -> list[threading.Thread]:
-    """Return the threads in which Zenoh (1.10) calls us, one a subscriber; they end once nothing is declared.
-
-    They are daemons where a daemon thread declared the subscriber, as ours does, and nobody else waits for them.
-    """
+    # Zenoh (1.10) calls from one thread a subscriber, a daemon if a daemon declared the subscriber, as here. They end
+    # once nothing is declared, and nothing else joins them.
     own = threading.current_thread()
     return [
         thread

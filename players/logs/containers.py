@@ -1,7 +1,7 @@
-"""What all recorded logs have in common: topics, raw messages in the order of the file, and their types.
+"""Topics and raw messages, as all recorded logs have them.
 
-A message type is compiled from the definition in the log, or from ROS 2's own if the log has none. A definition that
-cannot be parsed makes only its topic unreadable.
+A message type is compiled from the definition in the log, or from ROS 2's own if the log has none.
+A definition that cannot be parsed makes only its topic unreadable.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class LogMessage(NamedTuple):
 
 
 class UnreadableMessageError(Exception):
-    """One message cannot be deserialised. The reader counts it; it is not shown to the user."""
+    """A message that cannot be deserialised; the reader counts it."""
 
 
 class Log(Protocol):
@@ -113,8 +113,7 @@ def merged_topics(topics: Iterable[Topic]) -> tuple[Topic, ...]:
 def deserialize(topic: Topic, data: Any) -> Any:
     """Return the message of raw bytes; arrays in it are read-only views of them.
 
-    Raises:
-        UnreadableMessageError: the type cannot be compiled, or the bytes do not fit it.
+    Raises `UnreadableMessageError`: the type cannot be compiled, or the bytes do not fit it.
     """
     from rosbags.serde import SerdeError
     from rosbags.typesys import TypesysError
@@ -140,7 +139,6 @@ def deserialize(topic: Topic, data: Any) -> Any:
 
 @lru_cache(maxsize=64)
 def _typestore(type_name: str, definition_format: DefinitionFormat, definition: str) -> Any:
-    """Return a store that knows one type and all that it consists of."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     if definition_format == "none" or not definition.strip():

@@ -1,4 +1,4 @@
-"""The ledger of one pass over a source: how many messages or files were used, rejected or unreadable."""
+"""Counts of one pass over a source: messages or files that were used, rejected or unreadable."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from threading import Lock
 
 
 class Ledger:
-    """Counts by name; frames are decoded in other threads than the one that reads, hence the lock.
+    """Counts by name, with a lock, since frames are decoded in other threads than the reading one.
 
-    `read` and `rejected` count messages by topic; messages that were read and are neither rejected nor unreadable are
-    used.
+    `read` and `rejected` count by topic; a message that was read, and is neither rejected nor unreadable, is used.
     """
 
     def __init__(self) -> None:

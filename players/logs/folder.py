@@ -1,7 +1,7 @@
-"""Image folders as a source: the part that all layouts of `folder_layouts` share.
+"""Image folders as a source, for all layouts of `folder_layouts`.
 
-Every file was found and paired when the folder was opened; images are read when a frame is reached (colour) or decoded
-(depth). Frames are those of the colour camera, and the poses are its poses.
+Files are found and paired on opening; colour is read when a frame is reached, depth when it is decoded.
+Frames are those of the colour camera, and the poses are its poses.
 """
 
 from __future__ import annotations
@@ -47,19 +47,17 @@ class FolderFrame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FolderContent:
-    """What a layout found in a folder.
-
-    `frames` are in the order of their stamps. `fates` counts, by reason, the files that became no frame. `text_files`
-    hold poses and intrinsics; with the names and sizes of the images they identify the folder.
-    """
+    """The frames that a layout found in a folder, in the order of their stamps."""
 
     kind: str
     registration: Registration
     depth_units_per_m: float
     sensor: DepthSensor
     frames: tuple[FolderFrame, ...]
+    #: Counts, by reason, of files that became no frame.
     fates: Mapping[str, int]
     streams: tuple[tuple[str, str], ...]
+    #: Poses and intrinsics; with the names and sizes of the images they identify the folder.
     text_files: tuple[Path, ...]
 
 
@@ -67,11 +65,7 @@ class FolderSource:
     """A `Source` of an image folder."""
 
     def __init__(self, folder: Path, content: FolderContent) -> None:
-        """Check that the folder has frames.
-
-        Raises:
-            RecordingError: no frame has colour, depth and a pose.
-        """
+        """Check that the folder has frames. Raises `RecordingError`: no frame has colour, depth and a pose."""
         if not content.frames:
             found = ", ".join(f"{count} {fate}" for fate, count in content.fates.items() if count) or "no images"
             raise RecordingError(f"{folder}: no frame has colour, depth and a pose; found {found}")
@@ -96,8 +90,7 @@ class FolderSource:
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames from the beginning; a frame whose colour has another size is counted and skipped.
 
-        Raises:
-            CalibrationError: no frame has the size that the intrinsics are for.
+        Raises `CalibrationError`: no frame has the size that the intrinsics are for.
         """
         ledger = self._ledger = Ledger()
         for fate, number in self._content.fates.items():
@@ -163,7 +156,6 @@ class FolderSource:
 
 
 def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes: bytes, ledger: Ledger) -> Frame:
-    """Return the decoded frame: colour, and depth registered into it."""
     try:
         rgb = decode_color(color_bytes, str(files.color))
         depth_m = content.sensor.returns(
@@ -187,7 +179,6 @@ def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes:
 
 
 def _check_size(depth_m: NDArray[np.float32], camera: Camera, file: Path) -> None:
-    """Check that depth has the size that its intrinsics are for; raises `RecordingError`."""
     height, width = depth_m.shape
     if (width, height) != (camera.width, camera.height):
         raise RecordingError(f"{file} has {width}x{height} pixels; expected {camera.width}x{camera.height}")

@@ -1,7 +1,7 @@
-"""The layouts of image folders: 7-Scenes, TUM RGB-D, Replica, HOPE, and `rgb/ depth/` with its text files.
+"""Layouts of image folders: 7-Scenes, TUM RGB-D, Replica, HOPE, and `rgb/ depth/` with its text files.
 
-The world is z up. A `gravity-direction.txt` (the unit vector down in the log's world) turns the log's world upright;
-without one, the log's z axis is taken to be up.
+The world is z up. `gravity-direction.txt` (the unit vector down) turns the log's world upright.
+Without one, the log's z axis is taken to be up.
 """
 
 from __future__ import annotations
@@ -251,8 +251,6 @@ def open_hope(folder: Path, options: SourceOptions) -> FolderSource:
 
 
 class _Collector:
-    """Collects frames, counts the other files, and converts poses to the colour camera in an upright world."""
-
     def __init__(self, folder: Path, profile: Profile, options: SourceOptions) -> None:
         self._folder = folder
         self._estimates_poses = options.estimates_poses
@@ -269,7 +267,6 @@ class _Collector:
     def add(
         self, stamp_ns: int, color: Path | None, depth: Path | None, log_from_depth: NDArray[np.float64] | None
     ) -> None:
-        """Add a frame, or count its files under the reason why there is none."""
         if color is None or not color.is_file():
             self._fates["depth_without_color"] += 1
         elif depth is None or not depth.is_file():
@@ -296,7 +293,6 @@ class _Collector:
         text_files: list[Path],
         pose_span_ns: tuple[int, int] | None = None,
     ) -> FolderSource:
-        """Return the source; the sizes of the images are those of the first frame."""
         if not self._frames:
             error = NoPosesError if self._unposed_ns and pose_span_ns is None else RecordingError
             raise error(self._why_empty(pose_span_ns))
@@ -319,7 +315,6 @@ class _Collector:
         return FolderSource(self._folder, content)
 
     def _why_empty(self, pose_span_ns: tuple[int, int] | None) -> str:
-        """Return why there is no frame with colour, depth and a pose."""
         if self._unposed_ns and pose_span_ns is not None:
             first_ns, last_ns = min(self._unposed_ns), max(self._unposed_ns)
             return (
@@ -331,7 +326,7 @@ class _Collector:
 
 
 def _by_number(files: Iterable[Path]) -> dict[int, Path]:
-    """Return the files by the last number in the first part of their name (frame-000012.color.jpg: 12)."""
+    # frame-000012.color.jpg: 12
     numbered = {}
     for file in sorted(files):
         digits = re.findall(r"\d+", file.name.split(".")[0])
@@ -341,11 +336,6 @@ def _by_number(files: Iterable[Path]) -> dict[int, Path]:
 
 
 def _size_of(file: Path) -> tuple[int, int]:
-    """Return (width, height) of an image file.
-
-    Raises:
-        RecordingError: it is neither JPEG nor PNG.
-    """
     size = compressed_size(file.read_bytes()[: 1 << 16])
     if size is None:
         raise RecordingError(f"{file} is neither JPEG nor PNG, or is torn")

@@ -1,4 +1,4 @@
-"""The identity of a log: cheap to compute, and independent of where the log lies."""
+"""Identity of a log, independent of its folder."""
 
 from __future__ import annotations
 

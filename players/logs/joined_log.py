@@ -1,7 +1,6 @@
 """Several logs as one: split recordings, or odometry in a separate bag.
 
-They are merged by header stamp rather than by log time: odometry that was computed later, in a replay, has the header
-stamps of the images but the log times of the replay.
+Logs are merged by header stamp, since odometry from a replay has the log times of the replay.
 """
 
 from __future__ import annotations
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _Head:
-    """The next message of a log, and the log's position in time."""
-
     message: LogMessage
     rest: Iterator[LogMessage]
     stamp_ns: int

@@ -1,7 +1,4 @@
-"""Flaws in the bytes of a log: each is listed once, with its position and the messages lost to it.
-
-A log may be read several times; the same flaw is found each time, hence the set of places.
-"""
+"""Flaws in the bytes of a log, each listed once by its place, however often the log is read."""
 
 from __future__ import annotations
 
@@ -15,17 +12,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Flaw:
-    """Bytes that could not be read: `what` in words, from `offset` on, `num_bytes` of them.
-
-    `lost` is the number of lost messages by topic, as far as an index tells; `num_unknown` is the number of further
-    lost messages of unknown topics.
-    """
+    """Bytes that could not be read."""
 
     file: str
     offset: int
     what: str
     num_bytes: int
+    #: Lost messages by topic, as far as an index counts them.
     lost: tuple[tuple[str, int], ...] = ()
+    #: Further lost messages of unknown topics.
     num_unknown: int = 0
 
     @property

@@ -1,7 +1,6 @@
-"""Opening a log: which topics play which role, how depth gets into the colour image, and where the camera was.
+"""Opening of a log: roles of topics, registration of depth, and the poses of the camera.
 
-Only the beginning of the log is read, up to the first images of both topics, their calibrations, and poses that are
-connected to the camera.
+Only the beginning is read: up to images of both topics, their calibrations, and poses connected to the camera.
 """
 
 from __future__ import annotations
@@ -90,11 +89,6 @@ def choose_profile(topics: Sequence[Topic], options: SourceOptions) -> tuple[Pro
 
 
 def _check_robot(robot: str, profile: Profile, topics: Sequence[Topic]) -> None:
-    """Check that the named robot has topics in the log, since the name would otherwise have no effect.
-
-    Raises:
-        CalibrationError: the profile has no robots, or the log has no topic of this one.
-    """
     if not profile.has_robots:
         kind = f"the profile {profile.name}" if profile.name else "this kind of log"
         raise CalibrationError(
@@ -109,9 +103,8 @@ def _check_robot(robot: str, profile: Profile, topics: Sequence[Topic]) -> None:
 def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogSource:
     """Return the source of a log; `is_live`: its messages arrive while it is read.
 
-    Raises:
-        RecordingError: colour, depth or poses are missing, or never meet in time.
-        CalibrationError: intrinsics or the frames between pose and camera are missing.
+    Raises `RecordingError`: colour, depth or poses are missing, or never meet in time; `CalibrationError`: intrinsics
+    or the frames between pose and camera are missing.
     """
     opening = read_opening(log, options)
     color_image, depth_image = opening.color.first, opening.depth.first
@@ -185,8 +178,7 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
 def read_opening(log: Log, options: SourceOptions) -> Opening:
     """Return the contents of the beginning of a log, whether or not they suffice to play it.
 
-    Raises:
-        RecordingError: there are no messages, or no topics of colour, depth or poses.
+    Raises `RecordingError`: there are no messages, or no topics of colour, depth or poses.
     """
     if not any(topic.num_messages != 0 for topic in log.topics):
         raise RecordingError(f"{log.path} ({log.kind}) holds no messages{_damage_of(log)}")
@@ -226,7 +218,6 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
 
 
 def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Topic]:
-    """Return the topics that may hold poses; none if odometry is to estimate them without."""
     try:
         return pose_topics(log.path, log.topics, options, profile.topics.get("pose", ()))
     except NoPosesError:
@@ -236,7 +227,6 @@ def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Top
 
 
 def _filled(opening: Opening, wanted: set[str]) -> Opening:
-    """Read messages until everything needed has been found."""
     from dataclasses import replace
 
     log, reader, topics = opening.log, opening.reader, opening.topics
@@ -280,7 +270,6 @@ def _look_at(probe: Probe, data: object, log_ns: int) -> None:
 
 
 def _infos(opening: Opening) -> tuple[str | None, str | None]:
-    """Return the calibration topics of colour and depth, None if not found yet."""
     named = (opening.options.color_info_topic, opening.options.depth_info_topic)
     found = []
     for probe, name, role in zip((opening.color, opening.depth), named, ("color_info", "depth_info"), strict=True):
@@ -290,7 +279,6 @@ def _infos(opening: Opening) -> tuple[str | None, str | None]:
 
 
 def _find_info(reader: RigReader, probe: Probe, name: str | None, listed: Sequence[str]) -> str | None:
-    """Return the topic of an image's calibration: named, listed, beside it by name, or the only one of its frame."""
     assert probe.first is not None
     if name is not None:
         return name if name in reader.infos else None
@@ -332,11 +320,6 @@ def _plan(opening: Opening, camera_frame: str) -> PosePlan:
 
 
 def _info_topic(opening: Opening, topic: Topic, image: LogImage, found: str | None, option: str) -> str:
-    """Return the topic of an image's calibration.
-
-    Raises:
-        CalibrationError: there is none.
-    """
     if found is None:
         known = opening.reader.infos
         infos = ", ".join(f"{info} (frame {known[info].frame})" for info in sorted(known)) or "none"
@@ -355,7 +338,6 @@ def _lens(reader: RigReader, info: str, topic: Topic, image: LogImage) -> Lens:
 
 
 def _depth_lens(opening: Opening, color_info: str, color_lens: Lens) -> tuple[str, Lens]:
-    """Return the depth's calibration: its own, or that of colour if frame and size are the same."""
     color, depth = opening.color.first, opening.depth.first
     assert color is not None and depth is not None
     if opening.options.depth_info_topic is None and opening.infos[1] is None:
@@ -367,11 +349,6 @@ def _depth_lens(opening: Opening, color_info: str, color_lens: Lens) -> tuple[st
 
 
 def _color_from_depth(opening: Opening, color_frame: str, depth_frame: str) -> tuple[NDArray[np.float64], str]:
-    """Return the transform between the two cameras, and its origin in words.
-
-    Raises:
-        CalibrationError: neither TF nor the profile connects them rigidly.
-    """
     tree = opening.reader.tree()
     chain = tree.chain(color_frame, depth_frame)
     if chain is not None and chain.edges and chain.is_static:
@@ -405,7 +382,6 @@ def _span(reader: RigReader, plan: PosePlan) -> tuple[int, int] | None:
 
 
 def _damage_of(log: Log) -> str:
-    """Return the damage found so far as an addition to a message, "" where there is none."""
     if not len(log.flaws):
         return ""
     first = next(iter(log.flaws))

@@ -1,7 +1,7 @@
-"""A recorded log as a source: images are paired and poses interpolated in one pass over the log.
+"""A recorded log as a source: images are paired and poses interpolated in one pass.
 
-Opening reads up to the first complete frame, so that a log that cannot be mapped is refused before anything is written.
-A pair of images waits until poses up to its stamp have been read, or none can be expected.
+Opening reads up to the first complete frame, so that an unusable log is refused before anything is written.
+A pair waits until poses up to its stamp have been read, or none can be expected.
 """
 
 from __future__ import annotations
@@ -59,10 +59,8 @@ class LogSource:
     def __init__(self, log: Log, setup: LogSetup) -> None:
         """Read up to the first frame.
 
-        Raises:
-            RecordingError: there is no frame with colour, depth and a pose; the message says which do not coincide in
-            time.
-            CalibrationError: all images have another size than their calibration.
+        Raises `RecordingError`: there is no frame with colour, depth and a pose; the message says which do not coincide
+        in time; `CalibrationError`: all images have another size than their calibration.
         """
         self._log = log
         self._setup = setup
@@ -89,8 +87,7 @@ class LogSource:
     def with_plan(self, plan: PosePlan) -> LogSource:
         """Return the same log with poses from another plan.
 
-        Raises:
-            RecordingError: no frame has a pose by that plan.
+        Raises `RecordingError`: no frame has a pose by that plan.
         """
         streams = {**dict(self._setup.streams), "frames": plan.path, "extrinsics": plan.extrinsics}
         return LogSource(self._log, replace(self._setup, plan=plan, streams=tuple(streams.items())))
@@ -106,10 +103,7 @@ class LogSource:
         return self._setup
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames from the beginning, in the order of their stamps; the ledger counts what became no frame.
-
-        After a jump back in time (a looped log) the stamps begin again.
-        """
+        """Yield the frames in the order of their stamps, which begin again after a jump back in time (a looped log)."""
         ledger = self._ledger = Ledger()
         setup = self._setup
         reader = RigReader(setup.small_topics, setup.max_gap_ns, setup.jump_limits, uses_log_time=setup.uses_log_time)
@@ -150,8 +144,7 @@ class LogSource:
 
         Mapping uses none. Sweeps that cannot be read are skipped with a warning.
 
-        Raises:
-            RecordingError: there is no such topic; names those that there are.
+        Raises `RecordingError`: there is no such topic; names those that there are.
         """
         clouds = {topic.name: topic for topic in self._log.topics if topic.type_name == POINT_CLOUD}
         if topic_name not in clouds:
@@ -167,9 +160,8 @@ class LogSource:
     def ledger(self) -> Mapping[str, int]:
         """Return the counts of the latest pass.
 
-        Each colour image is in one of `frames`, `no_pose`, `frame_of_other_size`, `color_without_depth`, `late_color`,
-        `duplicate_color`, `color_stamp_off` or `unreadable_message`, and each depth image likewise; the first three
-        count pairs. `unreadable_image` and `depth_without_returns` are found on decoding, among the `frames`.
+        Each image is counted under `frames`, `no_pose`, `frame_of_other_size` (pairs) or under one other name.
+        `unreadable_image` and `depth_without_returns` are found on decoding, among the `frames`.
         """
         return self._ledger.as_dict()
 
@@ -185,10 +177,7 @@ class LogSource:
     def _images(
         self, ledger: Ledger, reader: RigReader, newest: dict[int, int]
     ) -> Iterator[tuple[int, Stamped | None]]:
-        """Yield the images of both topics with their epochs, in the order of the log; other messages go to the rig.
-
-        `newest` is updated with the newest stamp of each epoch. For a live log, None is yielded for other messages.
-        """
+        # For a live log, None stands for other messages.
         topics = self._setup.topics
         roles = {topics.color.name: ("color", topics.color), topics.depth.name: ("depth", topics.depth)}
         timelines = {name: Timeline() for name in roles}
@@ -231,24 +220,19 @@ class LogSource:
             return None
 
     def _is_settled(self, epoch: int, pair: Pair, reader: RigReader, newest: dict[int, int]) -> bool:
-        """Return whether the pose of a pair is known, or cannot be expected any more."""
         needed_ns = max(pair.stamp_ns, pair.depth_stamp_ns) if self._moves_depth(pair) else pair.stamp_ns
         if self._setup.plan.reaches(needed_ns, epoch, reader) or max(newest) > epoch:
             return True
         return newest[epoch] - pair.stamp_ns > self._setup.max_gap_ns + _PATIENCE_NS
 
     def _moves_depth(self, pair: Pair) -> bool:
-        """Return whether depth has to be moved by the camera's motion: it is of another camera and another stamp.
-
-        Registered depth is left as it is, and so is depth with log times, which are not the times of exposure.
-        """
+        # Log times are not the times of exposure.
         is_apart = pair.depth_stamp_ns != pair.stamp_ns
         return is_apart and not self._setup.uses_log_time and not self._setup.registration.is_identity
 
     def _registration(
         self, pair: Pair, world_from_camera: NDArray[np.float64], epoch: int, reader: RigReader
     ) -> Registration:
-        """Return the registration of the depth of a pair, with the camera's motion between the two stamps if known."""
         registration = self._setup.registration
         then = self._setup.plan.at(pair.depth_stamp_ns, epoch, reader) if self._moves_depth(pair) else None
         return registration if then is None else with_motion(registration, compose(invert(world_from_camera), then))
@@ -261,7 +245,6 @@ class LogSource:
     def _frame(
         self, index: int, pair: Pair, epoch: int, last_ns: int | None, ledger: Ledger, reader: RigReader
     ) -> RawFrame | None:
-        """Return the frame of a pair, or None when it is of another size or has no pose."""
         registration = self._setup.registration
         if not (_has_size(pair.color, self._setup.color_lens) and _has_size(pair.depth, self._setup.depth_lens)):
             self._refuse(pair, "frame_of_other_size", ledger)
@@ -304,7 +287,6 @@ class LogSource:
         ledger.reject(pair.depth.topic, fate)
 
     def _why_empty(self) -> RecordingError | CalibrationError:
-        """Return the error for a log without a complete frame."""
         fates, path, topics = self._ledger.as_dict(), self._log.path, self._setup.topics
         if fates.get("no_pose"):
             images = _span_text(self._stamps(topics.color))
@@ -326,7 +308,6 @@ class LogSource:
         )
 
     def _stamps(self, topic: Topic) -> tuple[int, int]:
-        """Return the first and the last stamp of an image topic, by reading all of it."""
         uses_log = self._setup.uses_log_time
         stamps = [m.log_ns if uses_log else peek_stamp_ns(topic, m.data) or 0 for m in self._log.messages([topic.name])]
         return (min(stamps), max(stamps)) if stamps else (0, 0)
@@ -340,7 +321,6 @@ def _decode(
     world_from_camera: NDArray[np.float64],
     ledger: Ledger,
 ) -> Frame:
-    """Return the decoded frame: rectified colour, and rectified depth registered into it."""
     try:
         rgb = color_of(pair.color)
         depth_m = depth_of(pair.depth, setup.depth_units_per_m)
@@ -368,14 +348,13 @@ def _decode(
 
 
 def _check_size(shape: tuple[int, ...], lens: Lens, image: LogImage) -> None:
-    """Check the size of the decoded pixels, for images whose header was damaged; raises `RecordingError`."""
     if shape[:2] != (lens.camera.height, lens.camera.width):
         expected = f"{lens.camera.width}x{lens.camera.height}"
         raise RecordingError(f"{image} has {shape[1]}x{shape[0]} pixels; expected {expected}")
 
 
 def _has_size(image: LogImage, lens: Lens) -> bool:
-    """Return whether an image has its calibration's size; with a damaged header this is known after decoding only."""
+    # With a damaged header, the size is known after decoding only.
     return image.size is None or image.size == (lens.camera.width, lens.camera.height)
 
 

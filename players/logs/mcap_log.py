@@ -1,9 +1,7 @@
-"""MCAP files, whole or damaged: chunk by chunk in the order of the file, every checksum verified.
+"""MCAP files, whole or damaged, in the order of the file, with every checksum verified.
 
-A bad chunk is skipped and the rest read. The index at the end is used as long as it fits the file. If it is missing,
-damaged or wrong, the records are read one after another from the beginning; after bytes that are no record, reading
-resumes at the next chunk. Messages come in the order of the file rather than of log time; they are sorted by header
-stamp later (`sync.py`).
+A bad chunk is skipped. The index at the end is used as long as it fits the file; else all records are read.
+After damaged bytes, reading resumes at the next chunk.
 """
 
 from __future__ import annotations
@@ -54,8 +52,7 @@ _RECORD_PATTERN = re.compile(rb"[\x03-\x05\x0f](?=[\s\S]{4}\x00{4})")
 
 @dataclass(slots=True)
 class _Chunk:
-    """A chunk record at `offset`, `num_bytes` with its header; `counts` by channel id, None without an index."""
-
+    # `counts` by channel id, None without an index
     offset: int
     num_bytes: int
     counts: dict[int, int] | None = None
@@ -63,8 +60,6 @@ class _Chunk:
 
 @dataclass(slots=True)
 class _Survey(Described):
-    """The structure of a file: schemas and channels by id, chunks, and the declared number of messages."""
-
     chunks: list[_Chunk] = field(default_factory=list)
     loose_counts: Counter[int] = field(default_factory=Counter)
     declared: dict[int, int] | None = None
@@ -83,8 +78,7 @@ class McapLog:
     def __init__(self, path: Path) -> None:
         """Read the summary; without a valid one, all records are read to find the channels.
 
-        Raises:
-            RecordingError: not one channel can be read.
+        Raises `RecordingError`: not one channel can be read.
         """
         self.path = path
         self.files = (path,)
@@ -141,7 +135,6 @@ class McapLog:
     # ---- reading -----------------------------------------------------------------------------------------------------
 
     def _chunked(self, data: mmap.mmap, wanted: set[str], read: set[int]) -> Iterator[LogMessage]:
-        """Yield the messages of the chunks that were not `read` yet; chunks without any of the topics are skipped."""
         survey = self._survey
         for chunk in survey.chunks:
             if chunk.offset in read:
@@ -160,7 +153,6 @@ class McapLog:
             release(data, chunk.offset, chunk.offset + chunk.num_bytes)
 
     def _records(self, records: Any, chunk: _Chunk, wanted: set[str]) -> Iterator[LogMessage]:
-        """Yield the messages of an unpacked chunk, as views of it."""
         view, at, end = memoryview(records), 0, len(records)
         names = {channel: name for channel, (_, name, _) in self._survey.channels.items() if name in wanted}
         unknown = 0
@@ -184,7 +176,6 @@ class McapLog:
             self._flaw(chunk.offset, "the chunk ends within a record", end - at)
 
     def _loose(self, data: mmap.mmap, wanted: set[str]) -> Iterator[LogMessage]:
-        """Yield the messages of a file without chunks, and verify the one checksum over all of them."""
         view, crc, crc_at = memoryview(data), 0, 0
         try:
             for opcode, at, length in self._walk(data):
@@ -206,7 +197,6 @@ class McapLog:
     # ---- the walk ----------------------------------------------------------------------------------------------------
 
     def _walk_whole(self, data: mmap.mmap) -> _Survey:
-        """Return the structure of a file from a pass over all records; bytes that are no record are noted as flaws."""
         survey = _Survey()
         for opcode, at, length in self._walk(data):
             if opcode == CHUNK_OP:
@@ -227,7 +217,6 @@ class McapLog:
         return survey
 
     def _walk(self, data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
-        """Yield (opcode, offset of the content, length) of every record; resumes after damaged bytes."""
         at, end = (len(MAGIC) if data[: len(MAGIC)] == MAGIC else 0), len(data)
         is_chunked = _CHUNK_PATTERN.search(data) is not None
         while at < end:
@@ -246,7 +235,6 @@ class McapLog:
             at = following
 
     def _learn_chunk(self, data: mmap.mmap, chunk: _Chunk, survey: _Survey) -> None:
-        """Read the channels in a chunk and count its messages, if there is no index."""
         try:
             records = unpacked_chunk(data, chunk.offset + HEAD.size, chunk.offset + chunk.num_bytes)
         except UnpackError as error:
@@ -298,7 +286,6 @@ class McapLog:
 
 
 def _read_summary(data: mmap.mmap) -> _Survey | None:
-    """Return the content of the summary at the end, or None if there is no valid one."""
     tail = len(data) - len(MAGIC) - _FOOTER_BYTES
     if tail < len(MAGIC) or data[-len(MAGIC) :] != MAGIC or data[: len(MAGIC)] != MAGIC:
         return None
@@ -340,7 +327,6 @@ def _chunk_of_index(record: bytes) -> _Chunk:
 
 
 def _is_chunk_at(data: mmap.mmap, chunk: _Chunk) -> bool:
-    """Return whether a chunk is where the index says, and complete its counts from the message indices behind it."""
     if chunk.offset + chunk.num_bytes > len(data) or chunk.num_bytes < HEAD.size + 40:
         return False
     opcode, length = HEAD.unpack_from(data, chunk.offset)
@@ -361,10 +347,7 @@ def _is_chunk_at(data: mmap.mmap, chunk: _Chunk) -> bool:
 
 
 def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
-    """Return the beginning of the next valid record, or the end of the file.
-
-    In a file with chunks this must be a chunk: what looks like a message may lie inside a chunk with a damaged header.
-    """
+    # In a file with chunks only a chunk is valid: a damaged chunk may hold what looks like a message.
     end = len(data)
     pattern = _CHUNK_PATTERN if is_chunked else _RECORD_PATTERN
     for match in pattern.finditer(data, start):
@@ -381,7 +364,6 @@ def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
 
 
 def _is_chain(data: mmap.mmap, at: int, links: int) -> bool:
-    """Return whether this many records follow each other from here on, or up to the end of the file."""
     for _ in range(links):
         if at + HEAD.size > len(data):
             return at == len(data)

@@ -1,4 +1,4 @@
-"""The record types of MCAP, in a file or a stream: schemas, channels and chunks."""
+"""Record types of MCAP, in a file or a stream: schemas, channels and chunks."""
 
 from __future__ import annotations
 
@@ -114,8 +114,7 @@ def learn(described: Described, opcode: int, record: bytes) -> None:
 def unpacked_chunk(data: Any, at: int, end: int) -> Any:
     """Return the records of a chunk whose content lies in `data` from `at` to `end`.
 
-    Raises:
-        UnpackError: it is damaged.
+    Raises `UnpackError`: it is damaged.
     """
     _, _, size, crc, name_bytes = CHUNK.unpack_from(data, at)
     at += CHUNK.size
@@ -150,5 +149,4 @@ def _string(record: bytes, at: int) -> tuple[str, int]:
 
 
 def _text_of(definition: bytes, encoding: str) -> str:
-    """Return a definition as text; the descriptors of protobuf are bytes, stored as Latin-1 text."""
     return definition.decode("latin-1" if encoding == "protobuf" else "utf-8", errors="replace")

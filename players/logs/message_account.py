@@ -1,8 +1,7 @@
-"""The ledger of a log: every message in exactly one bucket, checked against the counts that the container declares.
+"""Account of a log: every message in exactly one bucket, compared with the counts that the container declares.
 
-Used: part of a frame, or a pose, transform or calibration that frames need. Not needed: of a topic that was not asked
-for. Rejected, with the reason. Unreadable: in damaged bytes, or in bytes that do not fit the message type. Not played:
-behind the end of the pass. What remains is the difference to the declared count, 0 for a sound log.
+Used: part of a frame, or a pose, transform or calibration. Not needed: of a topic that was not asked for.
+Unreadable: damaged. Not played: behind the end of the pass. The rest is the difference, 0 for a sound log.
 """
 
 from __future__ import annotations
@@ -48,14 +47,13 @@ class TopicAccount:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Account:
-    """The messages of a log by topic and bucket; `is_complete`: the pass reached the end of the log.
-
-    `flaws` describes the first damaged places. For a folder of images, files are counted instead of messages.
-    """
+    """The messages of a log by topic and bucket; for a folder, files are counted."""
 
     topics: tuple[TopicAccount, ...]
+    #: The pass reached the end of the log.
     is_complete: bool
     num_flaws: int = 0
+    #: The first damaged places.
     flaws: tuple[str, ...] = ()
     explanation: str = ""
     unit: str = "messages"
@@ -138,7 +136,6 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
 
 
 def _explanation(log: Log, entries: list[TopicAccount]) -> str:
-    """Return why the sum of the buckets differs from the declared count, "" if they agree."""
     difference = sum(entry.difference for entry in entries)
     if log.declared() is None:
         return "the container declares no totals (its index is missing or damaged): they are those that were found"

@@ -1,8 +1,7 @@
-"""ROS 1 bags, whole or damaged: indexed, unindexed, cut off, none, bz2 or lz4.
+"""ROS 1 bags, whole or damaged: indexed, unindexed, cut off, uncompressed, bz2 or lz4.
 
-The library rosbags is not used, since it refuses a bag whose index is damaged. The index at the end is used as long as
-it fits; else the records are read one after another from the beginning. ROS 1 bags have no checksums; instead, every
-message of a chunk is compared with the chunk's own index, and rejected if its beginning, end or connection differ.
+The library rosbags refuses a bag with a damaged index. Here all records are read where no index fits.
+Bags have no checksums: a message is rejected if its place or connection differs from the chunk's index.
 """
 
 from __future__ import annotations
@@ -41,8 +40,7 @@ class _WrongIndexError(Exception):
 
 @dataclass(slots=True)
 class _Chunk:
-    """A chunk: its position, its compression, and the index behind it: (connection, log time) by offset."""
-
+    # `index` is (connection, log time) by offset.
     offset: int
     data_at: int
     data_end: int
@@ -64,11 +62,7 @@ class Ros1Log:
     """ROS 1 bags have no checksum; the formats bz2 and (optionally) lz4 have their own."""
 
     def __init__(self, path: Path) -> None:
-        """Read the index, or all records if no index fits.
-
-        Raises:
-            RecordingError: not one connection can be read.
-        """
+        """Read the index, or all records if no index fits. Raises `RecordingError`: not one connection can be read."""
         self.path = path
         self.files = (path,)
         self.flaws = Flaws()
@@ -112,7 +106,6 @@ class Ros1Log:
                 yield from self._chunks(data, set(topics), read)
 
     def _chunks(self, data: mmap.mmap, topics: set[str], read: set[int]) -> Iterator[LogMessage]:
-        """Yield the messages of the chunks that were not `read` yet."""
         names = {number: topic.name for number, topic in self._connections.items() if topic.name in topics}
         for place in self._chunk_places:
             if place in read:
@@ -144,7 +137,6 @@ class Ros1Log:
         return spans
 
     def _content(self, content: Any, chunk: _Chunk, names: dict[int, str]) -> Iterator[LogMessage]:
-        """Yield the messages of a chunk; after an invalid record, continue at the next one of the index."""
         view, at, end = memoryview(content), 0, len(content)
         starts = sorted(chunk.index)
         lost: Counter[str] = Counter()
@@ -177,11 +169,6 @@ class Ros1Log:
     def _checked(
         self, header: dict[bytes, bytes], at: int, data_end: int, chunk: _Chunk, end: int, view: memoryview
     ) -> int | None:
-        """Return the connection of a valid message, None for a record that is no message.
-
-        Raises:
-            _NoRecordError: it differs from the index of the chunk, or its connection is unknown.
-        """
         op = _op(header)
         if op == _CONNECTION:
             self._learn(header, view[:0])
@@ -201,7 +188,6 @@ class Ros1Log:
     # ---- the index and the walk --------------------------------------------------------------------------------------
 
     def _read_index(self, data: mmap.mmap) -> bool:
-        """Read connections and chunk places at the end; return whether they fit the bag's header."""
         try:
             header, _, at = _record(data, len(MAGIC), len(data))
             index_at, num_connections, num_chunks = (
@@ -237,7 +223,6 @@ class Ros1Log:
         return True
 
     def _walk_whole(self, data: mmap.mmap) -> None:
-        """Read all records; after damaged bytes, continue at the next chunk."""
         at, end = len(MAGIC), len(data)
         while at < end:
             try:
@@ -264,7 +249,6 @@ class Ros1Log:
                 at = data_end
 
     def _learn_chunk(self, data: mmap.mmap, at: int) -> None:
-        """Note a chunk, and read the connections in it unless its index names only known ones."""
         chunk = _chunk_at(data, at)
         self._chunk_places.append(at)
         if chunk.index and all(connection in self._connections for connection, _ in chunk.index.values()):
@@ -284,7 +268,6 @@ class Ros1Log:
                 return
 
     def _learn(self, header: dict[bytes, bytes], content: Any) -> None:
-        """Note a connection, unless it is known already."""
         number = _number(header, b"conn")
         if number in self._connections or not len(content):
             return
@@ -344,7 +327,6 @@ class Ros1Log:
 
 
 def _unpacked(data: mmap.mmap, chunk: _Chunk) -> Any:
-    """Return the records of a chunk; raises `UnpackError`."""
     if chunk.compression == "none":
         return unpack("none", data[chunk.data_at : chunk.data_end], chunk.size)
     with memoryview(data) as view, view[chunk.data_at : chunk.data_end] as packed:
@@ -352,13 +334,7 @@ def _unpacked(data: mmap.mmap, chunk: _Chunk) -> Any:
 
 
 def _record(data: Any, at: int, end: int, *, is_cut_off_well: bool = False) -> tuple[dict[bytes, bytes], int, int]:
-    """Return the header fields of the record at a place, and where its data begins and ends.
-
-    `is_cut_off_well`: data that exceeds the end is accepted as far as it is there.
-
-    Raises:
-        _NoRecordError: there is none, or it does not fit before `end`.
-    """
+    # `is_cut_off_well`: data that exceeds the end is accepted as far as it is there.
     if at + 4 > end:
         raise _NoRecordError("too short")
     (header_bytes,) = _SIZE.unpack_from(data, at)
@@ -419,11 +395,6 @@ def _is_chunk(data: Any, at: int) -> bool:
 
 
 def _chunk_at(data: Any, at: int, *, with_index: bool = True) -> _Chunk:
-    """Return the chunk at a place, with the index records that follow it.
-
-    Raises:
-        _NoRecordError: there is no chunk, or it is cut off.
-    """
     end = len(data)
     header, data_at, data_end = _record(data, at, end, is_cut_off_well=True)
     if _op(header) != _CHUNK:
@@ -452,7 +423,6 @@ def _chunk_at(data: Any, at: int, *, with_index: bool = True) -> _Chunk:
 
 
 def _next_chunk(data: mmap.mmap, start: int) -> int:
-    """Return where the next whole chunk begins, or the end of the bag."""
     for match in _CHUNK_OP.finditer(data, start):
         # The fields of a header come in any order: the record begins somewhere before this one.
         for at in range(max(start, match.start() - 64), match.start() - 3):

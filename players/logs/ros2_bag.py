@@ -1,7 +1,6 @@
-"""ROS 2 bags as folders: sqlite3 or MCAP, whole or split, with or without metadata.yaml, compressed by file or message.
+"""ROS 2 bags as folders: sqlite3 or MCAP, whole or split, compressed by file or message.
 
-Only the order of the files is taken from `metadata.yaml`. Without one, or if it names files that are missing, the files
-of the folder are read in the order of their names.
+`metadata.yaml` gives the order of the files only; without a valid one, files are read by name.
 """
 
 from __future__ import annotations
@@ -25,8 +24,7 @@ _MAX_FILE_BYTES = 1 << 37
 def open_ros2_bag(folder: Path) -> Log:
     """Return the log of a ROS 2 bag folder.
 
-    Raises:
-        RecordingError: it holds no files of a bag, or none of them can be read.
+    Raises `RecordingError`: it holds no files of a bag, or none of them can be read.
     """
     files = bag_files(folder)
     if not files:
@@ -71,7 +69,6 @@ def open_bag_file(file: Path) -> Log:
 
 
 def _listed(metadata: Path) -> list[str]:
-    """Return the files that a metadata.yaml names, even if the rest of it is damaged."""
     text = metadata.read_text(encoding="utf-8", errors="replace")
     block = re.search(r"relative_file_paths:\s*\n((?:\s*-\s*\S.*\n?)+)", text)
     if block is None:
@@ -81,16 +78,10 @@ def _listed(metadata: Path) -> list[str]:
 
 
 def _natural(file: Path) -> list[Any]:
-    """Return a key by which bag_10 comes after bag_9."""
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
 
 
 def _unpacked_file(file: Path) -> Path:
-    """Return a temporary copy of a file that was compressed as a whole.
-
-    Raises:
-        RecordingError: it is damaged.
-    """
     import shutil
 
     import zstandard

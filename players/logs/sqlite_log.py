@@ -1,7 +1,6 @@
-"""The sqlite3 files of ROS 2 bags, whole or damaged.
+"""sqlite3 files of ROS 2 bags, whole or damaged; they have no checksums.
 
-A sound file is read by SQLite, in the order of its rows. If SQLite reports damage, the pages are read one by one
-(`sqlite_pages`): every message whose own pages are whole is found again. SQLite files have no checksums.
+SQLite reads a sound file. For a damaged one, `sqlite_pages` finds every message whose own pages are whole.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ class SqliteLog:
     def __init__(self, path: Path, definitions: dict[str, str] | None = None) -> None:
         """Read the topics; `definitions` are message definitions by type, for types missing from the bag's own table.
 
-        Raises:
-            RecordingError: no topic can be read, or it is a database of something else.
+        Raises `RecordingError`: no topic can be read, or it is a database of something else.
         """
         self.path = path
         self.files = (path,)
@@ -106,7 +104,7 @@ class SqliteLog:
                 self._flaw(row.offset, f"row {row.rowid} is no message", 0, num_unknown=1)
 
     def _message(self, name: str, log_ns: int, data: Any, rowid: int) -> LogMessage | None:
-        """Return a message, unpacked if it is zstd, which CDR data cannot be mistaken for."""
+        # CDR data never begins like zstd.
         if not isinstance(data, bytes):
             self._flaw(rowid, f"row {rowid} holds no bytes", 0, lost=((name, 1),))
             return None
@@ -175,8 +173,6 @@ class SqliteLog:
 
 
 class _connected:  # used as a function
-    """A read-only connection: a log is never changed, and may lie on a read-only medium."""
-
     def __init__(self, path: Path) -> None:
         wal = path.with_name(path.name + "-wal")
         # A write-ahead log beside the file may hold messages too.

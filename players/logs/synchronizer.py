@@ -1,8 +1,7 @@
-"""Pairs of colour and depth by their stamps: one to one, within a tolerance, while the log streams by.
+"""Pairs of colour and depth by their stamps, one to one, within a tolerance, while the log streams by.
 
-The oldest waiting image is decided first: it is paired with the nearest image of the other stream, unless that one has
-a nearer partner. Two images that are each other's nearest are therefore always paired, in any order of arrival, as long
-as one stream is at most `HORIZON_NS` behind the other and each is at most `DISORDER_NS` out of order.
+The oldest waiting image is paired with the nearest of the other stream, unless that one has a nearer partner.
+Mutually nearest images are paired if streams lag at most `HORIZON_NS` and are at most `DISORDER_NS` out of order.
 """
 
 from __future__ import annotations
@@ -153,7 +152,6 @@ def pair_epochs(
 
 
 def _has_twin(waiting: dict[Stream, list[Stamped]]) -> bool:
-    """Return whether the first images of both streams have equal stamps, so that no image can be nearer to either."""
     color, depth = waiting["color"], waiting["depth"]
     return bool(color and depth) and color[0].stamp_ns == depth[0].stamp_ns
 
@@ -163,13 +161,11 @@ def _stamp(image: Stamped) -> int:
 
 
 def _oldest(waiting: dict[Stream, list[Stamped]]) -> Stamped | None:
-    """Return the first image in waiting; colour first among equals."""
     heads = [images[0] for images in waiting.values() if images]
     return min(heads, key=_stamp) if heads else None
 
 
 def _decide(oldest: Stamped, waiting: dict[Stream, list[Stamped]], tolerance_ns: int) -> Pair | Leftover:
-    """Remove the oldest image, with its partner if it has one, and return them."""
     own = waiting[oldest.stream]
     others = waiting["depth" if oldest.stream == "color" else "color"]
     own.pop(0)
@@ -181,7 +177,6 @@ def _decide(oldest: Stamped, waiting: dict[Stream, list[Stamped]], tolerance_ns:
 
 
 def _is_partner(oldest: Stamped, other: Stamped, rivals: list[Stamped], tolerance_ns: int) -> bool:
-    """Return whether `other` is near enough, and nearer to the oldest image than to any that follows it."""
     distance_ns = other.stamp_ns - oldest.stamp_ns
     return distance_ns <= tolerance_ns and all(
         abs(rival.stamp_ns - other.stamp_ns) >= distance_ns

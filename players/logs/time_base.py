@@ -1,8 +1,6 @@
-"""The choice of a log's time base: header stamps, unless they are unusable, else the recorder's.
+"""Choice of a log's time base: header stamps, unless they are unusable, else log times.
 
-The header stamp is the time at which an image was taken; the log time is that at which the recorder received it. Header
-stamps are unusable if they were never set (all zero, or all equal) or if colour and depth are far apart by them; then
-the log time is used for all streams.
+Header stamps (exposure) are unusable if all are zero or equal, or if colour and depth are far apart by them.
 """
 
 from __future__ import annotations

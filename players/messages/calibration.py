@@ -1,7 +1,6 @@
-"""Pinhole cameras from `CameraInfo` messages, and the rectification of images.
+"""Pinhole cameras from `CameraInfo` messages, and rectification of images.
 
-In ROS, `K` and `D` describe the raw image and `P` the rectified one, in the same message; the topic's name tells which
-of the two an image is.
+In ROS, `K` and `D` describe the raw image and `P` the rectified one; the topic's name says which an image is.
 """
 
 from __future__ import annotations
@@ -63,8 +62,7 @@ class Lens:
 def lens_of(info: CameraInfo, *, topic: str, image_size: tuple[int, int] | None, is_rectified: bool) -> Lens:
     """Return the lens of a calibration; `image_size` is used if the message leaves the size unset.
 
-    Raises:
-        CalibrationError: it has no focal length, no size, or an unknown distortion model.
+    Raises `CalibrationError`: it has no focal length, no size, or an unknown distortion model.
     """
     distortion = tuple(float(d) for d in info.D)
     matrix = info.P if is_rectified and info.P[0, 0] > 0 and any(distortion) else info.K

@@ -1,7 +1,4 @@
-"""Foxglove's own messages, as protobuf or JSON, converted to the equivalent ROS messages.
-
-They are converted to objects with the fields of the ROS message, so that the rest of the package handles one kind.
-"""
+"""Foxglove's own messages, as protobuf or JSON, converted to objects with the fields of ROS messages."""
 
 from __future__ import annotations
 
@@ -29,9 +26,7 @@ ROS_TYPES = {
 def decode_foxglove(name: str, wire: str, definition: str, data: Any) -> Any:
     """Return a message as its equivalent ROS message.
 
-    Raises:
-        ValueError: the bytes do not fit the type.
-        KeyError: a field is missing.
+    Raises `ValueError`: the bytes do not fit the type; `KeyError`: a field is missing.
     """
     return _as_ros(name, _json(data) if wire == "json" else _protobuf(name, definition, bytes(data)))
 
@@ -71,7 +66,6 @@ def _protobuf(name: str, definition: str, data: bytes) -> Any:
 
 @lru_cache(maxsize=64)
 def _message_class(name: str, definition: str) -> Any:
-    """Return the class of a message from the descriptors in the log (bytes, stored as Latin-1 text)."""
     from google.protobuf import descriptor_pool, message_factory
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
     from google.protobuf.message import DecodeError

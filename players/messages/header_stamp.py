@@ -1,4 +1,4 @@
-"""The header stamp of a message, read from its bytes without deserialising it."""
+"""Header stamps, read from bytes without deserialising a message."""
 
 from __future__ import annotations
 
@@ -35,7 +35,6 @@ def peek_stamp_ns(topic: Topic, data: Any) -> int | None:
 
 
 def _foreign_stamp_ns(topic: Topic, data: Any) -> int | None:
-    """Return the stamp of a message whose fields have no fixed offsets."""
     try:
         message = deserialize(topic, data)
     except UnreadableMessageError:

@@ -1,7 +1,6 @@
-"""Conversion of point clouds (sensor_msgs/PointCloud2) to the scans of LiDAR odometry.
+"""Conversion of point clouds (sensor_msgs/PointCloud2) to scans for LiDAR odometry.
 
-The message describes its own fields, their offsets and number types. All drivers have x, y and z; the time of a point
-within the sweep is in a field whose name depends on the driver.
+The name of the field with a point's time depends on the driver.
 """
 
 from __future__ import annotations
@@ -31,8 +30,7 @@ MAX_POINTS = 16_000_000
 def scan_of(message: Any, stamp_ns: int | None = None) -> Scan:
     """Return the finite points of a message; `stamp_ns` replaces that of its header.
 
-    Raises:
-        RecordingError: it has no x, y and z, or is shorter than declared.
+    Raises `RecordingError`: it has no x, y and z, or is shorter than declared.
     """
     fields = {field.name: field for field in message.fields}
     at = f"a cloud of {message.header.frame_id!r}"
@@ -57,11 +55,6 @@ def scan_of(message: Any, stamp_ns: int | None = None) -> Scan:
 
 
 def _rows(message: Any, fields: list[Any], at: str) -> NDArray[Any]:
-    """Return the (height, width) points of a message with these fields, without a copy.
-
-    Raises:
-        RecordingError: the message contradicts itself.
-    """
     height, width = int(message.height), int(message.width)
     step, row_step = int(message.point_step), int(message.row_step)
     data = np.ascontiguousarray(message.data, dtype=np.uint8)
@@ -95,7 +88,7 @@ def _rows(message: Any, fields: list[Any], at: str) -> NDArray[Any]:
 
 
 def _since(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float32] | None:
-    """Return seconds since the stamp; None if the values are no times, since some drivers leave the field empty."""
+    # Some drivers leave the field empty: then the values are no times.
     if not len(values):
         return np.zeros(0, dtype=np.float32)
     seconds = values.astype(np.float64) * (1e-9 if np.issubdtype(values.dtype, np.integer) else 1.0)

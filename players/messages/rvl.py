@@ -1,8 +1,7 @@
 """RVL: lossless depth in nibbles (Wilson, "Fast Lossless Depth Image Compression", ISS 2017), as ROS transports it.
 
-Runs of zeros alternate with runs of zigzag-coded differences. A number is a sequence of nibbles with three bits of
-payload, lowest first; the top bit of a nibble is set if another follows. Eight nibbles form a little-endian 32-bit
-word, highest first.
+Runs of zeros alternate with zigzag-coded differences; numbers are nibbles of three bits, lowest first, top bit = more.
+Eight nibbles form a little-endian 32-bit word, highest first.
 """
 
 from __future__ import annotations

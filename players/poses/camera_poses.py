@@ -1,11 +1,7 @@
-"""Camera poses of a log: from pose messages and TF frames to poses of the colour camera's optical frame.
+"""Camera poses of a log: from pose messages and TF to poses of the colour camera's optical frame.
 
-By default, the pose comes from an odometry topic whose body frame is connected to the camera by static TF links; else
-from a TF chain that starts at a fixed frame. If the log has no TF, the links are those of its profile. An unknown link
-is an error that names both ends: frames are never guessed.
-
-`RigReader` collects these messages as the log streams by; a `PosePlan`, made when the log is opened, defines which of
-them form the camera's pose.
+An odometry topic with static TF (or profile) links to the camera comes first, then a TF chain from a fixed frame.
+An unknown link is an error that names both ends. `RigReader` collects messages; a `PosePlan` combines them.
 """
 
 from __future__ import annotations
@@ -61,8 +57,7 @@ class PoseStream:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Link:
-    """A link of a plan: static, or the key of a moving one with its value when the log was opened."""
-
+    # A static link, or the key of a moving one with its value when the log was opened.
     static: NDArray[np.float64]
     key: Key | None
     is_inverted: bool
@@ -70,16 +65,16 @@ class _Link:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PosePlan:
-    """The composition of `world_from_camera`: a stream (None: TF alone), then the links from its body to the camera.
-
-    `path` names the frames, for people; `extrinsics` says where the links come from. `is_static`: no link moves.
-    """
+    """The composition of `world_from_camera`: a stream (None: TF alone), then links from its body to the camera."""
 
     stream: PoseStream | None
     links: tuple[_Link, ...]
+    #: No link moves.
     is_static: bool
     source: str
+    #: Names of the frames, for people.
     path: str
+    #: Origin of the links, for people.
     extrinsics: str
 
     @property
@@ -129,7 +124,7 @@ UNPOSED = PosePlan(stream=None, links=(), is_static=True, source="none", path="n
 
 
 def _moving(link: _Link, stamp_ns: int, epoch: int, reader: RigReader) -> NDArray[np.float64] | None:
-    """Return a TF link at a stamp; one that never changed is valid at any time, like static links on /tf in ROS 1."""
+    # A link that never changed is valid at any time, like static links on /tf in ROS 1.
     assert link.key is not None
     track = reader.track(link.key, epoch)
     if track is None or not track.num_added:
@@ -183,7 +178,7 @@ class RigReader:
         self._loaded.append(stream)
 
     def end(self) -> None:
-        """Add the messages that were held back for want of a later one."""
+        """Add the messages that were waiting for a later one."""
         for name, timeline in self._timelines.items():
             for _ in timeline.end():
                 self._reject(self._topics[name], "pose_stamp_off")
@@ -321,9 +316,7 @@ def plan_poses(
 
     `rig` is the profile's and is valid for `rig_topics` only, since a profile does not know the body of other topics.
 
-    Raises:
-        CalibrationError: no pose is connected to the camera's frame.
-        NoPosesError: there is no pose.
+    Raises `CalibrationError`: no pose is connected to the camera's frame; `NoPosesError`: there is no pose.
     """
     tree, streams = reader.tree(), reader.streams()
     if rig is None or not is_named:
@@ -367,7 +360,6 @@ def plan_poses(
 
 
 def _carried(stream: PoseStream, tree: FrameTree, camera_frame: str, pose_frame: str | None) -> PosePlan | None:
-    """Return the plan that uses a stream, None if its body is neither the camera's frame nor connected to it."""
     body = pose_frame or stream.child
     chain = tree.chain(body, camera_frame) if body else None
     if chain is None or stream.parent in chain.frames[1:]:
@@ -400,14 +392,14 @@ def _links(chain: Chain) -> tuple[_Link, ...]:
 
 
 def _preference(plan: PosePlan) -> tuple[bool, bool, int, str]:
-    """Return the rank of a plan: static links, then other odometry than wheels alone, then the most poses."""
+    # Static links, then other odometry than wheels alone, then the most poses.
     assert plan.stream is not None
     is_wheels = any(word in plan.source.lower() for word in ("wheel", "velocity_controller"))
     return plan.is_static, not is_wheels, plan.stream.num_poses, plan.source
 
 
 def _chain_from_fixed(tree: FrameTree, camera_frame: str) -> Chain | None:
-    """Return the TF chain from a fixed frame to the camera: a frame of a known name, else the root if it moves."""
+    # From a frame of a known name, else from the root if it moves.
     above = tree.ancestors(camera_frame)[1:]
     names = {frame.rsplit("/", 1)[-1]: frame for frame in reversed(above)}
     named = next((names[name] for name in _FIXED_FRAMES if name in names), None)
@@ -418,7 +410,6 @@ def _chain_from_fixed(tree: FrameTree, camera_frame: str) -> Chain | None:
 
 
 def _unconnected(path: object, streams: Sequence[PoseStream], tree: FrameTree, camera_frame: str) -> str:
-    """Return the missing link between the poses and the camera, in words."""
     known = f"frames of TF: {', '.join(sorted(tree.edges)) or 'none'}"
     open_ended = [stream for stream in streams if not stream.child]
     ended = [stream for stream in streams if stream.child]

@@ -1,4 +1,4 @@
-"""Hand-eye calibration: the camera's pose on the body, from the motions of pose topic and depth odometry.
+"""Hand-eye calibration: the camera's pose on the body, from motions of the pose topic and of depth odometry.
 
 It serves logs without TF, for which the profile can only assume that pose.
 """
@@ -71,8 +71,7 @@ def estimated_mounting(source: LogSource) -> HandEye | NoHandEye:
 def with_estimated_mounting(source: LogSource) -> LogSource:
     """Return the log with the estimated pose of its camera on the body.
 
-    Raises:
-        CalibrationError: the motion does not determine that pose.
+    Raises `CalibrationError`: the motion does not determine that pose.
     """
     found = estimated_mounting(source)
     if isinstance(found, NoHandEye):
@@ -99,7 +98,7 @@ def mounting_text(found: HandEye) -> str:
 def _motions(
     track: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]],
 ) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return the motions of body and camera over a second each; consecutive motions overlap by half."""
+    # Motions over a second each; consecutive motions overlap by half.
     motions = []
     next_ns, last = None, 0
     for stamp_ns, body, camera in track:

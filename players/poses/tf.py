@@ -1,7 +1,4 @@
-"""The TF tree of a log: static and moving transforms, and chains of them between two frames.
-
-Every frame has one parent. A chain leads up from its source to the nearest common ancestor and down to its target.
-"""
+"""The TF tree of a log: static and moving transforms, and chains of them between two frames."""
 
 from __future__ import annotations
 
@@ -24,14 +21,12 @@ Link = PoseTrack | GrowingTrack | np.ndarray
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Edge:
-    """A frame and its parent; `parent_from_child` is a (4, 4) transform if it is static, else a track.
-
-    `is_published_static` is False for a transform of /tf that has not changed so far.
-    """
+    """A frame and its parent; `parent_from_child` is (4, 4) if it is static, else a track."""
 
     parent: str
     child: str
     parent_from_child: Link
+    #: False for a transform of /tf that has not changed so far.
     is_published_static: bool = True
 
 
