@@ -41,19 +41,15 @@ class Source(Protocol):
     @property
     def info(self) -> SourceInfo:
         """What was found when the source was opened."""
-        ...
 
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames from the beginning; each call starts anew."""
-        ...
 
     def ledger(self) -> Mapping[str, int]:
         """Return how many messages or files had which fate so far, e.g. `frames`, `color_without_depth`."""
-        ...
 
     def close(self) -> None:
         """Release files and devices."""
-        ...
 
 
 class MessageAccount(Protocol):
@@ -61,7 +57,6 @@ class MessageAccount(Protocol):
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON knows it: the sums by bucket, and the entries of each topic."""
-        ...
 
 
 @runtime_checkable
@@ -70,7 +65,6 @@ class Accounting(Protocol):
 
     def account(self) -> MessageAccount | None:
         """Return where the messages went so far; None where a source that this one plays keeps no account."""
-        ...
 
 
 @runtime_checkable
@@ -79,7 +73,6 @@ class Interruptible(Protocol):
 
     def interrupt(self) -> None:
         """End the frames; may be called from any thread."""
-        ...
 
 
 @runtime_checkable
@@ -92,7 +85,6 @@ class Seekable(Protocol):
     @property
     def num_seeks(self) -> int:
         """How often that has happened."""
-        ...
 
 
 @runtime_checkable
@@ -102,11 +94,9 @@ class Estimating(Protocol):
     @property
     def poses_by(self) -> str:
         """What estimates them, "" where nothing does."""
-        ...
 
     def continue_from(self, stamp_ns: int, world_from_camera: NDArray[np.float64]) -> None:
         """Place what follows the frame of this stamp by the pose (4, 4) that the journal has of it."""
-        ...
 
 
 def account_of(source: Source) -> MessageAccount | None:
@@ -187,14 +177,12 @@ class Segmenter(Protocol):
 
     def prepare(self, frame: Frame) -> object:
         """Return what can be computed of a frame without the map; called ahead, on another thread than `segment`."""
-        ...
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
         """Return the instances and the structure of a frame.
 
         `prior` is what the map knows so far; `prepared` is what `prepare` returned, or None.
         """
-        ...
 
 
 @runtime_checkable
@@ -203,7 +191,6 @@ class Moving(Protocol):
 
     def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
         """Return what was prepared of a frame for another pose (4, 4) of it; None where that must be done anew."""
-        ...
 
 
 def prepared_at(segmenter: Segmenter, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
@@ -217,21 +204,17 @@ class FeatureExtractor(Protocol):
     @property
     def name(self) -> str:
         """What tells this extractor's features from those of others: cosines between two extractors mean nothing."""
-        ...
 
     @property
     def patch_px(self) -> int:
         """The side of a patch."""
-        ...
 
     @property
     def dim(self) -> int:
         """The length D of a feature."""
-        ...
 
     def extract(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return (h, w, D) float32 features of unit norm, one per patch; h = ceil(H / patch), w = ceil(W / patch)."""
-        ...
 
 
 class SemanticModel(Protocol):
@@ -240,11 +223,9 @@ class SemanticModel(Protocol):
     @property
     def labels(self) -> tuple[str, ...]:
         """The names of its classes, by their ids."""
-        ...
 
     def classify(self, rgb: NDArray[np.uint8]) -> SemanticImage:
         """Return the class of every pixel of an image (H, W, 3)."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -337,11 +318,9 @@ class MeshGenerator(Protocol):
     @property
     def name(self) -> str:
         """What the map says that a shape is by."""
-        ...
 
     def generate(self, inputs: ShapeInputs) -> GeneratedMesh | NoShape:
         """Return the mesh, or why there is none."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -384,13 +363,11 @@ class PoseRefiner(Protocol):
     @property
     def name(self) -> str:
         """The name by which the configuration chooses it."""
-        ...
 
     def place(
         self, mesh: Mesh, inputs: ShapeInputs, guess: NDArray[np.float64] | None = None
     ) -> MeshPlacement | NotPlaced:
         """Return where the mesh lies by what was seen of the object; `guess` is world_from_mesh as somebody has it."""
-        ...
 
 
 class Reconstructor(Protocol):
@@ -399,11 +376,9 @@ class Reconstructor(Protocol):
     @property
     def name(self) -> str:
         """The name by which the configuration chooses it."""
-        ...
 
     def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
         """Return a complete, closed, coloured mesh, or why there is none. Deterministic."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -460,14 +435,12 @@ class Odometry(Protocol):
     @property
     def name(self) -> str:
         """The name by which `--odometry` chooses it."""
-        ...
 
     def register(self, scan: Scan, last_from_scan: NDArray[np.float64] | None = None) -> Registered | NotRegistered:
         """Return where a scan was taken; `last_from_scan` (4, 4) is the motion since the last, where somebody knows.
 
         The first scan is where the poses start, at the identity. A scan that cannot be registered changes nothing.
         """
-        ...
 
 
 class Sink(Protocol):
@@ -475,8 +448,6 @@ class Sink(Protocol):
 
     def show(self, report: FrameReport) -> None:
         """Take one report."""
-        ...
 
     def close(self) -> None:
         """Finish what was begun; no `show` follows."""
-        ...

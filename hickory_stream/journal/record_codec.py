@@ -62,11 +62,9 @@ class PartStore(Protocol):
 
     def put(self, part: object, encoded: Callable[[], bytes]) -> tuple[int, int]:
         """Return where an array or a record is kept; `encoded()` gives its bytes if it is new."""
-        ...
 
     def is_part(self, record: object) -> bool:
         """Return whether a record is to be kept beside the document."""
-        ...
 
 
 class PartPlace(NamedTuple):
@@ -82,7 +80,6 @@ class LateRecords(Protocol):
 
     def arrays_of(self, kind: type) -> tuple[str, ...]:
         """Return the names of the arrays of a kind of record that may be left where they are."""
-        ...
 
     def record(
         self,
@@ -92,7 +89,6 @@ class LateRecords(Protocol):
         checks: Mapping[str, Callable[[Any], bool]],
     ) -> Any:
         """Return a record of `values` and of arrays at `places`; raises TypeError where these are not its fields."""
-        ...
 
 
 def encode(value: Any, parts: PartStore | None = None) -> bytes:

@@ -25,28 +25,22 @@ class LiveSource(Protocol):
     @property
     def uri(self) -> str:
         """The address."""
-        ...
 
     @property
     def kind(self) -> str:
         """The kind of route, in words."""
-        ...
 
     def start(self, inbox: Inbox) -> None:
         """Begin to announce topics; an absent peer is retried. Raises `RecordingError`: the address is impossible."""
-        ...
 
     def subscribe(self, names: Collection[str]) -> None:
         """Subscribe to more topics, latched messages included; a route that receives everything ignores it."""
-        ...
 
     def health(self) -> Health:
         """Return the current health."""
-        ...
 
     def stop(self) -> None:
         """Close the route; nothing arrives afterwards."""
-        ...
 
 
 @runtime_checkable
@@ -55,12 +49,9 @@ class ReturnLink(Protocol):
 
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
         """Announce a topic (messages are CDR) whenever the link is up; the last latched message is kept."""
-        ...
 
     def send(self, name: str, data: bytes) -> bool:
         """Publish a message of an offered topic; return False if nobody receives it."""
-        ...
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
         """Call `hear`, on a thread of the link, with each message of a topic."""
-        ...

@@ -53,43 +53,35 @@ class Log(Protocol):
     @property
     def path(self) -> Path | str:
         """The file, the folder, or the address."""
-        ...
 
     @property
     def kind(self) -> str:
         """What it is, in words."""
-        ...
 
     @property
     def files(self) -> tuple[Path, ...]:
         """All files of the log, in order."""
-        ...
 
     @property
     def topics(self) -> tuple[Topic, ...]:
         """The topics, sorted by name."""
-        ...
 
     @property
     def flaws(self) -> Flaws:
         """The damage found so far; complete after a pass over all topics."""
-        ...
 
     @property
     def checksum(self) -> str:
         """The checksum that protects the messages against altered bytes, in words; "" if there is none."""
-        ...
 
     def declared(self) -> Mapping[str, int] | None:
         """Return the declared number of messages of each topic, None if the log declares none."""
-        ...
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics, from the beginning, reading each chunk of the file once.
 
         Unreadable messages are skipped and noted in `flaws`.
         """
-        ...
 
 
 def normalized_type(name: str) -> str:

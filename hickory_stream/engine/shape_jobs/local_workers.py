@@ -48,16 +48,13 @@ class ShapeWorkers(Protocol):
     @property
     def num_open(self) -> int:
         """How many jobs wait or run."""
-        ...
 
     @property
     def num_alive(self) -> int:
         """How many workers there are now."""
-        ...
 
     def submit(self, folder: Path) -> asyncio.Future[str | None]:
         """Queue a job; the future gives None when its answer lies in the folder, else why the job was given up."""
-        ...
 
     async def __aenter__(self) -> Self: ...
 
