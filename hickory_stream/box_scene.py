@@ -80,7 +80,7 @@ def cast_scene(
 
 
 def _entry(box: SceneBox, eye: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (H, W) where each ray enters a box, infinity where it misses (slab method)."""
+    # (H, W), infinity where a ray misses (slab method).
     a, b = (np.array(box.low) - eye) / rays, (np.array(box.high) - eye) / rays
     near, far = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
     return np.where((near < far) & (near > 0), near, np.inf)

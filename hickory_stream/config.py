@@ -117,7 +117,6 @@ def as_far_as_known(kind: type[T], data: Mapping[str, Any]) -> T:
 
 
 def _with_lattice(mapping: Any) -> Any:
-    """Return what a manifest says of the mapping, of which versions without a lattice had the numbers elsewhere."""
     if not isinstance(mapping, dict) or "lattice" in mapping:
         return mapping
     track = mapping.get("track")

@@ -121,8 +121,7 @@ class PosesCorrected:
     `graph` is the pose graph whose solution that is, None of somebody else's; no submap may be named where only the
     graph has changed.
 
-    Raises:
-        ValueError: a submap is named twice, or a transform is not rigid.
+    Raises `ValueError`: a submap is named twice, or a transform is not rigid.
     """
 
     stamp_ns: int

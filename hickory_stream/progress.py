@@ -74,7 +74,6 @@ class ProgressPrinter:
             sys.stderr.write("\n")
 
     def _note(self, progress: Progress, now_s: float) -> None:
-        """Remember when frames were done."""
         if progress.phase != self._phase:
             self._phase_began_s = now_s
             self._recent.clear()
@@ -84,7 +83,7 @@ class ProgressPrinter:
             self._recent.popleft()
 
     def _rate(self, now_s: float) -> float | None:
-        """Return frames per second of late; None while that means nothing yet."""
+        # Over the latest frames; None while there are too few.
         since_s, since_frames = self._recent[0]
         num_frames = self._recent[-1][1] - since_frames
         if now_s - since_s < _RATE_AFTER_S or num_frames < _RATE_AFTER_FRAMES:

@@ -72,12 +72,11 @@ def _has_floor(submap: Submap) -> bool:
 
 
 def _middle(sorted_m: Sequence[float]) -> float:
-    """Return the median of sorted heights, always one of them: between a floor and a platform there is no floor."""
+    # The lower of two middle ones: between a floor and a platform there is no floor.
     return sorted_m[(len(sorted_m) - 1) // 2]
 
 
 def _storeys(snapshot: MapSnapshot) -> list[list[float]]:
-    """Return the heights of the floors of all submaps, sorted, storey by storey."""
     storeys: list[list[float]] = []
     for height_m in sorted(floor_height_m(submap) for submap in snapshot.submaps if _has_floor(submap)):
         if not storeys or height_m - storeys[-1][0] > _ANOTHER_STOREY_M:

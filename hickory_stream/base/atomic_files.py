@@ -56,8 +56,7 @@ def outside_errors() -> Iterator[None]:
 def link_or_copy(source: Path, target: Path) -> None:
     """Make `target`, which is not there, the same file, or a copy where the file system has no hard links.
 
-    Raises:
-        OSError: the disk refused.
+    Raises `OSError`: the disk refused.
     """
     try:
         os.link(source, target)
@@ -68,8 +67,7 @@ def link_or_copy(source: Path, target: Path) -> None:
 def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
     """Replace the file `path` by `data`; without `sync` it survives a killed process, but not yet a lost power supply.
 
-    Raises:
-        OSError: the disk refused; the old file, if any, is untouched.
+    Raises `OSError`: the disk refused; the old file, if any, is untouched.
     """
     # Thousands of small files are written so: text costs a fifth of what path objects do.
     folder, name = os.path.split(os.fspath(path))
@@ -94,8 +92,7 @@ def write_output(path: Path, data: bytes) -> None:
 
     What is no file, like a pipe or a device, is written as it is, and a link goes on pointing to its file.
 
-    Raises:
-        OSError: the disk refused.
+    Raises `OSError`: the disk refused.
     """
     if path.exists() and not path.is_file():
         path.write_bytes(data)
@@ -106,8 +103,7 @@ def write_output(path: Path, data: bytes) -> None:
 def sync(path: Path) -> None:
     """Wait until a file, or the entries of a folder, have reached the disk.
 
-    Raises:
-        OSError: the disk refused, or there is no such file.
+    Raises `OSError`: the disk refused, or there is no such file.
     """
     if os.name != "posix" and path.is_dir():
         return  # only POSIX opens folders

@@ -47,8 +47,7 @@ class CacheEntry:
 def cache_folder(kind: Kind) -> Path:
     """Return the folder of a kind, which is there.
 
-    Raises:
-        ConfigError: there is no folder at all that can be written.
+    Raises `ConfigError`: there is no folder at all that can be written.
     """
     folder = cache_root() / kind
     with contextlib.suppress(OSError):  # a full disk: whoever writes there will say so
@@ -59,8 +58,7 @@ def cache_folder(kind: Kind) -> Path:
 def cache_root() -> Path:
     """Return the folder of all caches: as configured, or, where that cannot be written, a temporary one.
 
-    Raises:
-        ConfigError: there is no folder at all that can be written.
+    Raises `ConfigError`: there is no folder at all that can be written.
     """
     return _usable_root(wanted_root())
 
@@ -82,8 +80,7 @@ def wanted_root() -> Path:
 def cap_mb() -> float:
     """Return how much may be kept, in megabytes: `$HICKORY_CACHE_MB`, by default 4000.
 
-    Raises:
-        ConfigError: it is no number of 0 or more.
+    Raises `ConfigError`: it is no number of 0 or more.
     """
     named = os.environ.get("HICKORY_CACHE_MB", "")
     if not named:
@@ -108,7 +105,7 @@ def entries() -> Iterator[CacheEntry]:
 
 
 def _num_bytes(path: str | Path) -> int:
-    """Return the bytes of a file, or of the files in a folder; every run asks, of thousands: no `Path` for each."""
+    # Every run asks for thousands of files: no `Path` for each.
     if not os.path.isdir(path):  # noqa: PTH112
         return os.stat(path).st_size  # noqa: PTH116
     with os.scandir(path) as found:
@@ -159,12 +156,11 @@ def mark_used(*paths: Path) -> None:
 
 
 def _two_levels(folder: Path) -> Iterator[tuple[Path, ...]]:
-    """Yield what lies two levels down, each for itself."""
     yield from ((path,) for path in sorted(folder.glob("*/*")))
 
 
 def _by_stem(folder: Path) -> Iterator[tuple[Path, ...]]:
-    """Yield the files and folders of one name, whatever comes after its first dot: a log and its truth."""
+    # A log and its truth have one name up to the first dot.
     groups: dict[str, list[Path]] = {}
     for path in sorted(folder.glob("*")):
         groups.setdefault(path.name.lstrip(".").partition(".")[0], []).append(path)
@@ -196,7 +192,6 @@ def _usable_root(wanted: Path) -> Path:
 
 
 def _refusal(folder: Path) -> str | None:
-    """Return why a folder cannot be made and written, None where it can."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
@@ -207,7 +202,7 @@ def _refusal(folder: Path) -> str | None:
 
 
 def _temporary_root() -> Path:
-    """Return a folder of this user alone: what is read from it is executed."""
+    # Only this user can write it: what is read from it is executed.
     try:
         base = Path(tempfile.gettempdir())
         if os.name != "posix":

@@ -127,7 +127,7 @@ def source_hash(module: str, file: Path) -> str:
 
 @cache
 def _read(file: Path, base: Path) -> tuple[bytes, tuple[Path, ...]]:
-    """Return the hash of a file, and the files whose content can be in its kernels."""
+    # The hash of a file, and the files whose kernels and constants it may use.
     needed: list[Path] = []
     content = file.read_bytes()
     for module, listed in _IMPORT.findall(content.decode()):
@@ -150,8 +150,6 @@ def _is_ours(function: Callable[..., Any]) -> bool:
 
 
 class _Compiles(event.Listener):  # type: ignore[misc] # numba has no types
-    """Passes on what numba says of itself."""
-
     def on_start(self, event: Any) -> None:
         function = event.data["dispatcher"].py_func
         if _is_ours(function):

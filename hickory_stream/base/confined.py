@@ -29,8 +29,7 @@ class OutsideError(ValueError):
 def plain_name(text: object, suffix: str = "") -> str:
     """Return a file's name as it is: letters, digits, `_`, `-` and single points between them, ending in `suffix`.
 
-    Raises:
-        OutsideError: it is anything else.
+    Raises `OutsideError`: it is anything else.
     """
     if (
         not isinstance(text, str)
@@ -46,8 +45,7 @@ def plain_name(text: object, suffix: str = "") -> str:
 def whole_number(value: object, what: str, low: int = 0) -> int:
     """Return an integer of at least `low`, e.g. an id.
 
-    Raises:
-        OutsideError: it is none (a bool, a text and a float are none), or too large.
+    Raises `OutsideError`: it is none (a bool, a text and a float are none), or too large.
     """
     # NumPy's integers have an index, too; a bool has one by accident.
     if isinstance(value, bool) or not hasattr(value, "__index__"):
@@ -61,8 +59,7 @@ def whole_number(value: object, what: str, low: int = 0) -> int:
 def path_within(root: Path, name: object) -> Path:
     """Return the path of `name`, e.g. `meshes/3.glb`, under a folder; links are followed, and must not lead out.
 
-    Raises:
-        OutsideError: the name is no relative path, or leads out of the folder.
+    Raises `OutsideError`: the name is no relative path, or leads out of the folder.
     """
     is_relative = isinstance(name, str) and name and not re.search(r"[\\:\0]", name)
     if not isinstance(name, str) or not is_relative or name.startswith("/") or ".." in PurePosixPath(name).parts:
@@ -81,7 +78,6 @@ def path_within(root: Path, name: object) -> Path:
 
 
 def _has_link(root: Path, name: str) -> bool:
-    """Return whether a relative path has a link in it, below the folder."""
     at = os.fspath(root)
     for part in name.split("/"):
         at = f"{at}/{part}"
@@ -93,9 +89,8 @@ def _has_link(root: Path, name: str) -> bool:
 def open_within(root: Path, name: object) -> BinaryIO:
     """Return a regular file under a folder, open to be read.
 
-    Raises:
-        OutsideError: the name leads out of the folder, or is that of a pipe, a device or a folder.
-        OSError: there is no such file, or it cannot be read.
+    Raises `OutsideError`: the name leads out of the folder, or is that of a pipe, a device or a folder; `OSError`:
+    there is no such file, or it cannot be read.
     """
     path = path_within(root, name)
     # A pipe without a writer would be waited for.
@@ -115,8 +110,7 @@ def read_within(root: Path, name: object) -> bytes:
 def open_new(path: Path | str) -> int:
     """Return the descriptor of a new, empty file to write and read; what was there, a link above all, is removed.
 
-    Raises:
-        OSError: the disk refused.
+    Raises `OSError`: the disk refused.
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _FOLLOW_NO_LINK | getattr(os, "O_BINARY", 0)
     try:
@@ -129,9 +123,8 @@ def open_new(path: Path | str) -> int:
 def open_to_change(path: Path) -> BinaryIO:
     """Return a regular file to read and to write, as it is; a link is not followed.
 
-    Raises:
-        OutsideError: it is a pipe, a device or a folder.
-        OSError: there is no such file, it is a link, or the disk refused.
+    Raises `OutsideError`: it is a pipe, a device or a folder; `OSError`: there is no such file, it is a link, or the
+    disk refused.
     """
     flags = os.O_RDWR | _FOLLOW_NO_LINK | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     descriptor = os.open(path, flags)
@@ -144,8 +137,7 @@ def open_to_change(path: Path) -> BinaryIO:
 def refuse_links(root: Path, names: Iterable[str]) -> None:
     """Refuse a folder of which one of these entries is a link: what it holds, or would hold, lies elsewhere.
 
-    Raises:
-        OutsideError: naming it.
+    Raises `OutsideError`: naming it.
     """
     for name in names:
         if (root / name).is_symlink():

@@ -21,11 +21,7 @@ def dumps(data: Any, *, indent: int | None = None, sort_keys: bool = False) -> s
 
 
 def dumps_exactly(data: Any, *, indent: int | None = None) -> str:
-    """Return data as JSON that is read back as it was.
-
-    Raises:
-        ValueError: a number is NaN or infinite.
-    """
+    """Return data as JSON that is read back as it was. Raises `ValueError`: a number is NaN or infinite."""
     return json.dumps(data, indent=indent, allow_nan=False)
 
 

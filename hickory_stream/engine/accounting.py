@@ -1,9 +1,6 @@
-"""The accounts of a run: metrics for plots, the ledger of messages, frames and jobs, and where the time went.
+"""Accounts of a run: metrics, ledgers of messages, frames and jobs, and timings.
 
-The account of all messages of a log, each in one bucket: that of the source, completed by the run's use of frames.
-
-The source counts the images of all frames as used. The run did not need those of frames that were no keyframes, and
-some of its keyframes may have been unreadable.
+A source counts the images of all frames as used; the run moves those of unused frames to their own buckets.
 """
 
 from __future__ import annotations
@@ -24,10 +21,10 @@ _IMAGES_PER_FRAME = 2
 
 
 def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
-    """Return the account of a source's messages, {} where it keeps none.
+    """Return the account of a source's messages, {} if it keeps none.
 
     `frames` are the run's counts: `read`, `keyframes`, `keyframes_kept_out`, `frames_undecodable`. After several rounds
-    of a log the account is that of the last round, in which the images are not told apart.
+    of a log, the account is of the last round, and images are not divided by use.
     """
     kept = account_of(source)
     if kept is None:
@@ -60,7 +57,7 @@ def run_ledger(
     shapes: dict[str, int],
     num_not_shown: int,
 ) -> dict[str, dict[str, Any]]:
-    """Return what became of every message, frame and job; `counts` are of frames, by what became of them."""
+    """Return the use of every message, frame and job; `counts` are frames by outcome."""
     told = {name: count for name, count in counts.items() if count}
     read = told.pop("read", num_frames + told.get("frames_late", 0))
     frames = {"read": read, "keyframes": num_keyframes, **told}
@@ -94,7 +91,7 @@ def engine_metrics(
     source_ledger: Mapping[str, int],
     num_dropped: int,
 ) -> tuple[tuple[str, float], ...]:
-    """Return the named numbers of a keyframe's report that are the engine's: stages, queues, memory, ledger."""
+    """Return the engine's metrics of a keyframe: stages, queues, memory, ledger."""
     return (
         *((f"time/{name}", seconds) for name, seconds in times_s.items()),
         *((f"queue/{name}", float(length)) for name, length in queues.items()),

@@ -1,8 +1,6 @@
-"""Corrections of submaps' poses in a run: those that somebody gives, checked at once, and those that loops make.
+"""Pose corrections in a run, and registration of its keyframes.
 
-Both are applied before a frame is mapped: first what was given since the last one, then the loops that are due.
-
-Keyframes placed in a run: registered on a thread, and what came of it told to the core and to people.
+Corrections from outside and from loops are applied before a frame is mapped.
 """
 
 from __future__ import annotations
@@ -38,10 +36,7 @@ logger = logging.getLogger(__name__)
 
 
 class Corrections:
-    """Those that the core has not been told of yet, in the order in which they were given, and those of loops.
-
-    `counts` are those of the run.
-    """
+    """Pending corrections in the order of their arrival; `counts` are of the run."""
 
     def __init__(
         self, effects: EffectRunner, loops: LoopCloser, thread: ThreadPoolExecutor, counts: MutableMapping[str, int]
@@ -54,17 +49,17 @@ class Corrections:
         self._is_closed = False
 
     def give(self, world_from_submap: Mapping[int, NDArray[np.float64]], known: Sequence[int]) -> None:
-        """Have submaps placed anew; `known` are the ids of the submaps that the map has.
+        """Place submaps at new poses; `known` are the ids of the map's submaps.
 
-        Raises:
-            InputError: there is no such submap, a transform is not rigid, or the map is finished; nothing is moved.
+        Raises `InputError`: there is no such submap, a transform is not rigid, or the map is finished; nothing is
+        moved.
         """
         if self._is_closed:
             raise InputError("the map is finished: poses can be corrected while it is being made")
         self._waiting.append(checked_places(world_from_submap, known))
 
     async def apply(self, stamp_ns: int) -> None:
-        """Place submaps where they were said to lie since the last frame."""
+        """Send pending corrections to the core."""
         while self._waiting:
             places = self._waiting.popleft()
             self._counts["pose_corrections"] += 1
@@ -77,7 +72,7 @@ class Corrections:
             )
 
     async def close_loops(self, stamp_ns: int, *, all_of_them: bool = False) -> None:
-        """Tell the core of the loops that are due at a stamp, and place the submaps as the graph then has them."""
+        """Send loops that are due at a stamp to the core, then the poses of submaps that the graph's solution moves."""
         while (event := await self._loops.next_due(None if all_of_them else stamp_ns)) is not None:
             await self._effects.handle(event)
             self._counts["loops"] += sum(loop.reason is None for loop in event.loops)
@@ -92,23 +87,22 @@ class Corrections:
         return len(self._waiting)
 
     def forget(self) -> None:
-        """Forget those that wait, as somebody went back in the log: their submaps may not be there yet."""
+        """Drop pending corrections after a seek back: their submaps may not exist yet."""
         if self._waiting:
             logger.warning("%d corrections of poses were for what somebody went back from", len(self._waiting))
             self._waiting.clear()
 
     def close(self) -> None:
-        """Take no more."""
+        """Refuse further corrections."""
         self._is_closed = True
 
 
 def checked_places(
     world_from_submap: Mapping[int, NDArray[np.float64]], known: Sequence[int]
 ) -> dict[int, NDArray[np.float64]]:
-    """Return copies of the (4, 4) places by submap; `known` are the ids of the submaps that the map has.
+    """Return copies of the (4, 4) poses by submap; `known` are the ids of the map's submaps.
 
-    Raises:
-        InputError: there is no such submap, or a transform is not rigid.
+    Raises `InputError`: there is no such submap, or a transform is not rigid.
     """
     for submap_id, pose in world_from_submap.items():
         if submap_id not in known:
@@ -120,9 +114,9 @@ def checked_places(
 
 
 class Placing:
-    """Places the keyframes of a run in their order; what does not fit the map is kept out, and said once in a row.
+    """Registers keyframes on a thread, in their order; a series of rejected keyframes is logged once.
 
-    `counts` and `timings_s` are those of the run.
+    `counts` and `timings_s` are of the run.
     """
 
     def __init__(
@@ -142,21 +136,21 @@ class Placing:
         self._is_keeping_out = False
 
     def where(self, odometry_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where a camera is in the map (4, 4) that the odometry has at `odometry_from_camera`."""
+        """Return the camera's pose (4, 4) in the map, from its pose by odometry."""
         return self._places.where(odometry_from_camera)
 
     def jumped(self, *, is_loop: bool = False) -> None:
-        """Take note of a jump of the odometry or the stamps; `is_loop`: the log begins anew, and so do its poses."""
+        """Record a jump of the odometry or the stamps; `is_loop`: the log begins again, and so do its poses."""
         self._places.jumped(is_loop=is_loop)
 
     def restore(self, history: RegistrationHistory | None) -> None:
-        """Go on as after some step of a run; None: as at its beginning."""
+        """Continue from a recorded step, None: from the beginning."""
         self._places.restore(history)
 
     async def place(self, frame: Frame, surface: SurfaceImage | None = None) -> Frame | None:
-        """Return a keyframe at the pose at which it is mapped, None where it does not fit the map.
+        """Return a keyframe at its registered pose, None if it does not fit the map.
 
-        `surface` is its `keyframe_surface`, None where nobody found it ahead.
+        `surface` is its `keyframe_surface`, None if it was not computed ahead.
         """
         started = time.perf_counter()
         found = await on_thread(self._thread, self._places.place, frame, surface)

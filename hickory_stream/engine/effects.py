@@ -1,9 +1,4 @@
-"""Carries out effects: gives the core an event, then does what its effects ask for until none is left.
-
-What is kept of a keyframe's images: cut-outs around observations, and the colour image, compressed.
-
-Commits results of shape jobs to the core: when they are due (playback) or have arrived (live), and at the end.
-"""
+"""Carries out the core's effects, crops views, and commits the results of shape jobs."""
 
 from __future__ import annotations
 
@@ -51,7 +46,7 @@ if TYPE_CHECKING:
 
 
 def crop_of(frame: Frame, observation: Observation, margin: float) -> Crop:
-    """Return the cut-out of a frame around an observation, with `margin` of its box more on every side."""
+    """Return the crop of a frame around an observation, its box enlarged by `margin` on every side."""
     x0, y0, x1, y1 = observation.box_px
     dx, dy = round((x1 - x0) * margin) + 2, round((y1 - y0) * margin) + 2
     left, top = max(0, x0 - dx), max(0, y0 - dy)
@@ -69,7 +64,7 @@ def crop_of(frame: Frame, observation: Observation, margin: float) -> Crop:
 
 
 def color_of(raw: RawFrame, frame: Frame, config: JournalConfig) -> bytes | None:
-    """Return the compressed image of a keyframe: the log's own, else a JPEG; None where none are to be kept."""
+    """Return the compressed image of a keyframe: the log's own, else a JPEG; None if images are not kept."""
     if not config.keep_images:
         return None
     if raw.color_bytes is not None:
@@ -83,31 +78,28 @@ def color_of(raw: RawFrame, frame: Frame, config: JournalConfig) -> bytes | None
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class AtHand:
-    """The keyframe that an event is about: its pixels and observations, which some effects need.
-
-    `patches` (h, w, D) are the features of its colours; None where nobody found them ahead.
-    """
+    """The keyframe of an event: pixels and observations, which some effects need."""
 
     frame: Frame
     observations: Sequence[Observation]
+    #: (h, w, D) features of its colours, None if not computed yet.
     patches: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Handled:
-    """What an event led to: what the core published, and the patch features (h, w, D); None where there is nothing.
-
-    `effects` are those that nobody waits for who wants to see the map: shape jobs, and what they make superfluous.
-    """
+    """The result of an event."""
 
     published: Publish | None
+    #: (h, w, D), None if no effect needed features.
     patches: NDArray[np.float32] | None
+    #: To carry out after the map is published: shape jobs and clean-up.
     effects: tuple[Effect, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class EffectTargets:
-    """Whom effects concern: `folder` the pixels of views, `recorder` and `steps` the disk, `shapes` the workers."""
+    """Receivers of effects: `folder` gets the pixels of views, `recorder` and `steps` write the journal."""
 
     folder: MapFolder
     recorder: Recorder
@@ -119,7 +111,7 @@ class EffectTargets:
 
 
 class EffectRunner:
-    """Owns the core; all that it decides, and all that it is told, goes through `handle`, on the thread `thinker`."""
+    """Owns the core; every event goes through `handle`, on the mapping thread."""
 
     def __init__(
         self, core: MapperCore, targets: EffectTargets, thinker: ThreadPoolExecutor, config: RunConfig
@@ -130,13 +122,13 @@ class EffectRunner:
         self._config = config
 
     async def handle(self, event: Event, at_hand: AtHand | None = None) -> Handled:
-        """Give the core an event, and carry out its effects and those that follow from them."""
+        """Send an event to the core, and carry out its effects and those that follow from them."""
         handled = await self.decide(event, at_hand)
         await self.carry_out(handled.effects)
         return handled
 
     async def decide(self, event: Event, at_hand: AtHand | None = None) -> Handled:
-        """Give the core an event, and publish the map after it; the effects that are left are for `carry_out`."""
+        """Send an event to the core, and publish the map; the remaining effects are for `carry_out`."""
         published: Publish | None = None
         patches: NDArray[np.float32] | None = None
         left: list[Effect] = []
@@ -160,7 +152,7 @@ class EffectRunner:
         return Handled(published=published, patches=patches, effects=tuple(left))
 
     async def carry_out(self, effects: Sequence[Effect]) -> None:
-        """Carry out what was left of an event, in its order."""
+        """Carry out the remaining effects of an event, in order."""
         for effect in effects:
             await self._carry_out(effect)
 
@@ -215,7 +207,10 @@ class OutOfPatienceError(Exception):
 
 
 class DueShapes:
-    """Commits results of shape jobs: each is an event for the core, and its job is over with the step that has it."""
+    """Commits results of shape jobs: each is an event, and its job ends with the step of this event.
+
+    Results are committed when they are due (playback) or have arrived (live), and at the end.
+    """
 
     def __init__(
         self,
@@ -237,11 +232,9 @@ class DueShapes:
         self._grace_s = grace_s
 
     async def commit(self, stamp_ns: int | None) -> None:
-        """Tell the core of the shapes that are due at a stamp, None: of all that are open.
+        """Send shapes that are due at a stamp to the core, None: all open ones.
 
-        Raises:
-            OutOfPatienceError: the run was stopped and one of them is not there yet: what came after this would not be
-                what an uninterrupted run does.
+        Raises `OutOfPatienceError`: the run was stopped while one was missing: what follows would not be reproducible.
         """
         while (event := await self._next(stamp_ns)) is not None:
             await self._ended(event)
@@ -249,7 +242,7 @@ class DueShapes:
             raise OutOfPatienceError
 
     async def commit_last(self, kind: StepKind, stamp_ns: int, tell: Callable[[], None]) -> None:
-        """Tell the core of the shapes that are open, or those that come within the grace of a stop; each is a step."""
+        """Send open shapes to the core, or those that arrive within the grace of a stop; each is a step."""
         while (event := await self._next(None)) is not None:
             await self._ended(event)
             await self._steps.commit(kind, stamp_ns)
@@ -262,7 +255,7 @@ class DueShapes:
             self._folder.keep_shape(event.shape.mesh_name)
 
     async def _next(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
-        """Return the next shape that is due; None where none is, or where a stop has no patience left for it."""
+        # None also where a stop leaves no time for the next shape.
         if self._mode == "live" and stamp_ns is not None:
             return await self._shapes.next_arrived(stamp_ns)
         return await self._stop.within_grace(self._shapes.next_due(stamp_ns), "next-shape", self._grace_s)

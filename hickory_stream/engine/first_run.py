@@ -1,7 +1,6 @@
-"""The first run after an installation or an update: kernels are compiled before anything is played, and it is told.
+"""The first run after an installation or update: kernels are compiled before anything is played.
 
-Child processes compile them, each a part of them, into the cache that the run then loads from. Where that does not
-work, a kernel is compiled when it is first called.
+Child processes compile one part each into the cache. If that fails, a kernel is compiled at its first call.
 """
 
 from __future__ import annotations
@@ -35,10 +34,7 @@ _DECORATOR = "\n@kernel"
 
 
 async def compile_kernels(tell: Callable[[int, int], None]) -> None:
-    """Have the kernels of a run in the cache; `tell` hears how many are compiled, and of about how many.
-
-    Returns at once where they are there already.
-    """
+    """Compile missing kernels of a run into the cache; `tell` receives the numbers compiled and estimated."""
     if await asyncio.to_thread(are_compiled):
         return
     # What it imports is needed this once.
@@ -67,14 +63,13 @@ async def compile_kernels(tell: Callable[[int, int], None]) -> None:
 
 
 def are_compiled() -> bool:
-    """Return whether the kernels of this code, compiler and processor were compiled by an earlier run."""
+    """Return whether an earlier run compiled the kernels of this code, compiler and processor."""
     mark = kernels_folder() / _mark()
     mark_used(mark)
     return mark.exists()
 
 
 async def _compile_part(part: str, add: Callable[[str], None]) -> bool:
-    """Have a child compile a part; return whether it came to its end."""
     try:
         process = await asyncio.create_subprocess_exec(
             sys.executable,
@@ -112,7 +107,7 @@ def _note_compiled() -> None:
 
 @cache
 def _mark() -> str:
-    """Return the name of the empty file that says that all is there, for this code and this processor."""
+    # An empty file of this name says that all kernels of this code and processor are compiled.
     binding = llvmlite.binding
     processor = (
         binding.get_host_cpu_name(),
@@ -128,7 +123,6 @@ def _mark() -> str:
 
 
 def _files() -> Iterator[Path]:
-    """Yield the files whose kernels a run needs."""
     for package in _PACKAGES:
         for file in sorted((_ROOT / package).rglob("*.py")):
             if _LEFT_OUT not in file.parts and _DECORATOR in file.read_text(encoding="utf-8"):

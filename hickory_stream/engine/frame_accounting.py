@@ -1,7 +1,4 @@
-"""Where a run stands: the last frame, its round of the log, and what became of all frames so far.
-
-What becomes of frames that have come: each has one outcome, and is counted once.
-"""
+"""Position of a run in its log, and the outcome of every frame."""
 
 from __future__ import annotations
 
@@ -24,9 +21,9 @@ if TYPE_CHECKING:
 
 
 class RunClock:
-    """Goes on with every frame, and tells where the stamps have jumped; a gap of up to `time_jump_s` is no jump.
+    """The last frame, its round of the log, and totals; detects jumps of the stamps.
 
-    `counts` are of frames, by what became of them; `num_frames` and `num_keyframes` are totals.
+    A gap of up to `time_jump_s` is no jump. `counts` are frames by outcome.
     """
 
     def __init__(self, time_jump_s: float) -> None:
@@ -41,7 +38,7 @@ class RunClock:
         self.counts: Counter[str] = Counter()
 
     def resume(self, point: ResumePoint) -> None:
-        """Go on where an interrupted run stood."""
+        """Continue from an interrupted run."""
         step = point.step
         self.last = point.last_frame
         self.camera = step.camera
@@ -51,7 +48,7 @@ class RunClock:
         self.counts.update(step.counts)
 
     def jump_before(self, read: Read) -> TimeJumped | None:
-        """Return the jump of time before a frame, None where its stamp follows that of the frame before."""
+        """Return the jump of time before a frame, None if its stamp follows the one before."""
         if self.last is None or self.first_ns is None:
             return None
         from_ns, to_ns = self.last.stamp_ns, read.raw.stamp_ns
@@ -62,7 +59,7 @@ class RunClock:
         return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="restart" if to_ns < self.first_ns else "seek")
 
     def advance(self, read: Read) -> FramePose:
-        """Go on to a frame, and return its pose."""
+        """Advance to a frame, and return its pose."""
         raw = read.raw
         self.num_frames += 1
         self.round_index, self.first_index = read.round_index, read.first_index
@@ -73,10 +70,10 @@ class RunClock:
 
 
 class FrameOutcome(StrEnum):
-    """What becomes of a frame; the values are the names of the counts.
+    """The outcome of a frame; the values are the names of the counts.
 
-    `DROPPED`: a keyframe that was left out because mapping could not keep up. `UNDECODABLE`: it was to be one, and its
-    images are torn. `KEPT_OUT`: it was to be one, and does not fit the map.
+    `DROPPED`: mapping could not keep up. `UNDECODABLE`: the images of a keyframe are torn. `KEPT_OUT`: a keyframe does
+    not fit the map.
     """
 
     MAPPED = "keyframes"
@@ -87,7 +84,7 @@ class FrameOutcome(StrEnum):
 
 
 class KeyframeChoice:
-    """Chooses which of the frames that have come is mapped: in a live run the newest that makes a keyframe."""
+    """Chooses the frame to map among arrived frames: in a live run the newest that is a keyframe."""
 
     def __init__(self, mode: Mode, config: KeyframeConfig) -> None:
         self._mode = mode
@@ -95,7 +92,7 @@ class KeyframeChoice:
         self._mapped: Keyframe | None = None
 
     def outcomes(self, reads: Sequence[Read]) -> list[FrameOutcome]:
-        """Return what becomes of each frame, as far as is known before any is decoded in a live run."""
+        """Return the outcome of each frame, as far as it is known before decoding."""
         if self._mode == "playback":
             return [
                 FrameOutcome.MAPPED

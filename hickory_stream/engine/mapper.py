@@ -1,8 +1,6 @@
-"""The mapper as a Python object.
+"""The mapper as a Python object, and the end of its run.
 
 `async with Mapper(config) as mapper: async for snapshot in mapper.run(source): ...`
-
-The end of a run: its sinks are closed, and the ledger, the timings and the manifest of its map are written.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ if TYPE_CHECKING:
 
 
 class MapSaver:
-    """Keeps the newest snapshot and saves it at the end: the sink of a mapper that was given none."""
+    """Saves the newest snapshot at the end: the sink of a mapper without sinks."""
 
     def __init__(self, folder: MapFolder) -> None:
         self._folder = folder
@@ -71,10 +69,8 @@ async def close_run(
 ) -> None:
     """Close sinks and journal, and finish the map folder.
 
-    Essential sinks are closed first, so that a viewer that hangs cannot keep the map from being finished.
-
-    Raises:
-        Exception: the first error of an essential sink or of the journal, after everything was closed.
+    Essential sinks come first: a viewer that hangs cannot keep the map unfinished. The first error of an essential sink
+    or of the journal is raised after everything is closed.
     """
     failed: BaseException | None = None
     for thread in threads:
@@ -98,7 +94,7 @@ async def close_run(
 
 
 def why_empty(source: Source, run: Run) -> str | None:
-    """Return why a source that was played to its end has given no map, None if it has or was not played to its end."""
+    """Return why a completely played source gave no map, else None."""
     uri, counts = source.info.uri, run.counts
     if not run.is_complete:
         return None
@@ -132,24 +128,22 @@ _LIVE_NICENESS = 10
 
 
 class Mapper:
-    """Maps sources into one map folder.
+    """Maps one source into one map folder.
 
     Args:
-        config: everything that the mapper is configured by.
-        out: the map folder to make; None makes one that is removed on leaving.
-        overwrite: replace a map that is in `out`.
-        segmenter, extractor: other perception than the configured one.
-        core: another core than one made from the configuration; it must be new.
-        workers: other shape workers than child processes of this machine.
+        config: the whole configuration.
+        out: the map folder to make; None makes a temporary one.
+        overwrite: replace a map in `out`.
+        segmenter, extractor: perception in place of the configured one.
+        core: a new core in place of the configured one.
+        workers: shape workers in place of child processes.
 
-    Entering makes the shape workers available; leaving ends them, and a run whose loop was left before its end: as
-    `stop` does, with the map saved, or at once where an error or a temporary folder leaves nothing to save. One `run`
-    per mapper. Meanwhile BLAS has one thread in this process: the processors are busy with workers, and sums that
-    are split differently differ in their last bits.
+    Entering starts the shape workers. Leaving ends them, and an unfinished run: like `stop`, with the map saved, unless
+    an error or a temporary folder makes that useless. Meanwhile BLAS has one thread in this process: other splits of a
+    sum differ in the last bits.
 
-    Raises:
-        ConfigError: the configuration asks for what is not there.
-        ModelError: it asks for a network that is missing, damaged, or cannot run here.
+    Raises `ConfigError`: the configuration asks for something that is missing; `ModelError`: a network is missing,
+    damaged, or cannot run here.
     """
 
     def __init__(
@@ -200,12 +194,10 @@ class Mapper:
     ) -> Mapper:
         """Return a mapper that continues the interrupted playback of a map folder; `run` it with the same source.
 
-        The configuration is that of the folder; the workers' interpreter and the cluster are those of `machine`,
-        whatever the folder says: where it names others, that is refused unless `ignores_recorded_workers`.
+        The configuration is the folder's; interpreter and cluster of the workers are `machine`'s. If the folder names
+        others, that is refused unless `ignores_recorded_workers`.
 
-        Raises:
-            MapFolderError: there is no map, or nothing to be continued.
-            ConfigError: the map was made with an interpreter or a cluster that `machine` does not name.
+        Raises `MapFolderError`: there is no map, or nothing to continue; `ConfigError`: other workers were recorded.
         """
         config = resumed_config(Path(out), machine or RunConfig(), ignores_recorded=ignores_recorded_workers)
         mapper = cls(config, out=out, segmenter=segmenter, extractor=extractor, workers=workers)
@@ -214,7 +206,7 @@ class Mapper:
 
     @property
     def extractor_name(self) -> str:
-        """What makes the features."""
+        """The name of the feature extractor."""
         return self._extractor.name
 
     async def __aenter__(self) -> Mapper:
@@ -235,7 +227,6 @@ class Mapper:
                 shutil.rmtree(self._temporary, ignore_errors=True)
 
     async def _end_run(self, *, is_in_order: bool) -> None:
-        """End a run whose snapshots are no longer asked for: it needs the workers and the folder that go now."""
         if self._task is None or self._task.done():
             return
         if is_in_order:
@@ -246,10 +237,10 @@ class Mapper:
             await asyncio.gather(self._task, return_exceptions=True)
 
     def rehearse(self) -> None:
-        """Try perception and core out on a small scene; a live run does it once, before its first frame.
+        """Run perception and core on a small scene, so that the first frame takes no longer than others.
 
-        Whoever still waits for a robot can do it meanwhile, on another thread. Perception of one's own is left alone,
-        and so are kernels that are not compiled yet: the run compiles them first.
+        A live run does it once, or its caller while waiting for a robot, on another thread. Perception of the caller
+        and kernels that are not compiled yet are left out.
         """
         with self._rehearsing:
             if self._is_own and not self._is_rehearsed and are_compiled():
@@ -258,23 +249,23 @@ class Mapper:
 
     @property
     def was_stopped(self) -> bool:
-        """Whether the run was ended by `stop`."""
+        """Whether `stop` ended the run."""
         return self._run is not None and not self._run.is_complete
 
     def stop(self) -> None:
-        """End the run after the frame at hand, and save: what the first Ctrl-C does."""
+        """End the run after the current frame, and save, like the first Ctrl-C."""
         if self._run is not None:
             self._run.stop()
 
     def correct_poses(self, world_from_submap: Mapping[int, NDArray[np.float64]]) -> None:
-        """Place submaps anew, e.g. as a pose graph has them: ids (of `snapshot.submaps`) and rigid (4, 4) transforms.
+        """Place submaps at new poses, e.g. of a pose graph: rigid (4, 4) transforms by id (of `snapshot.submaps`).
 
-        It takes effect before the next frame, at the latest before the map is finished, and is kept in the journal. All
-        that belongs to a submap moves with it, nothing is computed anew; identities undo it to the last byte. The map
-        then is not reproducible from the log alone.
+        It takes effect before the next frame or before the map is finished, and is recorded in the journal. All content
+        of a submap moves with it; identities undo it to the last byte. The map is then not reproducible from the log
+        alone.
 
-        Raises:
-            InputError: there is no such submap, a transform is not rigid, or nothing is being mapped; nothing is moved.
+        Raises `InputError`: there is no such submap, a transform is not rigid, or nothing is being mapped; nothing is
+        moved.
         """
         if self._run is None:
             raise InputError("there are no poses to correct: `run` has not begun")
@@ -291,19 +282,15 @@ class Mapper:
         progress: Callable[[Progress], None] = lambda _: None,
         source_note: Mapping[str, Any] | None = None,
     ) -> AsyncIterator[MapSnapshot]:
-        """Yield the map after every keyframe, and last the finished one.
+        """Yield the map after every keyframe, and last the finished one; a slow consumer sees only the newest.
 
-        `sinks` makes the sinks for the map folder, each with whether it is essential; by default none but the saving of
-        the map. `rate` 1.0 is real time, None as fast as can be. A consumer that is slower than the mapping sees the
-        newest snapshot, not every one.
+        `sinks` makes the sinks for the map folder, each with whether it is essential; by default the map is saved.
+        `rate` 1.0 is real time, None as fast as possible. `mode` "playback" waits for everything: one log, one map.
+        "live" never waits: it maps the newest keyframe, takes shapes on arrival, and counts skipped frames in the
+        ledger. `source_note` goes into the manifest, to open the source again. A resuming mapper takes `mode` and
+        `loops` from the folder.
 
-        `mode` "playback" waits wherever something is full: one log, one map. "live" waits for nothing: it maps the
-        newest keyframe, takes shapes as they arrive, and counts in the ledger what it left out. `source_note` is
-        kept in the manifest, for whoever resumes the run and has to open the source again. A mapper that resumes takes
-        `mode` and `loops` from the folder.
-
-        Raises:
-            HickoryError: the source, the disk or the core failed; the folder holds what was mapped so far.
+        Raises `HickoryError`: the source, the disk or the core failed; the folder holds the map so far.
         """
         asked = {"mode": mode, "loops": loops, "source": dict(source_note or {})}
         folder, journal, continued = await asyncio.to_thread(self._open, source, asked)
@@ -398,7 +385,6 @@ class Mapper:
         return [SinkThread(sink, is_essential=essential) for sink, essential in made]
 
     def _open(self, source: Source, asked: Mapping[str, Any]) -> tuple[MapFolder, JournalWriter, ResumePoint | None]:
-        """Return the map folder and its journal, new or to be continued."""
         flush_s = self.config.journal.flush_s
         caches.cap_mb()  # what it refuses is refused before anything is played
         if self._resumes:

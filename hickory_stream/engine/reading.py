@@ -42,11 +42,9 @@ _LIVE_FRAMES = 32
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ahead:
-    """What of a keyframe needs no map, and is found while those before it are mapped; None where it was not.
+    """Parts of a keyframe that need no map, computed while earlier keyframes are mapped; None if not computed.
 
-    What the segmenter has `prepared`, the `patches` (h, w, D) of features of its colours, the `surface` by which it is
-    registered, and the keys of the voxels that it sees to be free. `prepared` and `free_keys` hold only for the pose
-    that the frame was read with.
+    `patches` (h, w, D) are features. `prepared` (of the segmenter) and `free_keys` are valid for the pose as read only.
     """
 
     prepared: object = None
@@ -57,29 +55,27 @@ class Ahead:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Read:
-    """One frame on its way.
-
-    `is_candidate`: stamps and poses make it a keyframe. In a playback it then comes with its `frame`, decoded, and with
-    what is known of it `ahead`; one that `is_torn` is no candidate. `counts` is what was lost since the frame before.
-    `arrived_s` is when it was there (monotonic).
-    """
+    """A queued frame."""
 
     raw: RawFrame
     round_index: int
     first_index: int
+    #: Stamp and pose make it a keyframe; it is not torn.
     is_candidate: bool
+    #: Decoded, for a candidate of a playback.
     frame: Frame | None = None
     ahead: Ahead = field(default_factory=Ahead)
     is_torn: bool = False
+    #: Losses since the frame before.
     counts: Mapping[str, int] = field(default_factory=dict)
+    #: Monotonic time of arrival.
     arrived_s: float = 0.0
 
 
 class Reader:
-    """Takes frames from a source, on a thread of its own, into a channel until it ends or the run stops.
+    """Reads a source on a thread into a channel, until the source or the run ends.
 
-    A playback has few frames on their way, of which fewer are decoded, and waits while they are not taken. A live run
-    has a second of them, still compressed, the newest.
+    A playback queues few frames, fewer of them decoded, and waits. A live run queues the newest second, compressed.
     """
 
     def __init__(
@@ -101,20 +97,20 @@ class Reader:
 
     @property
     def num_waiting(self) -> int:
-        """How many frames are on their way."""
+        """Number of queued frames."""
         return self._channel.statistics().length
 
     async def read(
         self, source: Source, *, rate: float | None, loops: int, start: Position, counts: Counter[str]
     ) -> None:
-        """Read `loops` rounds of a source; a playback from a position on, a live run with what it lost in `counts`."""
+        """Read `loops` rounds of a source: a playback from a position on, a live run with its losses in `counts`."""
         if self._mode == "live":
             await self._follow(source, Pacer(rate), loops, counts)
         else:
             await self._play(source, Pacer(rate), loops, start)
 
     async def take(self) -> list[Read] | None:
-        """Return what has come, one frame in a playback, waiting for the first; None when nothing more will."""
+        """Return queued frames, one in a playback, waiting for the first; None at the end."""
         try:
             if self._mode == "live":
                 return await self._channel.receive_all()
@@ -126,7 +122,7 @@ class Reader:
         return [read]
 
     async def end(self) -> None:
-        """Take no more."""
+        """Accept no more frames."""
         await self._channel.close()
         self._room.release()  # whoever waits for room finds the channel closed
 
@@ -135,7 +131,6 @@ class Reader:
         self._thread.shutdown(wait=True)
 
     async def _play(self, source: Source, pacer: Pacer, loops: int, start: Position) -> None:
-        """Read `loops` rounds, from a position on, decoding keyframes ahead; waits while there is no room for more."""
         keyframe, last_ns = start.keyframe, start.last_ns
         offset = start.first_index
         index = start.last_index
@@ -186,7 +181,6 @@ class Reader:
             await self._channel.close()
 
     async def _follow(self, source: Source, pacer: Pacer, loops: int, counts: Counter[str]) -> None:
-        """Read a source as it comes: never waits for the map, drops the oldest frames, and counts them."""
         keyframe: Keyframe | None = None
         last_ns: int | None = None
         offset = index = 0
@@ -225,11 +219,10 @@ class Reader:
         return raw
 
     def _is_late(self, last_ns: int | None, stamp_ns: int) -> bool:
-        """Return whether a frame is out of order: older than the one before, but by less than a jump of the clock."""
+        # Older than the frame before, but by less than a jump of the clock.
         return last_ns is not None and 0 < last_ns - stamp_ns <= self._config.run.late_s * 1e9
 
     async def _ahead(self, frame: Frame) -> Ahead:
-        """Return what needs no map; nearly every keyframe is asked for all of it."""
         config = self._config
         registration, space, lattice = config.registration, config.perception.space, config.mapping.lattice
         surface: SurfaceImage | None = None
@@ -243,7 +236,6 @@ class Reader:
         )
 
     async def _decoded(self, raw: RawFrame, index: int) -> Frame | None:
-        """Return the frame, None where its images are torn: the next frame is tried as keyframe."""
         started = time.perf_counter()
         try:
             frame = await on_thread(self._thread, raw.decode)
@@ -255,7 +247,7 @@ class Reader:
 
 
 def sensed(frame: Frame, index: int, config: SensorConfig) -> Frame:
-    """Return a decoded frame under its number in the run, its depth as the configured sensor has it."""
+    """Return a decoded frame under its number in the run, with depth by the configured sensor."""
     sensor = config.over(frame.sensor)
     if sensor == frame.sensor:
         return replace(frame, index=index)

@@ -1,6 +1,6 @@
-"""Relocalisation of a running log in a stored map: it is mapped as it plays, and aligned again as its map grows.
+"""Relocalisation of a running log in a stored map: it is mapped, and aligned again as its map grows.
 
-A place is believed when two answers in a row agree: the first one may be chance that a few more objects would undo.
+A pose is confirmed when two consecutive answers agree; the first one may be chance.
 """
 
 from __future__ import annotations
@@ -33,15 +33,14 @@ _AGREE_M, _AGREE_RAD = 0.3, np.radians(3.0)
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Located:
-    """What is known at one moment: `answer` has `a_from_b`, the stored map's frame from the log's.
-
-    `is_confirmed`: the answer before said the same; `has_jumped`: it said something else.
-    """
+    """One answer: `answer` has `a_from_b`, the stored map's frame from the log's."""
 
     stamp_ns: int
     num_objects: int
     answer: Alignment | NoAlignment
+    #: The answer before agrees.
     is_confirmed: bool
+    #: The answer before differs.
     has_jumped: bool
 
 
@@ -54,24 +53,18 @@ def relocalise(
     stops_when_found: bool,
     report: Callable[[Located], None],
 ) -> Located | None:
-    """Return the last thing that was known when the log ended, None if nothing was ever mapped.
+    """Return the last answer when the log ends, None if nothing was mapped; `report` receives every answer.
 
-    Args:
-        stored: the map to be found in.
-        source: the log; mapped into a folder that is removed afterwards.
-        config: of the mapper.
-        rate: 1.0 is real time, None as fast as can be.
-        stops_when_found: end at the first confirmed place.
-        report: told everything that is learnt, as it is learnt.
+    The log is mapped into a temporary folder. `rate` 1.0 is real time, None as fast as possible. `stops_when_found`
+    ends at the first confirmed pose.
 
-    Raises:
-        HickoryError: the source or the disk failed.
+    Raises `HickoryError`: the source or the disk failed.
     """
     return asyncio.run(_relocalise(stored, source, config, rate, stops_when_found, report))
 
 
 def without(stored: ObjectMap, movable: Collection[int]) -> ObjectMap:
-    """Return a map without the objects that tend to move: they are no landmarks."""
+    """Return a map without objects that tend to move: they are no landmarks."""
     return taken(stored, np.flatnonzero(~np.isin(stored.ids, list(movable))))
 
 

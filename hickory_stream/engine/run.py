@@ -1,4 +1,4 @@
-"""One run: the asyncio event loop of the system, put together from machines that each do one thing.
+"""One run: the asyncio event loop of the system, composed of parts that each do one thing.
 
     Reader ──frames──> Run ──reports──> Announcer ──> sinks (a thread each)
                         │ events
@@ -9,12 +9,9 @@
                    StepWriter <────── DueShapes
                         └──> Recorder (a thread) ──> journal, views
 
-`Reader` decides which frames may be keyframes and, in a playback, decodes those ahead and finds what needs no map;
-`Run` perceives a keyframe against the map as it is after the one before. `RunClock` knows where the run stands, `Stop`
-whether it is to end. Whatever takes longer than a millisecond runs on a thread or in a child. A playback waits wherever
-something is full; a live run never does: it maps the newest keyframe and counts what it left out.
-
-The input of a run, as one record.
+`Reader` chooses possible keyframes and, in a playback, decodes them ahead. `Run` perceives each against the current
+map. Work of more than a millisecond runs on a thread or in a child. A playback waits for everything; a live run maps
+the newest keyframe and counts skipped frames.
 """
 
 from __future__ import annotations
@@ -75,7 +72,7 @@ logger = logging.getLogger(__name__)
 
 
 class Run:
-    """Carries one source through the core. `run()` once; `stop()` from any task ends it early, in order."""
+    """Maps one source by `run()`, once; `stop()` from any task ends it early, in order."""
 
     def __init__(self, parts: RunParts) -> None:
         config, folder = parts.config, parts.folder
@@ -141,12 +138,12 @@ class Run:
 
     @property
     def num_keyframes(self) -> int:
-        """How many keyframes were mapped."""
+        """Number of mapped keyframes."""
         return self._clock.num_keyframes
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """The frames, by what became of them."""
+        """Number of frames by outcome."""
         return self._clock.counts
 
     @property
@@ -156,12 +153,12 @@ class Run:
 
     @property
     def is_reproducible(self) -> bool:
-        """Whether the map depends on the log and the configuration alone: no limit was hit, no seek or correction."""
+        """Whether the map depends on log and configuration alone: no limit, seek or correction."""
         by_hand = num_seeks(self._parts.source) + self.counts.get("pose_corrections", 0)
         return self._parts.mode == "playback" and self._shapes.num_limits == 0 and not by_hand
 
     def ledger(self) -> dict[str, dict[str, Any]]:
-        """Return what became of every message, frame and job."""
+        """Return the use of every message, frame and job."""
         return run_ledger(
             self._parts.source,
             num_frames=self._clock.num_frames,
@@ -177,14 +174,14 @@ class Run:
         return run_timings(times, self._shapes.timings_s, self._loop_delay.quantile_s(0.99))
 
     def stop(self) -> None:
-        """End the run after the frame at hand: no further frames, and no shape that takes longer than the grace."""
+        """End the run after the current frame; shapes may take the grace period."""
         self._stop.request()
 
     def correct_poses(self, world_from_submap: Mapping[int, NDArray[np.float64]]) -> None:
-        """Have submaps placed anew before the next frame; once all frames are mapped, before the map is finished.
+        """Place submaps at new poses before the next frame, or before the map is finished.
 
-        Raises:
-            InputError: there is no such submap, a transform is not rigid, or the map is finished; nothing is moved.
+        Raises `InputError`: there is no such submap, a transform is not rigid, or the map is finished; nothing is
+        moved.
         """
         snapshot = self._announcer.snapshot
         self._corrections.give(world_from_submap, [submap.id for submap in snapshot.submaps] if snapshot else [])
@@ -192,8 +189,7 @@ class Run:
     async def run(self, *, rate: float | None, loops: int) -> None:
         """Play the source `loops` times.
 
-        Raises:
-            HickoryError: the source, the disk or the core failed; what was mapped so far was shown to the sinks.
+        Raises `HickoryError`: the source, the disk or the core failed; sinks have the map so far.
         """
         source, resumes = self._parts.source, self._parts.resumes
         total = source.info.num_frames
@@ -229,13 +225,11 @@ class Run:
 
     @property
     def _is_source_over(self) -> bool:
-        """Whether this continues a run that had read all frames."""
         return self._parts.resumes is not None and self._parts.resumes.step.kind is StepKind.ENDED
 
     # ---- frame by frame ----------------------------------------------------------------------------------------------
 
     async def _map(self) -> None:
-        """Map what is read, frame by frame in a playback, the newest keyframe of what has come in a live run."""
         while (reads := await self._reader.take()) is not None:
             try:
                 for read, outcome in zip(reads, self._choice.outcomes(reads), strict=True):
@@ -254,7 +248,6 @@ class Run:
             await self._end(self._clock.last)
 
     async def _arrive(self, read: Read) -> None:
-        """Note a frame, and tell the core where its stamp or the odometry has jumped."""
         raw, counts = read.raw, self._clock.counts
         await self._corrections.apply(raw.stamp_ns)
         counts.update(read.counts)
@@ -275,7 +268,6 @@ class Run:
         self._steps.add_frame(self._clock.advance(read))
 
     async def _rewind(self, stamp_ns: int) -> None:
-        """Restore the core's state before a stamp; events after it that are not in the journal yet are discarded."""
         self._clock.counts["rewinds"] += 1
         await self._recorder.written()
         folder, config, now = self._parts.folder, self._parts.config, self._effects.core
@@ -291,7 +283,7 @@ class Run:
     # ---- a keyframe --------------------------------------------------------------------------------------------------
 
     async def _map_keyframe(self, read: Read) -> FrameOutcome:
-        """Map a keyframe and return what became of it; in a live run it is decoded only now, and may be torn."""
+        # A live run decodes the keyframe only now: its images may be torn.
         frame, ahead = read.frame, read.ahead
         if frame is None:
             try:
@@ -367,7 +359,6 @@ class Run:
     # ---- the end -----------------------------------------------------------------------------------------------------
 
     async def _end(self, last: FramePose) -> None:
-        """Ask for and wait for the last shapes, and show the finished map as one more keyframe."""
         decisions: tuple[Decision, ...] = ()
         self._clock.counts.update(self._reader.lost)
         kind = StepKind.ENDED if self.is_complete else StepKind.CLOSING
@@ -424,11 +415,7 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RunParts:
-    """The source, the components that map it, the destination of the map, and the receivers of snapshots and progress.
-
-    `resumes` is the state of an interrupted run that this one continues, with its core. `rehearse` has
-    perception and core process a made-up scene before the first frame is read, which then takes no longer than others.
-    """
+    """The components of a run: source, perception, core, destination, and receivers."""
 
     config: MapperConfig
     mode: Mode
@@ -442,5 +429,7 @@ class RunParts:
     sinks: Sequence[SinkThread]
     publish: Callable[[MapSnapshot], None]
     progress: Callable[[Progress], None]
+    #: An interrupted run to continue, with its core.
     resumes: ResumePoint | None = None
+    #: Processes a made-up scene before the first frame, which then takes no longer than others.
     rehearse: Callable[[], None] | None = None

@@ -1,11 +1,6 @@
-"""Collects what happens between two keyframes, and has it written as one step of the journal.
+"""Collects the events between two keyframes, and writes them as one step of the journal, on a thread.
 
-When the state of the core is written: every so many keyframes, and while no search for loops is open.
-
-Writes to the disk while a run goes on: the pixels of kept views, then the step of the journal that needs them.
-
-One thread does it all, in the order in which it was asked for: a step that is in the journal has its views beside it,
-and what it drops is removed only after it is there.
+Writes keep their order: a step in the journal has its views, and dropped files are removed after it.
 """
 
 from __future__ import annotations
@@ -37,10 +32,10 @@ _LONGEST_WAIT = 2
 
 
 class CheckpointTimes:
-    """Counts the keyframes since the last checkpoint; `keyframes`: one is due after so many.
+    """Counts keyframes since the last checkpoint, due after `keyframes`.
 
-    A search that is open has the whole map as it was when it was asked for, and the surfaces of all submaps: in a
-    building that is thirty times what has changed. So one waits until it is answered, at most twice as long.
+    An open search for loops refers to the whole map: in a building thirty times the changes. So a checkpoint waits for
+    its answer, at most twice as long.
     """
 
     def __init__(self, keyframes: int) -> None:
@@ -48,7 +43,7 @@ class CheckpointTimes:
         self._since = 0
 
     def is_due(self, *, searches: bool) -> bool:
-        """Return whether the core is to be written after one more keyframe; `searches`: some search is open."""
+        """Return whether a checkpoint is due after one more keyframe; `searches`: a search is open."""
         self._since += 1
         is_due = self._since >= self._keyframes * (_LONGEST_WAIT if searches else 1)
         if is_due:
@@ -58,9 +53,9 @@ class CheckpointTimes:
 
 @dataclass(slots=True)
 class Unwritten:
-    """What has happened since the last step: events, frames and `told` for the journal, and what to remove after it.
+    """Events, frames and decisions since the last step, and files to remove after it.
 
-    `goes_back_to` and `lost_views` are those of the `Step`.
+    `goes_back_to` and `lost_views` as of `Step`.
     """
 
     events: list[Event] = field(default_factory=list)
@@ -73,7 +68,7 @@ class Unwritten:
 
 
 class Recorder:
-    """Writes behind the run; each method waits for what was asked for before, and raises what went wrong with it."""
+    """Writes on a thread; each method waits for the writes before, and raises their errors."""
 
     def __init__(self, folder: MapFolder, journal: JournalWriter) -> None:
         self._folder = folder
@@ -82,7 +77,7 @@ class Recorder:
         self._writing: asyncio.Future[None] | None = None
 
     async def write_views(self, write: Callable[[], None]) -> None:
-        """Have the pixels of views written."""
+        """Write the pixels of views."""
         await self._begin(write)
 
     async def commit(
@@ -96,10 +91,7 @@ class Recorder:
         ended_jobs: list[int],
         shapes: ShapeQueue,
     ) -> None:
-        """Have a step written, with what `color` gives; then remove the views that it dropped and the ended jobs.
-
-        `known` is the map after it.
-        """
+        """Write a step with the image of `color`; then remove dropped views and ended jobs. `known` is the map after it."""
 
         def write() -> None:
             self._journal.append(entry, color(), known)
@@ -132,10 +124,7 @@ Metrics = tuple[tuple[str, float], ...]
 
 
 class StepWriter:
-    """Collects frames, events and what is to be removed after them; `commit` makes a step of it.
-
-    `snapshot` gives the map as the core holds it.
-    """
+    """Collects frames, events and files to remove; `commit` writes a step. `snapshot` gives the core's map."""
 
     def __init__(
         self,
@@ -156,28 +145,28 @@ class StepWriter:
         self._unwritten = Unwritten()
 
     def add_frame(self, frame: FramePose) -> None:
-        """Note a frame that was read."""
+        """Add a frame."""
         self._unwritten.frames.append(frame)
 
     def add_event(self, event: Event) -> None:
-        """Note an event that the core is given."""
+        """Add an event."""
         self._unwritten.events.append(event)
 
     def add_published(self, published: Publish) -> None:
-        """Note what the core decided, for people who ask why."""
+        """Add the core's decisions."""
         submap_id = published.snapshot.submaps[-1].id
         self._unwritten.told = Told(decisions=published.decisions, submap_id=submap_id)
 
     def drop_view(self, name: str) -> None:
-        """Have the pixels of a view removed, once the step is written."""
+        """Remove the pixels of a view after the step."""
         self._unwritten.dropped_views.append(name)
 
     def end_job(self, ticket: int) -> None:
-        """Have the folder of a job that is over removed, once the step is written."""
+        """Remove the folder of a finished job after the step."""
         self._unwritten.ended_jobs.append(ticket)
 
     def rewind(self, rewound: Rewound, given_up: list[int]) -> None:
-        """Discard the events that are not in the journal yet: the next step says from which one the core goes on."""
+        """Discard unwritten events; the next step records from which step the core continues."""
         done = self._unwritten
         done.events.clear()
         done.goes_back_to, done.lost_views = rewound.num_steps, rewound.lost_views
@@ -194,10 +183,7 @@ class StepWriter:
         color: Callable[[], bytes | None] = lambda: None,
         core: MapperCore | None = None,
     ) -> None:
-        """Have everything that happened since the last step written as one.
-
-        `core`, that of a keyframe, is written too now and then: the journal need not be read from its beginning then.
-        """
+        """Write everything since the last step as one step; `core` is written too when a checkpoint is due."""
         clock = self._clock
         assert clock.camera is not None
         assert clock.first_ns is not None

@@ -1,7 +1,7 @@
-"""Warm-up of the compiler: numba kernels are compiled here, which takes a minute, rather than in the first job.
+"""Warm-up of numba kernels, which takes a minute, before the first job.
 
-As a program (`python -m hickory_stream.engine.warm_up PART`) it prints the name of every kernel that it compiles, as a
-line of JSON: `first_run` is its caller.
+As a program (`python -m hickory_stream.engine.warm_up PART`) it prints compiled kernels as lines of JSON for
+`first_run`.
 """
 
 from __future__ import annotations
@@ -62,10 +62,7 @@ _COARSE = ShapeConfig(
 
 
 def warm_up() -> None:
-    """Build two small shapes, so that every kernel of it is compiled, and cached on disk, or loaded from there.
-
-    Of several processes one compiles; the others wait for it, and load.
-    """
+    """Build two small shapes, to compile or load their kernels; of several processes one compiles."""
     with _one_at_a_time("shapes"):
         build_shape(_inputs(), FusedReconstructor(_COARSE.fused), _COARSE)
         fitted_shape(_pipe(), _COARSE.fit)
@@ -74,7 +71,7 @@ def warm_up() -> None:
 
 
 def warm_up_mapping() -> None:
-    """Map a few frames, for the kernels of perception, core and journal, as `warm_up` does for those of shapes."""
+    """Map a few frames, to compile or load the kernels of perception, core and journal."""
     config = MapperConfig()
     with _one_at_a_time("mapping"):
         rehearse(make_segmenter(config.perception), ColorTextureDescriptor(), config, num_frames=_NUM_MAPPED)
@@ -83,9 +80,9 @@ def warm_up_mapping() -> None:
 def rehearse(
     segmenter: Segmenter, extractor: FeatureExtractor, config: MapperConfig, *, num_frames: int = _NUM_REHEARSED
 ) -> None:
-    """Map the first frames of a small scene, and forget them: afterwards kernels are loaded, and networks have run.
+    """Map the first frames of a small scene, to load kernels and run networks once.
 
-    The first keyframe of a process takes a second longer than the others without it.
+    Otherwise the first keyframe of a process takes a second longer.
     """
     core, places = MapperCore(config.mapping), KeyframePlaces(config.registration)
     for raw in SceneSource(num_frames, (*SCENE_BOXES, _WALL)).frames():
@@ -107,7 +104,7 @@ def rehearse(
 
 
 def _in_millimetres(frame: Frame) -> Frame:
-    """Return a frame with depth as cameras give it, of which the journal has the returns."""
+    # Depth as cameras give it, of which the journal has the returns.
     return replace(frame, depth_m=np.rint(frame.depth_m * np.float32(1000)) * MILLIMETRE)
 
 
@@ -115,7 +112,7 @@ PARTS: dict[str, Callable[[], None]] = {"mapping": warm_up_mapping, "shapes": wa
 
 
 def main(part: str) -> None:
-    """Compile the kernels of a part, and say so."""
+    """Compile and report the kernels of a part."""
     tell_when_compiling(_say)
     PARTS[part]()
 
@@ -144,7 +141,7 @@ def _inputs() -> ShapeInputs:
 
 
 def _pipe() -> Mesh:
-    """Return a square pipe: thin and hollow, which the stool is not."""
+    # Thin and hollow, which the stool is not.
     corners = np.array(
         [(x, y, z) for z in (0, 1) for r in (0.49, 0.5) for x, y in ((r, r), (-r, r), (-r, -r), (r, -r))]
     )
@@ -168,7 +165,7 @@ def _pipe() -> Mesh:
 
 @contextlib.contextmanager
 def _one_at_a_time(part: str) -> Iterator[None]:
-    """Hold a lock of those who share the kernels; where there can be none everybody compiles."""
+    # Without a lock file every process compiles.
     with contextlib.ExitStack() as held:
         if sys.platform != "win32":
             import fcntl

@@ -1,6 +1,6 @@
-"""Records of a checkpoint whose arrays are read when somebody looks at them: most of a large map nobody looks at.
+"""Records of a checkpoint whose arrays are read on first use: most of a large map is never used.
 
-What is read then is what was written, to the byte; damage to it is told there.
+Arrays are read exactly as written; damage is reported at that time.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _ARRAYS: Mapping[type, tuple[str, ...]] = {
 
 
 class UnreadRecords:
-    """Makes records of which some arrays are left unread; `read` gives an array of the journal by its place."""
+    """Makes records with unread arrays; `read` returns an array of the journal by its place."""
 
     def __init__(self, read: Callable[[PartPlace], NDArray[Any]], journal: Path) -> None:
         self._read = read
         self._journal = journal
 
     def arrays_of(self, kind: type) -> tuple[str, ...]:
-        """Return the names of the arrays of a kind of record that may be left unread."""
+        """Return the names of a record's arrays that may stay unread."""
         return _ARRAYS.get(kind, ())
 
     def record(
@@ -55,10 +55,9 @@ class UnreadRecords:
         places: Mapping[str, PartPlace],
         checks: Mapping[str, Callable[[Any], bool]],
     ) -> Any:
-        """Return a record with some `values`, the arrays of the others left where they are.
+        """Return a record with some `values`, and unread arrays at `places`.
 
-        Raises:
-            TypeError: as `checked_record`.
+        Raises `TypeError` like `checked_record`.
         """
         later = {name: partial(self._read, place) for name, place in places.items()}
         if kind is PackedTrack:
@@ -95,7 +94,6 @@ class UnreadRecords:
         later: Mapping[str, Callable[[], NDArray[Any]]],
         checks: Mapping[str, Callable[[Any], bool]],
     ) -> Track:
-        """Return the track that was packed, its solid part chosen from its cloud when it is looked at."""
         track, marks, num_solid = (values.get(name) for name in ("track", "is_solid", "num_solid"))
         known = (values.keys() | later.keys()) - {"num_solid"}
         if known != {"track", "is_solid"} or not isinstance(track, Track) or not checks["num_solid"](num_solid):
@@ -126,11 +124,7 @@ class UnreadRecords:
 
 
 def as_array(value: Any, length: int | None) -> NDArray[Any]:
-    """Return an array that was decoded, and is said to have a length.
-
-    Raises:
-        ValueError: it is none, or has another length.
-    """
+    """Return a decoded array. Raises `ValueError`: it is no array, or of another length."""
     if not isinstance(value, np.ndarray) or (length is not None and value.shape[:1] != (length,)):
         raise ValueError(f"found a {type(value).__name__}, expected an array of length {length}")
     return value

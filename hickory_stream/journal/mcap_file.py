@@ -1,7 +1,6 @@
-"""The file of a journal while it is written: chunks of MCAP one after another, and in the end the summary of them all.
+"""The journal's file: chunks of MCAP one after another, and at the end their summary.
 
-The summary is made of what the file holds by then, so that a file which another process began is gone on with where it
-ends: nothing of it is unpacked or written again.
+The summary is made of the file's content, so a file of another process is continued without unpacking it.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class FileMessage(NamedTuple):
 
 
 def begin_file(file: BinaryIO) -> None:
-    """Write what a journal begins with: every channel, whose ids are part of the format."""
+    """Write the beginning of a journal: every channel, whose ids are part of the format."""
     builder = RecordBuilder()
     Header(profile=PROFILE, library="hickory-stream").write(builder)
     for channel in _channels():
@@ -55,7 +54,7 @@ def begin_file(file: BinaryIO) -> None:
 
 
 def write_chunk(file: BinaryIO, messages: list[FileMessage], number: int) -> None:
-    """Write a chunk, and the index after it, which says that it is whole; `number` counts the chunks."""
+    """Write a chunk, and the index after it, which marks it as whole; `number` counts the chunks."""
     parts: list[bytes] = []
     for channel, stamp_ns, data in messages:
         length = _MESSAGE_BYTES + len(data)
@@ -69,10 +68,9 @@ def write_chunk(file: BinaryIO, messages: list[FileMessage], number: int) -> Non
 
 
 def index_of(records: bytes) -> bytes:
-    """Return the index after a chunk of these records: for each channel, in the order in which they come, its places.
+    """Return the index after a chunk of these records: places by channel.
 
-    Raises:
-        ValueError: they are no records of MCAP.
+    Raises `ValueError`: they are no MCAP records.
     """
     places: dict[int, list[bytes]] = {}
     at = 0
@@ -94,9 +92,9 @@ def index_of(records: bytes) -> bytes:
 
 
 def go_on_in(file: BinaryIO, end: int, index: bytes) -> bool:
-    """Make a file end with the index of its last chunk, which ends at `end`; return False where it has another one.
+    """Cut a file after the index of its last chunk, which ends at `end`; return False if another index is there.
 
-    Killed at any moment, it holds that chunk: what is there of the index is written once more as it is.
+    The index is written again as it is: after a kill at any moment, the file holds that chunk.
     """
     file.seek(end)
     there = file.read(len(index))
@@ -111,7 +109,7 @@ def go_on_in(file: BinaryIO, end: int, index: bytes) -> bool:
 
 
 def copy_start(source: BinaryIO, target: BinaryIO, end: int, index: bytes) -> None:
-    """Write what a file has as far as the chunk that ends at `end`, and the index of that one."""
+    """Copy a file up to the chunk that ends at `end`, and its index."""
     left = end
     while left > 0:
         block = source.read(min(left, 1 << 22))
@@ -123,7 +121,7 @@ def copy_start(source: BinaryIO, target: BinaryIO, end: int, index: bytes) -> No
 
 
 def end_file(file: BinaryIO) -> None:
-    """Write the summary that makes it a whole MCAP file."""
+    """Write the summary that completes an MCAP file."""
     file.flush()
     file.seek(0, os.SEEK_END)
     builder = RecordBuilder()
@@ -181,7 +179,6 @@ def _channels() -> list[Channel]:
 
 
 def _contents(file: BinaryIO) -> tuple[list[ChunkIndex], dict[int, int]]:
-    """Return what a summary says of each chunk, and the number of messages of each channel."""
     indices: list[ChunkIndex] = []
     counts: dict[int, int] = {}
     chunk: ChunkIndex | None = None
@@ -201,7 +198,6 @@ def _contents(file: BinaryIO) -> tuple[list[ChunkIndex], dict[int, int]]:
 
 
 def _index_of_chunk(data: mmap.mmap, at: int, end: int) -> ChunkIndex | None:
-    """Return what a summary says of a chunk, before the places of its index; None where it is damaged."""
     name_at = at + _CHUNK.size + _SIZE[0].size
     if name_at > min(end, len(data)):
         return None
@@ -224,7 +220,7 @@ def _index_of_chunk(data: mmap.mmap, at: int, end: int) -> ChunkIndex | None:
 
 
 def _records(data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
-    """Yield the kind of each record, where its content begins, and where it ends."""
+    # (kind, start of the content, end) of each record.
     at = len(MAGIC)
     while at + _RECORD.size <= len(data):
         opcode, length = _RECORD.unpack_from(data, at)

@@ -1,8 +1,6 @@
-"""The journal of a run, read step by step, whether it is complete or was cut off; `journal_format` describes it.
+"""The journal of a run, read step by step, complete or cut off; `format` describes it.
 
-The chunks of a journal's file, each unpacked when it is asked for; `journal_format` describes them.
-
-Whoever holds them can read them: the file stays open as long as arrays of it have still to be read.
+Chunks are unpacked on request. The file stays open as long as arrays of it are still to be read.
 """
 
 from __future__ import annotations
@@ -78,7 +76,7 @@ _DAMAGE = (
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
-    """Where a chunk is in the file."""
+    """The place of a chunk in the file."""
 
     start: int
     end: int
@@ -92,10 +90,9 @@ class ChunkPlace:
 
 
 class JournalChunks:
-    """The chunks of the journal in a folder that were whole when it was opened, at their `places`.
+    """The whole chunks of the journal in a folder when it was opened, at their `places`.
 
-    Raises:
-        MapFolderError: there is no journal, or it is none of this format.
+    Raises `MapFolderError`: there is no journal, or it has another format.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -118,11 +115,7 @@ class JournalChunks:
         self._lock = Lock()
 
     def messages(self, chunk: int) -> list[Message]:
-        """Return the messages of a chunk.
-
-        Raises:
-            MapFolderError: it is damaged.
-        """
+        """Return the messages of a chunk. Raises `MapFolderError`: it is damaged."""
         with self._lock:
             known = self._messages.get(chunk)
             if known is not None:
@@ -139,12 +132,9 @@ class JournalChunks:
             return messages
 
     def contents(self, chunk: int, *, keeps: bool = True) -> list[memoryview]:
-        """Return what the messages of a chunk hold, which takes a fraction of the time of the messages themselves.
+        """Return the contents of a chunk's messages, much faster than `messages`; `keeps` caches them.
 
-        `keeps`: it is at hand when it is asked for again.
-
-        Raises:
-            MapFolderError: it is damaged.
+        Raises `MapFolderError`: it is damaged.
         """
         with self._lock:
             known = self._contents.get(chunk)
@@ -162,11 +152,7 @@ class JournalChunks:
             return contents
 
     def records(self, chunk: int) -> bytes:
-        """Return the records of a chunk as they are, one after another.
-
-        Raises:
-            MapFolderError: it is damaged.
-        """
+        """Return the records of a chunk, joined. Raises `MapFolderError`: it is damaged."""
         place = self.places[chunk]
         try:
             stream, length = get_chunk_data_stream(self._record(place), validate_crc=True)
@@ -175,13 +161,12 @@ class JournalChunks:
             raise self._damage(place, error) from error
 
     def read_copy(self) -> None:
-        """Read from the file that is in the folder now, which begins with as many of these chunks as it has."""
+        """Continue in the folder's current file, which begins with the same chunks."""
         copy = JournalChunks(self.path.parent)
         with self._lock:
             self._data, self.places = copy._data, copy.places
 
     def _record(self, place: ChunkPlace) -> Chunk:
-        """Return the chunk at a place; raises ValueError where it declares another size than it has or may have."""
         chunk = Chunk.read(ReadDataStream(BytesIO(self._data[place.start : place.end])))
         if chunk.compression != "zstd":
             raise ValueError(f"a chunk is packed by {chunk.compression or 'nothing'!r}, expected zstd")
@@ -193,16 +178,12 @@ class JournalChunks:
 
 
 def packed_array(encoded: bytes) -> bytes:
-    """Return an encoded array as a chunk of arrays holds it."""
+    """Return an encoded array for a chunk of arrays."""
     return zstandard.compress(encoded)
 
 
 def unpacked_array(data: memoryview) -> bytes:
-    """Return the encoded array that was packed.
-
-    Raises:
-        ValueError: it is damaged.
-    """
+    """Return the encoded array. Raises `ValueError`: it is damaged."""
     try:
         check_unpacked_size(data, zstandard.frame_content_size(data))
         return zstandard.decompress(data)
@@ -211,19 +192,14 @@ def unpacked_array(data: memoryview) -> bytes:
 
 
 def check_unpacked_size(data: bytes | memoryview, claimed: int) -> None:
-    """Refuse what unpacks to another size than was claimed, or to more than a map can need.
-
-    Raises:
-        ValueError: it does.
-    """
+    """Raise `ValueError` for data that unpack to another size than claimed, or to more than a map can need."""
     found = zstandard.frame_content_size(data)
     if found != claimed or not 0 <= found <= _MOST_CHUNK_BYTES:
         raise ValueError(f"a chunk unpacks to {found} bytes, says {claimed}")
 
 
 class _Cache(Generic[_Kept]):
-    """The chunks that were asked for last, as far as they are few and small; always the last one."""
-
+    # Few and small chunks; always the last one.
     def __init__(self) -> None:
         self._chunks: OrderedDict[int, tuple[_Kept, int]] = OrderedDict()
         self._num_bytes = 0
@@ -256,7 +232,7 @@ def _contents_of(data: memoryview) -> list[memoryview]:
 
 
 def _scan(data: Any, path: Path) -> list[ChunkPlace]:
-    """Return the chunks that are whole: the record is there, and the index after it, which says what is in it."""
+    # A chunk is whole if its record is there and the index after it.
     if len(data) < len(MAGIC):
         return []
     if data[: len(MAGIC)] != MAGIC:
@@ -285,7 +261,7 @@ _Place = tuple[int, int]
 
 
 class StoredPart(NamedTuple):
-    """A record or an array of a checkpoint, its place (chunk, number in it), and those of the parts it refers to."""
+    """A record or array of a checkpoint, its place (chunk, number in it), and the places it refers to."""
 
     place: _Place
     part: Any
@@ -293,10 +269,9 @@ class StoredPart(NamedTuple):
 
 
 class Journal:
-    """A journal that is read; open it with `with`. Complete or not, it holds what was whole when it was opened.
+    """An open journal, as far as it was whole when it was opened; use `with`.
 
-    Raises:
-        MapFolderError: there is none, or it is none of this format.
+    Raises `MapFolderError`: there is none, or it has another format.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -328,15 +303,11 @@ class Journal:
 
     @property
     def num_bytes(self) -> int:
-        """How much of the file is whole."""
+        """Number of whole bytes of the file."""
         return self._places[-1].end if self._places else 0
 
     def entry(self, index: int) -> JournalEntry:
-        """Return a step with its events.
-
-        Raises:
-            MapFolderError: it is damaged.
-        """
+        """Return a step with its events. Raises `MapFolderError`: it is damaged."""
         others = self._chunks.messages(self._steps[index])[1:]
         events = [
             self._decoded(message.data, EVENT_NAMES[message.channel_id])
@@ -352,7 +323,7 @@ class Journal:
         return step
 
     def events(self, index: int, kind: str, *, has_points: bool = True) -> list[Event]:
-        """Return the events of one kind in a step; `has_points=False` leaves points unmade where returns are stored."""
+        """Return the events of one kind in a step; `has_points=False` leaves out points that returns would give."""
         channel = CHANNELS[kind]
         return [
             self._decoded(m.data, kind, has_points=has_points)
@@ -366,12 +337,11 @@ class Journal:
         return found[0] if found else None
 
     def checkpoint_before(self, index: int, *, reads_later: bool = False) -> tuple[int, Checkpoint] | None:
-        """Return the last checkpoint at or before a step, and the step after which it was made; None: there is none.
+        """Return the last checkpoint at or before a step, and the step it follows; None if there is none.
 
-        `reads_later`: the arrays of clouds and spaces are read when they are looked at, and damage to one is told then.
+        `reads_later`: arrays of clouds and spaces are read on first use, and damage is reported then.
 
-        Raises:
-            MapFolderError: it is damaged.
+        Raises `MapFolderError`: it is damaged.
         """
         following = self._steps[index + 1] if index + 1 < len(self._steps) else len(self._places)
         for chunk in range(following - 1, -1, -1):
@@ -380,10 +350,9 @@ class Journal:
         return None
 
     def known(self, index: int) -> Known | None:
-        """Return where the public records of the map after a step are, all of them; None: an older journal has none.
+        """Return the places of all public records of the map after a step; None in an older journal.
 
-        Raises:
-            MapFolderError: it is damaged.
+        Raises `MapFolderError`: it is damaged.
         """
         changes: list[Known] = []
         while not changes or not changes[-1].is_whole:
@@ -402,10 +371,9 @@ class Journal:
         return replace(changes[0], is_whole=True, objects=objects, submaps=submaps, gone_objects=(), gone_submaps=())
 
     def known_record(self, place: tuple[int, int], kind: type) -> Any:
-        """Return the record that `known` says is there; a part that records share is one and the same.
+        """Return the record at a place of `known`; shared parts are one object.
 
-        Raises:
-            MapFolderError: it is damaged, or no record of this kind.
+        Raises `MapFolderError`: it is damaged, or no record of this kind.
         """
 
         def part(chunk: int, number: int) -> Any:
@@ -430,7 +398,7 @@ class Journal:
             yield self.entry(index)
 
     def cut_to_resumable(self) -> None:
-        """Leave out the steps that a run cannot be continued from: after the first damage, or committed at a stop."""
+        """Leave out steps that cannot be continued: after the first damage, or committed at a stop."""
         if self._is_checked:
             return
         for chunk, place in enumerate(self._places):
@@ -455,15 +423,11 @@ class Journal:
         return len(self._places)
 
     def last_records(self) -> bytes:
-        """Return the records of the last chunk as they are in the file.
-
-        Raises:
-            MapFolderError: it is damaged.
-        """
+        """Return the stored records of the last chunk. Raises `MapFolderError`: it is damaged."""
         return self._chunks.records(len(self._places) - 1)
 
     def read_copy(self) -> None:
-        """Read what is still to be read from the file that is in the folder now, a copy of this one."""
+        """Continue in the folder's current file, a copy of this one."""
         self._chunks.read_copy()
 
     def _cut(self, chunk: int) -> None:
@@ -504,19 +468,8 @@ class Journal:
     def _with_parts(
         self, chunk: int, later: UnreadRecords | None
     ) -> tuple[dict[_Place, bytes], dict[_Place, list[_Place]]]:
-        """Return the document of a checkpoint, and all parts that it or one of them refers to, as they are encoded.
-
-        With them the parts to which each refers.
-
-        The parts of a large map lie in hundreds of chunks. No part refers to a later chunk than its own: each is
-        unpacked once, the latest first, and only what is needed of it is kept: without the arrays that `later` leaves
-        where they are.
-
-        Raises:
-            ValueError: a part is said to lie where none can be.
-            IndexError: a chunk has fewer parts.
-            MapFolderError: a chunk is damaged.
-        """
+        # The parts of a large map lie in hundreds of chunks. No part refers to a later chunk than its own: each is
+        # unpacked once, the latest first, and only needed parts are kept, without the arrays that `later` leaves.
         stored: dict[_Place, bytes] = {}
         references: dict[_Place, list[_Place]] = {}
         wanted = {chunk: {0}}
@@ -550,7 +503,6 @@ class Journal:
         *,
         has_points: bool = True,
     ) -> Any:
-        """Return a record of this kind, by the name of its type."""
         try:
             record = decode(data, part, later)
             if isinstance(record, PackedFrame):

@@ -1,6 +1,6 @@
-"""Writes the journal of a run: one chunk a step, and the state of the core now and then; see `journal_format`.
+"""Writes the journal of a run: one chunk a step, and a checkpoint now and then; `format` describes it.
 
-Memory that is free is given back to the system: what one checkpoint took, the C library keeps for the next one.
+Free memory is returned to the system: the C library would keep the memory of one checkpoint for the next.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 def give_back_free() -> None:
-    """Give back the pages of the heap in which nothing is; nothing happens where the C library is not glibc."""
+    """Return empty pages of the heap to the system; only with glibc."""
     trim = _trim()
     if trim is not None:
         trim(0)
@@ -66,14 +66,13 @@ def _trim() -> Callable[[int], int] | None:
 
 
 class JournalWriter:
-    """Appends to the journal of a map folder. Not to be called from two threads at a time.
+    """Appends to the journal of a map folder; not thread-safe.
 
-    `continued` holds the steps to begin with. Where that is all that the file has, it is gone on with as it is; else
-    they are copied, the old file is replaced only when that is done, and what it has still to read is read from the
-    copy. What the checkpoint has that was read last of it is not written again.
+    `continued` holds the steps to begin with. If the file has no others, it is continued in place; else they are
+    copied, the old file is replaced at the end, and unread parts are read from the copy. Parts of the checkpoint that
+    was read last are not written again.
 
-    Raises:
-        MapFolderError: the disk refused; also from each method.
+    Raises `MapFolderError`: the disk refused; also from each method.
     """
 
     def __init__(self, folder: Path, *, flush_s: float, continued: Journal | None = None) -> None:
@@ -111,7 +110,7 @@ class JournalWriter:
             self._end_chunk()
 
     def checkpoint(self, checkpoint: Checkpoint, stamp_ns: int) -> None:
-        """Add the state after the last step; what the checkpoint before it holds already is referred to."""
+        """Add the state after the last step; unchanged parts refer to the checkpoint before."""
         with disk_errors(self._path):
             self._parts.begin(self._num_chunks)
             document = encode(replace(checkpoint, core=self._packer.packed(checkpoint.core)), self._parts)
@@ -131,7 +130,7 @@ class JournalWriter:
             self._synced_s = time.monotonic()
 
     def close(self) -> None:
-        """Write the index that makes it a whole MCAP file, and close it."""
+        """Write the summary that completes the MCAP file, and close it."""
         if self._file.closed:
             return
         with disk_errors(self._path):
@@ -143,14 +142,13 @@ class JournalWriter:
                 self._file.close()
 
     def abandon(self) -> None:
-        """Close the file as a kill would leave it."""
+        """Close the file as after a kill."""
         try:
             self._file.close()
         except OSError:
             pass  # the disk refused before: what is not there is not there
 
     def _opened(self, continued: Journal | None) -> BinaryIO:
-        """Return the file to write to, at its end: the one that is there, or a new one with what is to be continued."""
         index = b"" if continued is None else index_of(continued.last_records())
         if continued is not None and continued.is_whole:
             file = open_to_change(self._path)
@@ -194,12 +192,8 @@ class JournalWriter:
 
 
 class _Stored:
-    """An array or a record, where it is stored, and the parts that it refers to itself.
-
-    An array is not held: those of a track may be compressed while it stays the same. Read again it is another one, of
-    the same `content`; None: unknown, or that of a record.
-    """
-
+    # An array is not held: those of a track may be compressed while it stays the same. Read again it is another array
+    # of the same `content` (None: unknown, or of a record).
     def __init__(self, part: object) -> None:
         self.key = id(part)
         self._part: Callable[[], object] = weakref.ref(part) if isinstance(part, np.ndarray) else lambda: part
@@ -217,12 +211,8 @@ class _Stored:
 
 
 class _Parts:
-    """Where the parts of earlier checkpoints are stored: (chunk, number in the chunk), by identity.
-
-    Parts are arrays, which records never change, and immutable records: one and the same needs no comparison. Of arrays
-    of the same content one is stored.
-    """
-
+    # (chunk, number in the chunk) of the parts of earlier checkpoints, by identity: parts are immutable. Arrays of
+    # equal content are stored once.
     def __init__(self, parts: Sequence[StoredPart] = ()) -> None:
         stored = {part.place: _Stored(part.part) for part in parts}
         for part in parts:
@@ -238,14 +228,12 @@ class _Parts:
         self._chunk = 0
 
     def begin(self, chunk: int) -> None:
-        """Begin a checkpoint whose arrays are in a chunk, and whose records are in the next one."""
         self._chunk, self._arrays, self._records, self._used, self._used_contents = chunk, [], [], {}, {}
 
     def is_part(self, record: object) -> bool:
         return isinstance(record, KEPT_RECORDS)
 
     def put(self, part: object, encoded: Callable[[], bytes]) -> tuple[int, int]:
-        """Return where the part is."""
         stored = self._used.get(id(part)) or self._places.get(id(part))
         if stored is None or not stored.is_of(part):
             stored = _Stored(part)
@@ -263,7 +251,6 @@ class _Parts:
         return stored.place
 
     def _place_of(self, content: bytes, encoded: Callable[[], bytes]) -> tuple[int, int]:
-        """Return where an array of this content is, stored now if it is new."""
         known = self._used_contents.get(content) or self._contents.get(content)
         if known is not None:
             return known
@@ -282,7 +269,6 @@ class _Parts:
                 self._use(other)
 
     def end(self) -> tuple[list[bytes], list[bytes]]:
-        """Return the new arrays and the new records."""
         # What this checkpoint did not use is forgotten, so that the arrays of the past can go.
         self._places, self._contents = self._used, self._used_contents
         new = (self._arrays, self._records)
@@ -291,7 +277,6 @@ class _Parts:
 
 
 def _content_of(array: NDArray[Any]) -> bytes:
-    """Return what tells an array from every other one."""
     kind = f"{array.dtype.str} {array.shape} ".encode()
     # Processors have instructions for it: it takes half the time of BLAKE2.
     return hashlib.sha256(kind + array.tobytes()).digest()

@@ -46,8 +46,7 @@ def points_bytes(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> byte
 def points_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Return the points (N, 3) and colours (N, 3) of a file that `points_bytes` wrote.
 
-    Raises:
-        ValueError: it is another kind of file, or damaged.
+    Raises `ValueError`: it is another kind of file, or damaged.
     """
     arrays = _unpacked(data)
     if not isinstance(arrays, tuple) or [_kind(array) for array in arrays] != ["float32, 2", "uint8, 2"]:
@@ -66,8 +65,7 @@ def keys_bytes(keys: NDArray[np.int64]) -> bytes:
 def keys_array(data: bytes) -> NDArray[np.int64]:
     """Return the keys (N,) of a file that `keys_bytes` wrote.
 
-    Raises:
-        ValueError: it is another kind of file, or damaged.
+    Raises `ValueError`: it is another kind of file, or damaged.
     """
     keys = _unpacked(data)
     if _kind(keys) != "int64, 1":
@@ -81,7 +79,6 @@ def _packed(value: Any) -> bytes:
 
 
 def _unpacked(data: bytes) -> Any:
-    """Return the value of a frame of zstd; raises ValueError."""
     try:
         if not 0 <= zstandard.frame_content_size(data) <= _MOST_BYTES:
             raise ValueError("not a file of this map format, or larger than one")
@@ -99,8 +96,7 @@ def npy_array(data: bytes, descr: str = "<i8") -> NDArray[Any]:
 
     What the header claims must be there: `numpy.load` would take the memory first.
 
-    Raises:
-        ValueError: it is no such file, of numbers of another kind, or shorter or longer than it says.
+    Raises `ValueError`: it is no such file, of numbers of another kind, or shorter or longer than it says.
     """
     header = _NPY_HEADER.match(data)
     if header is None or header["descr"].decode() != descr:

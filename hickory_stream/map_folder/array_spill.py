@@ -87,7 +87,7 @@ class FarArrays:
         self._let_go.append((_room_for(length), at))
 
     def _write(self, at: int, data: bytes, size: int) -> None:
-        """Write to a room; the whole of it is there then, since a file is mapped no further than it reaches."""
+        # The whole room is written: a file is mapped no further than it reaches.
         if self._file is None:
             self._file = cast("BinaryIO", tempfile.TemporaryFile(dir=self._folder, buffering=0))
             weakref.finalize(self, self._file.close)
@@ -98,8 +98,7 @@ class FarArrays:
 
 
 class _Room:
-    """Reads what was kept in a room, which is given up with it."""
-
+    # Reads a room, which is freed with this object.
     __slots__ = ("_at", "_file", "_length")
 
     def __init__(self, file: FarArrays, at: int, length: int) -> None:
@@ -115,6 +114,5 @@ class _Room:
 
 
 def _room_for(length: int) -> int:
-    """Return the size of the least room for so many bytes."""
     step = max(1, (1 << (length - 1).bit_length() - 1) // _ROOMS_OF)
     return -(-length // step) * step

@@ -177,7 +177,7 @@ def has_named_content(name: str, data: bytes) -> bool:
 
 
 def _check_ids(what: str, ids: list[int]) -> None:
-    """Refuse ids that are not in ascending order, or come up twice."""
+    # Ascending, without duplicates.
     if any(a >= b for a, b in itertools.pairwise(ids)):
         raise ValueError(f"the ids of {what}s are not in ascending order: {ids[:10]}")
 
@@ -474,7 +474,6 @@ def decode_superquadrics(entry: Json) -> Superquadrics:
 
 
 def _superquadrics(entry: Json) -> Superquadrics:
-    """Return superquadrics that the record which they become a part of will check."""
     count = len(entry["exponents"])
     return Superquadrics(
         exponents=to_array(entry["exponents"]).reshape(count, 2),
@@ -487,8 +486,6 @@ def _superquadrics(entry: Json) -> Superquadrics:
 
 
 def _read_later(record: R, name: str, arrays: Callable[[], Arrays], *fields: str) -> R:
-    """Have the fields of a record read from its file when somebody asks for them; return the record."""
-
     def read() -> Arrays:
         try:
             return arrays()
@@ -500,13 +497,11 @@ def _read_later(record: R, name: str, arrays: Callable[[], Arrays], *fields: str
 
 
 def _file_of(name: Any, folder: str, suffix: str) -> str:
-    """Return the path of a file that the document names, which lies in `folder`; raises OutsideError."""
     inside = name.removeprefix(f"{folder}/") if isinstance(name, str) else name
     return f"{folder}/{plain_name(inside, suffix)}"
 
 
 def _add_file(files: dict[str, bytes], stem: str, suffix: str, data: bytes) -> str:
-    """Note a file under a name that carries its content's hash; return the name."""
     name = f"{stem}-{_short_hash(data)}{suffix}"
     files[name] = data
     return name

@@ -119,7 +119,7 @@ def _primitive_values(primitives: Superquadrics) -> tuple[Any, ...]:
 
 
 def _feed(digest: hashlib._Hash, value: Any) -> None:
-    """Add a value; each carries its kind and size, so that no two sequences of values give the same bytes."""
+    # Kind and size come first, so that no two sequences of values give the same bytes.
     match value:
         case None:
             digest.update(b"n")

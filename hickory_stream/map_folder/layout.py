@@ -50,9 +50,7 @@ LOCK = ".lock"
 class FolderLock:
     """Holds a folder from construction until `release`, or the end of the process.
 
-    Raises:
-        MapFolderError: another process holds it.
-        OSError: the disk refused.
+    Raises `MapFolderError`: another process holds it; `OSError`: the disk refused.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -81,11 +79,7 @@ class FolderLock:
 
 
 def check_unlocked(folder: Path) -> None:
-    """Refuse a folder that another process writes.
-
-    Raises:
-        MapFolderError: naming the process.
-    """
+    """Refuse a folder that another process writes. Raises `MapFolderError`: naming the process."""
     if (folder / LOCK).exists() and os.access(folder / LOCK, os.W_OK):
         FolderLock(folder).release()
 
@@ -97,7 +91,6 @@ def _let_go(path: Path, descriptor: int) -> None:
 
 
 def _take(descriptor: int) -> bool:
-    """Lock an open file; return whether nobody else has."""
     if sys.platform == "win32":
         return True
     import fcntl
@@ -123,11 +116,7 @@ def check_links(path: Path) -> None:
 
 
 def check_place(path: Path, overwrite: bool) -> None:
-    """Refuse a place that is taken.
-
-    Raises:
-        MapFolderError: naming what is there and what to do.
-    """
+    """Refuse a place that is taken. Raises `MapFolderError`: naming what is there and what to do."""
     with disk_errors(path):
         if not path.exists():
             return

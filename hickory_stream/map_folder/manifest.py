@@ -72,11 +72,7 @@ def manifest_json(manifest: Manifest) -> bytes:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Return the manifest of a map folder.
-
-    Raises:
-        MapFolderError: there is no map, or it has another format.
-    """
+    """Return the manifest of a map folder. Raises `MapFolderError`: there is no map, or it has another format."""
     if not folder.exists():
         raise MapFolderError(f"there is no map folder {folder}; `hickory-stream play LOG --out {folder}` makes one")
     if not (folder / MANIFEST).is_file():
@@ -108,8 +104,7 @@ def is_map_folder(folder: Path) -> bool:
 def read_json(folder: Path, name: str) -> dict[str, Any]:
     """Return the JSON object in a file of a map folder.
 
-    Raises:
-        MapFolderError: the file is missing or holds something else.
+    Raises `MapFolderError`: the file is missing or holds something else.
     """
     return json_of(folder, name, read_file(folder, name))
 
@@ -117,8 +112,7 @@ def read_json(folder: Path, name: str) -> dict[str, Any]:
 def json_of(folder: Path, name: str, content: bytes) -> dict[str, Any]:
     """Return the JSON object that is the content of a file of a map folder.
 
-    Raises:
-        MapFolderError: it is something else.
+    Raises `MapFolderError`: it is something else.
     """
     try:
         entry = json.loads(content)
@@ -130,11 +124,7 @@ def json_of(folder: Path, name: str, content: bytes) -> dict[str, Any]:
 
 
 def read_file(folder: Path, name: str) -> bytes:
-    """Return the content of a file of a map folder.
-
-    Raises:
-        MapFolderError: it cannot be read, or lies elsewhere.
-    """
+    """Return the content of a file of a map folder. Raises `MapFolderError`: it cannot be read, or lies elsewhere."""
     try:
         return read_within(folder, name)
     except OSError as error:

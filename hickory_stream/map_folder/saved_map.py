@@ -80,8 +80,7 @@ class SavedMap:
     def as_known_at(self, stamp_ns: int) -> MapSnapshot:
         """Return the map exactly as the core held it at a stamp; an empty one before the first keyframe.
 
-        Raises:
-            MapFolderError: the journal is missing, damaged or of another version.
+        Raises `MapFolderError`: the journal is missing, damaged or of another version.
         """
         from hickory_stream.map_folder.history.time_travel import as_known_at
 
@@ -96,8 +95,7 @@ class SavedMap:
     def diff(self, first_ns: int, second_ns: int) -> tuple[Change, ...]:
         """Return what happened to the objects between two stamps, as the core knew them then.
 
-        Raises:
-            MapFolderError: the journal is missing, damaged or of another version.
+        Raises `MapFolderError`: the journal is missing, damaged or of another version.
         """
         from hickory_stream.map_folder.history.time_travel import changes
 
@@ -110,8 +108,7 @@ class SavedMap:
     def mesh(self, shape: ObjectShape) -> Mesh:
         """Return the mesh of a shape, in the object frame.
 
-        Raises:
-            MapFolderError: the file is missing, damaged or another one.
+        Raises `MapFolderError`: the file is missing, damaged or another one.
         """
         path = self.mesh_path(shape)
         try:
@@ -130,8 +127,7 @@ def open_map(path: Path, *, warns: bool = True, is_whole: bool = False) -> Saved
     a finished map is found damaged when somebody looks at what it holds, `is_whole`: now, and its seal counts for
     nothing.
 
-    Raises:
-        MapFolderError: no map is there, its format is another, or a file is missing or damaged.
+    Raises `MapFolderError`: no map is there, its format is another, or a file is missing or damaged.
     """
     manifest = read_manifest(path)
     check_links(path)
@@ -156,8 +152,7 @@ def open_map(path: Path, *, warns: bool = True, is_whole: bool = False) -> Saved
 def check_unaltered(saved: SavedMap, advice: str = "") -> None:
     """Refuse a map that is not the one that was saved; `advice` ends the message.
 
-    Raises:
-        MapFolderError: saying what disagrees, and what to do.
+    Raises `MapFolderError`: saying what disagrees, and what to do.
     """
     if saved.is_altered:
         raise MapFolderError(f"{saved.doubt}; `hickory-stream verify {saved.folder}` says what of it holds{advice}")

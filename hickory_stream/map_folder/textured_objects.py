@@ -27,8 +27,7 @@ def textured_object(
 
     `views` is a map folder's. Of an object as it was known at an earlier moment (`is_past`) some views may not be kept.
 
-    Raises:
-        MapFolderError: a view is missing or damaged.
+    Raises `MapFolderError`: a view is missing or damaged.
     """
     assert tracked.shape is not None
     # Where a view's submap was moved, the map knows it, not the view's file.

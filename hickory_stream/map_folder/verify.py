@@ -84,8 +84,7 @@ class Verdict:
 def verify(path: Path, progress: Callable[[str], None] = lambda _: None) -> Verdict:
     """Return what holds of the map in a folder; nothing is written.
 
-    Raises:
-        MapFolderError: there is no map, or it cannot be read.
+    Raises `MapFolderError`: there is no map, or it cannot be read.
     """
     saved = open_map(path, warns=False, is_whole=True)
     progress("journal")
@@ -107,8 +106,7 @@ def verify(path: Path, progress: Callable[[str], None] = lambda _: None) -> Verd
 def mend(path: Path) -> str:
     """Write the objects of a map anew from its journal, where that makes the map of the manifest; return the digest.
 
-    Raises:
-        MapFolderError: the journal is damaged, or makes another map, or the disk refused; nothing was changed.
+    Raises `MapFolderError`: the journal is damaged, or makes another map, or the disk refused; nothing was changed.
     """
     manifest = read_manifest(path)
     snapshot = replay(path)
@@ -134,7 +132,6 @@ def _digest(saved: SavedMap) -> Finding:
 
 
 def _journal(saved: SavedMap, points: dict[int, NDArray[np.float32]]) -> Finding:
-    """Go through the run again; `points` takes what the jobs of the map's shapes were given, by ticket."""
     if not _has_journal(saved.folder):
         merged = saved.manifest.source.get("kind") == "merge"
         text = "a merged map has none" if merged else f"there is no {JOURNAL}: how the map came about is not known"
@@ -177,7 +174,6 @@ def _views(saved: SavedMap, tracked: TrackedObject) -> Iterator[Finding]:
 def _layer_four(
     saved: SavedMap, tracked: TrackedObject, points: dict[int, NDArray[np.float32]], configured_m: float | None
 ) -> Iterator[Finding]:
-    """Prove layer 4 of an object, which may have none, with the margin that the map was made with, if that is known."""
     shape = tracked.shape
     if shape is None:
         return
@@ -219,11 +215,8 @@ def _num_uncovered(certificate: Certificate) -> int:
 def _where_it_was_made(
     saved: SavedMap, tracked: TrackedObject, shape: ObjectShape, given: NDArray[np.float32] | None
 ) -> list[tuple[ObjectShape, NDArray[np.float32]]]:
-    """Return the shape and the points (N, 3) it has to hold, in the worlds where it may have been made.
-
-    The cells of the inside stand along the axes of that world: of a map that was moved since, the submap's own. A
-    proof in either is one.
-    """
+    # The cells of the inside stand along the axes of the world where the shape was made. Of a map that was moved since,
+    # that may be the submap's own: a proof in either world counts.
     poses = {submap.id: submap.world_from_submap for submap in saved.snapshot.submaps}
     submap_from_world = invert(poses.get(tracked.submap_id, np.eye(4)))
     unmoved = moved_shape(shape, submap_from_world)
@@ -234,7 +227,7 @@ def _where_it_was_made(
 
 
 def _configured_margin_m(saved: SavedMap) -> float | None:
-    """Return the margin that the map was made with; None where nobody can say."""
+    # None where the configuration is unknown.
     try:
         return recorded_config(saved.folder).shapes.inflate.r_safe_m
     except MapFolderError:

@@ -72,8 +72,7 @@ def lossy_bytes(bgr: NDArray[np.uint8], suffix: str, quality: int) -> bytes:
 def read_image(path: Path, dtype: np.dtype[Any], num_dimensions: int, crc32: int | None = None) -> NDArray[Any]:
     """Return the image of a file as it was stored, (H, W) or (H, W, channels) of BGR or BGRA; `crc32` is the file's.
 
-    Raises:
-        MapFolderError: it is missing, damaged, another kind of image, or claims to be larger than any view.
+    Raises `MapFolderError`: it is missing, damaged, another kind of image, or claims to be larger than any view.
     """
     import cv2
 
@@ -94,7 +93,7 @@ def read_image(path: Path, dtype: np.dtype[Any], num_dimensions: int, crc32: int
 
 
 def _png_size(data: bytes) -> tuple[int, int]:
-    """Return width and height that a PNG claims; its checksums are looked at, too."""
+    # Checks the checksums, too.
     if len(data) < 24 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
         raise ValueError("it is no PNG")
     at, kind = 8, b""
@@ -108,7 +107,7 @@ def _png_size(data: bytes) -> tuple[int, int]:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int]:
-    """Return width and height that a baseline JPEG claims (ITU-T T.81, B.2.2)."""
+    # Baseline JPEG: ITU-T T.81, B.2.2.
     at = 2
     while data[:2] == b"\xff\xd8" and at + 9 <= len(data) and data[at] == 0xFF:
         kind, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
@@ -121,7 +120,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
 
 
 def _webp_size(data: bytes) -> tuple[int, int]:
-    """Return width and height that a lossy WebP claims (RFC 9649, RFC 6386 9.1)."""
+    # Lossy WebP: RFC 9649, RFC 6386 9.1.
     if len(data) < 30 or data[:4] != b"RIFF" or data[8:16] != b"WEBPVP8 " or data[23:26] != b"\x9d\x01\x2a":
         raise ValueError("it is no plain lossy WebP")
     # The two bits above say how to scale it, which decoders leave to others.
@@ -157,8 +156,7 @@ def write_crop(views: Path, name: str, crop: Crop, how: RunConfig | None = None)
     Depth is rounded to millimetres; what is beyond 65.5 m becomes "no return". Colour is as `how.view_colors` says,
     exact without it.
 
-    Raises:
-        MapFolderError: the disk refused.
+    Raises `MapFolderError`: the disk refused.
     """
     description: dict[str, Any] = {
         "camera": asdict(crop.camera),
@@ -183,11 +181,7 @@ def write_crop(views: Path, name: str, crop: Crop, how: RunConfig | None = None)
 
 
 def read_crop(views: Path, name: str) -> Crop:
-    """Return the pixels of a view, depth to the millimetre.
-
-    Raises:
-        MapFolderError: a file is missing or damaged.
-    """
+    """Return the pixels of a view, depth to the millimetre. Raises `MapFolderError`: a file is missing or damaged."""
     color_file, depth_file, *mask_file, description_file = crop_files(views, name)
     try:
         description = json.loads(read_within(views, description_file.name))
@@ -211,8 +205,7 @@ def read_crop(views: Path, name: str) -> Crop:
 def read_mask(views: Path, name: str) -> NDArray[np.bool_]:
     """Return the mask of a view alone, as `read_crop` has it.
 
-    Raises:
-        MapFolderError: its file is missing or damaged.
+    Raises `MapFolderError`: its file is missing or damaged.
     """
     color_file, _, *mask_file, _ = crop_files(views, name)
     try:
@@ -224,7 +217,7 @@ def read_mask(views: Path, name: str) -> NDArray[np.bool_]:
 
 
 def _millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Return a depth image in whole millimetres, 0 = no return."""
+    # 0 = no return.
     with np.errstate(invalid="ignore", over="ignore"):
         millimetres = np.rint(depth_m * np.float32(1000))
         # What is no number is neither.

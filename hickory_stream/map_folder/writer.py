@@ -154,8 +154,6 @@ class ReferencedNames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Entry(Generic[R]):
-    """A record, its part of the document, and the files that this names."""
-
     record: R
     text: str
     files: tuple[str, ...]
@@ -216,8 +214,7 @@ def create_map_folder(
     its first moment, an empty one: a run that is killed at once can be gone on with. The folder is locked until it is
     closed.
 
-    Raises:
-        MapFolderError: the place is taken or cannot be written; nothing is left behind.
+    Raises `MapFolderError`: the place is taken or cannot be written; nothing is left behind.
     """
     check_place(path, overwrite)
     manifest = Manifest(config=config, source=source, run=run or {}, extractor=extractor, processor=processor)
@@ -253,8 +250,7 @@ def create_map_folder(
 def reopen_map_folder(path: Path) -> MapFolder:
     """Return the map folder of a run that ended early, to be continued; locked until it is closed.
 
-    Raises:
-        MapFolderError: no map is there, its format is another, or another process writes it.
+    Raises `MapFolderError`: no map is there, its format is another, or another process writes it.
     """
     manifest = read_manifest(path)
     check_links(path)
@@ -309,8 +305,7 @@ class MapFolder:
     def save(self, snapshot: MapSnapshot) -> None:
         """Make `snapshot` what the folder opens as; only what changed since the last save is written.
 
-        Raises:
-            MapFolderError: the disk refused; the folder opens as of the save before.
+        Raises `MapFolderError`: the disk refused; the folder opens as of the save before.
         """
         with self._lock, disk_errors(self.path):
             # What the disk refuses is not there for the next save to build on.
@@ -349,8 +344,7 @@ class MapFolder:
     def write_json(self, name: Literal["ledger.json", "timings.json"], data: Any) -> None:
         """Replace a file beside the map by `data`, which JSON must know.
 
-        Raises:
-            MapFolderError: the disk refused; the old file is untouched.
+        Raises `MapFolderError`: the disk refused; the old file is untouched.
         """
         with disk_errors(self.path):
             write_atomically(self.path / name, pretty_json(data))
@@ -358,8 +352,7 @@ class MapFolder:
     def finish(self, *, finished_cleanly: bool, is_reproducible: bool = True) -> Manifest:
         """Note the map's digest and how the run ended, and remove what a clean end left unreferenced.
 
-        Raises:
-            MapFolderError: the disk refused; the map opens as not finished.
+        Raises `MapFolderError`: the disk refused; the map opens as not finished.
         """
         with self._lock, disk_errors(self.path):
             self._referenced.follow(self._last)
@@ -390,14 +383,13 @@ class MapFolder:
             self._folder_lock.release()
 
     def _write_missing(self, folders: set[str], name: str, data: bytes) -> None:
-        """Write a file unless it is there, and note the folder that it belongs to."""
         path = self.path / name
         if not path.exists():
             write_atomically(path, data)
         folders.add(name.partition("/")[0])
 
     def _sync_referenced(self, snapshot: MapSnapshot) -> None:
-        """Bring to the disk what others wrote without waiting for it, before the map refers to it."""
+        # Views are written without a sync; the map may refer to them only after one.
         self._unsynced.update(self._referenced.follow(snapshot))
         files = {name: files_of_name(self.path, name) for name in self._unsynced}
         # The description of a view, the last of its files, is written last.
@@ -411,7 +403,7 @@ class MapFolder:
         self._unsynced = {name for name in self._unsynced - whole if name in self._referenced}
 
     def _remove_unreferenced(self, gone: Iterable[str]) -> None:
-        """Remove files that the saved map names no more; at first also what others left, or a save that failed."""
+        # The first time also files of others, or of a save that failed.
         for name in gone:
             (self.path / name).unlink(missing_ok=True)
         if not self._is_swept:
@@ -423,7 +415,7 @@ class MapFolder:
             self._is_swept = True
 
     def _take_requests(self) -> None:
-        """Take the views that were dropped since; `drop_view` appends to the queue without the lock."""
+        # `drop_view` appends to the queue without the lock.
         while self._drop_requests:
             self._dropped.add(self._drop_requests.popleft())
 
@@ -438,8 +430,7 @@ class MapFolder:
 def rewrite_objects(path: Path, snapshot: MapSnapshot, kept_meshes: Iterable[str]) -> str:
     """Save a map anew in its folder, as its run did, with the meshes of earlier moments kept; return the digest.
 
-    Raises:
-        MapFolderError: a mesh is missing, another process writes the folder, or the disk refused.
+    Raises `MapFolderError`: a mesh is missing, another process writes the folder, or the disk refused.
     """
     manifest = read_manifest(path)
     check_links(path)

@@ -1,6 +1,6 @@
-"""Shape workers: child processes of this machine, started when the first jobs need them, replaced when they die.
+"""Shape workers as child processes, started with the first jobs, replaced when they die.
 
-A job's answer is a future; how many workers there are and how fast they are changes when it comes, never what it is.
+Number and speed of workers change when an answer comes, never what it is.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ _ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NU
 
 
 class ShapeWorkers(Protocol):
-    """Where shape jobs are done. Enter with `async with`; leaving ends what still runs."""
+    """Executor of shape jobs. Enter with `async with`; leaving ends running jobs."""
 
     num_limits: int
     """How many jobs were given up at a limit, or because their worker died: such a run depends on the machine."""
 
     @property
     def num_open(self) -> int:
-        """How many jobs wait or run."""
+        """Number of waiting or running jobs."""
 
     @property
     def num_alive(self) -> int:
-        """How many workers there are now."""
+        """Number of workers now."""
 
     def submit(self, folder: Path) -> asyncio.Future[str | None]:
-        """Queue a job; the future gives None when its answer lies in the folder, else why the job was given up."""
+        """Queue a job; the future gives None for an answer in the folder, else why the job was given up."""
 
     async def __aenter__(self) -> Self: ...
 
@@ -63,19 +63,16 @@ class ShapeWorkers(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WorkerLimits:
-    """What one job may take: seconds, and megabytes of resident memory of its worker."""
+    """Limits of one job: seconds, and megabytes of resident memory of its worker."""
 
     time_s: float
     memory_mb: float
 
 
 class LocalWorkers:
-    """`count` child processes that take jobs from one queue; `python` is their interpreter, ours by default.
+    """`count` child processes with one queue; `python` is their interpreter, ours by default.
 
-    `generator` is the TOML of the program that the reconstructor "external" asks.
-
-    Raises:
-        ConfigError: there is no such interpreter.
+    `generator` is the TOML of the program for the reconstructor "external". Raises `ConfigError`: no such interpreter.
     """
 
     def __init__(self, count: int, limits: WorkerLimits, python: str = "", generator: Path | None = None) -> None:
@@ -104,16 +101,16 @@ class LocalWorkers:
 
     @property
     def num_open(self) -> int:
-        """How many jobs wait or run."""
+        """Number of waiting or running jobs."""
         return self._num_open
 
     @property
     def num_alive(self) -> int:
-        """How many children there are now."""
+        """Number of children now."""
         return len(self._children)
 
     def submit(self, folder: Path) -> asyncio.Future[str | None]:
-        """Queue a job; the future gives None when its answer lies in the folder, else why the job was given up."""
+        """Queue a job; the future gives None for an answer in the folder, else why the job was given up."""
         answer: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
         self._num_open += 1
         answer.add_done_callback(self._closed)
@@ -126,7 +123,7 @@ class LocalWorkers:
         self._num_open -= 1
 
     async def _serve(self) -> None:
-        """Feed one child with jobs; a child that dies, hangs or grows is replaced, and its job tried again."""
+        # A child that dies, hangs or grows is replaced, and its job tried again.
         child: _Child | None = None
         try:
             while True:
@@ -171,22 +168,15 @@ class LocalWorkers:
 
 
 class LimitError(WorkerError):
-    """A job took more time or memory than it may."""
+    """A job exceeded its limit of time or memory."""
 
 
 class _Child:
-    """One worker process, spoken to in lines of JSON."""
-
     def __init__(self, process: asyncio.subprocess.Process) -> None:
         self._process = process
 
     @classmethod
     async def start(cls, python: str, niceness: int, environment: Mapping[str, str]) -> _Child:
-        """Return a child that has said that it is ready, and gives way to others by so much.
-
-        Raises:
-            WorkerError: it could not be started, or says nothing.
-        """
         try:
             process = await asyncio.create_subprocess_exec(
                 python,
@@ -217,12 +207,6 @@ class _Child:
         return child
 
     async def run(self, folder: Path, limits: WorkerLimits) -> str | None:
-        """Do one job; return why it failed, None if it was answered.
-
-        Raises:
-            WorkerError: the child died, or answered what is no answer.
-            LimitError: it took too long, or too much memory.
-        """
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(dumps_exactly({"job": str(folder)}).encode() + b"\n")
@@ -242,7 +226,6 @@ class _Child:
         return reason
 
     async def kill(self) -> None:
-        """End the process and wait for it."""
         if self._process.returncode is None:
             # Its group: a generator that it started, and that hangs, ends with it.
             with suppress(ProcessLookupError, PermissionError):
@@ -252,7 +235,6 @@ class _Child:
         await self._process.wait()
 
     async def _watch(self, line: asyncio.Task[bytes], limits: WorkerLimits) -> None:
-        """Return when there is an answer; look at the worker's memory now and then."""
         until_s = time.monotonic() + limits.time_s
         while not line.done():
             left_s = until_s - time.monotonic()
@@ -277,7 +259,6 @@ class _Child:
 
 
 def _interpreter(python: str) -> str:
-    """Return the interpreter of the workers; raises `ConfigError` where there is none of that name."""
     if not python:
         return sys.executable
     found = shutil.which(python)
@@ -287,7 +268,6 @@ def _interpreter(python: str) -> str:
 
 
 def _status(code: int) -> str:
-    """Return an exit status in words: what killed it, where a signal did."""
     if code >= 0:
         return f"status {code}"
     try:

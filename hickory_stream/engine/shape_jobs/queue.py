@@ -1,7 +1,7 @@
-"""Shape jobs: handed to the workers at once, committed by their due stamps (playback) or as they arrive (live).
+"""Queue of shape jobs: results are committed by due stamp (playback) or on arrival (live).
 
-In a playback a result is committed at the first keyframe at or after its due stamp, in the order (due stamp, ticket),
-and the run waits for one that is late: so that neither the number nor the speed of workers can change the map.
+A playback commits a result at the first keyframe at or after its due stamp, in the order (due stamp, ticket), and waits
+for a late one: number and speed of workers cannot change the map.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class _Open:
 
 
 class ShapeQueue:
-    """The jobs that are open, and what the ended ones took: `timings_s` by step, `counts` by fate."""
+    """Open jobs, and statistics of ended ones: `timings_s` by step, `counts` by fate."""
 
     def __init__(
         self, folder: MapFolder, workers: ShapeWorkers, config: ShapeConfig, cache: ShapeCache | None = None
@@ -61,20 +61,19 @@ class ShapeQueue:
         self.counts: Counter[str] = Counter()
 
     def total_counts(self) -> dict[str, int]:
-        """Return the jobs by fate, those of an interrupted run before this one included; `limits` were given up."""
+        """Return jobs by fate, an interrupted run included; `limits` were given up at a limit."""
         counts = {**self.counts, "limits": self.num_limits}
         return {name: count for name, count in counts.items() if count}
 
     @property
     def num_limits(self) -> int:
-        """How many jobs were given up at a limit of time or memory: they make a map that comes out otherwise again."""
+        """Number of jobs given up at a limit of time or memory, which makes the map irreproducible."""
         return self._limits_before + self._workers.num_limits
 
     def resume(self, jobs: Iterable[OpenJob], counts: Mapping[str, int]) -> None:
-        """Take over the jobs of an interrupted run, and what became of those before.
+        """Take over the jobs and counts of an interrupted run.
 
-        Raises:
-            MapFolderError: an input is not complete: the power failed before it reached the disk.
+        Raises `MapFolderError`: an input is incomplete after a power failure.
         """
         self._limits_before = counts.get("limits", 0)
         self.counts.update({name: count for name, count in counts.items() if name != "limits"})
@@ -83,11 +82,11 @@ class ShapeQueue:
 
     @property
     def num_open(self) -> int:
-        """How many results are still to be committed."""
+        """Number of results to be committed."""
         return len(self._open)
 
     async def request(self, request: RequestShape) -> None:
-        """Hand a job to the workers."""
+        """Submit a job to the workers."""
         folder = job_folder(self._folder.jobs, request.ticket)
         await asyncio.to_thread(write_job, folder, request, self._folder.views, self._config)
         key = await asyncio.to_thread(self._cache.key, folder) if self._cache is not None else None
@@ -101,13 +100,12 @@ class ShapeQueue:
 
     @property
     def open_jobs(self) -> tuple[OpenJob, ...]:
-        """The jobs whose results are still to be committed."""
+        """The jobs whose results are not committed yet."""
         return tuple(
             OpenJob(ticket=ticket, object_id=job.object_id, due_ns=job.due_ns) for ticket, job in self._open.items()
         )
 
     def _adopt(self, job: OpenJob) -> None:
-        """Take over a job that was asked for before the run was interrupted; what it gave already is not done again."""
         folder = job_folder(self._folder.jobs, job.ticket)
         if is_answered(folder):
             answer = _answered()
@@ -118,10 +116,9 @@ class ShapeQueue:
         self._open[job.ticket] = _Open(job.due_ns, job.object_id, answer)
 
     def rewind(self, jobs: Iterable[OpenJob], answers: Mapping[int, ShapeReady | ShapeFailed]) -> list[int]:
-        """Wait for these jobs and no others; return the tickets of those that are given up.
+        """Wait for exactly these jobs; return the tickets of abandoned ones.
 
-        `answers` are results that were committed before, and are committed again when they are due. A job that was
-        cancelled since has none.
+        `answers` are results that were committed before, and are committed again when due. A cancelled job has none.
         """
         wanted = {job.ticket: job for job in jobs}
         given_up = [ticket for ticket in self._open if ticket not in wanted]
@@ -140,7 +137,7 @@ class ShapeQueue:
         return given_up
 
     def forget(self, tickets: list[int]) -> None:
-        """Remove the folders of jobs that are over; the input of one that failed is kept."""
+        """Remove the folders of finished jobs; the input of a failed one is kept."""
         for ticket in tickets:
             folder = job_folder(self._folder.jobs, ticket)
             if ticket in self._failed:
@@ -149,23 +146,23 @@ class ShapeQueue:
                 remove_job(folder)
 
     def cancel(self, ticket: int) -> None:
-        """Forget a job whose result is no longer wanted; if it runs, it runs out."""
+        """Drop a job; if it runs, its result is ignored."""
         job = self._open.pop(ticket, None)
         if job is not None:
             job.answer.cancel()
             self.counts["cancelled"] += 1
 
     def has_due(self, stamp_ns: int | None) -> bool:
-        """Return whether a result is to be committed at a stamp (None: any)."""
+        """Return whether a result is due at a stamp (None: any)."""
         return any(stamp_ns is None or job.due_ns <= stamp_ns for job in self._open.values())
 
     async def next_arrived(self, stamp_ns: int) -> ShapeReady | ShapeFailed | None:
-        """Return a result that is there, to be committed at a stamp; None if there is none."""
+        """Return an arrived result, to be committed at a stamp; None if there is none."""
         arrived = sorted(ticket for ticket, job in self._open.items() if job.answer.done())
         return await self._commit(arrived[0], stamp_ns) if arrived else None
 
     async def next_due(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
-        """Return the next result that is due at a stamp (None: any), waiting for it if it is late; None if none is."""
+        """Return the next result that is due at a stamp (None: any), waiting for it; None if none is."""
         due = [(job.due_ns, ticket) for ticket, job in self._open.items() if stamp_ns is None or job.due_ns <= stamp_ns]
         if not due:
             return None
@@ -201,7 +198,6 @@ class ShapeQueue:
 
 
 def _answered() -> asyncio.Future[str | None]:
-    """Return the future of a job whose answer lies in its folder already."""
     answer: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
     answer.set_result(None)
     return answer

@@ -70,8 +70,7 @@ class Replay:
     def seek(self, index: int) -> None:
         """Bring the core to where it was after a step, from the last checkpoint before it.
 
-        Raises:
-            MapFolderError: the journal is damaged.
+        Raises `MapFolderError`: the journal is damaged.
         """
         found = self._journal.checkpoint_before(index, reads_later=self._reads_later)
         if found is not None:
@@ -100,17 +99,13 @@ class Replay:
             yield Replayed(index=self.num_steps - 1, entry=entry, published=published)
 
     def snapshot(self) -> MapSnapshot:
-        """Return the map as it is now.
-
-        Raises:
-            MapFolderError: the journal is damaged.
-        """
+        """Return the map as it is now. Raises `MapFolderError`: the journal is damaged."""
         with self._sense():
             return self.core.snapshot()
 
     @contextmanager
     def _sense(self) -> Iterator[None]:
-        """Report what the core cannot process as damage of the journal."""
+        # An event that the core cannot process is damage of the journal.
         try:
             yield
         except _NONSENSE as error:
@@ -119,7 +114,6 @@ class Replay:
             ) from error
 
     def _go_back(self, step: Step) -> None:
-        """Restore the state to which the run was rewound in this step, if it was."""
         if step.goes_back_to is None:
             return
         then = Replay(self._journal, self._config, reads_later=self._reads_later)

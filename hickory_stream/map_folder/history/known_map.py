@@ -35,8 +35,7 @@ def known_map(journal: Journal, index: int, config: Callable[[], MappingConfig])
 
     `config` is asked for when the core is to be given the events.
 
-    Raises:
-        MapFolderError: the journal is damaged; also from whatever of the map is looked at later.
+    Raises `MapFolderError`: the journal is damaged; also from whatever of the map is looked at later.
     """
     known = journal.known(index)
     if known is None:
@@ -52,8 +51,6 @@ def known_map(journal: Journal, index: int, config: Callable[[], MappingConfig])
 
 
 class _Records:
-    """Reads the records of the map after one step."""
-
     def __init__(self, journal: Journal, index: int, config: Callable[[], MappingConfig]) -> None:
         self._journal = journal
         self._index = index
@@ -62,14 +59,12 @@ class _Records:
         self._replayed: MapSnapshot | None = None
 
     def tracked(self, object_id: int, place: Place) -> TrackedObject:
-        """Return an object of which nothing but its id was read."""
         tracked = object.__new__(TrackedObject)
         object.__setattr__(tracked, "id", object_id)
         read_parts(tracked, partial(self._of_object, object_id, place), *_REST, *_POINTS)
         return tracked
 
     def submap(self, submap_id: int, place: Place) -> Submap:
-        """Return a submap whose space was not read."""
         submap = self._read_submap(submap_id, place)
         read_parts(submap.observed_space, partial(self._of_space, submap_id, place), *_SPACE)
         return submap
@@ -100,7 +95,6 @@ class _Records:
         return {each: getattr(space, each) for each in _SPACE}
 
     def _replay(self) -> MapSnapshot:
-        """Return the map as the core makes it of the events."""
         with self._lock:
             if self._replayed is None:
                 replay = Replay(self._journal, self._config(), reads_later=True)

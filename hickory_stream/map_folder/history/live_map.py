@@ -29,8 +29,7 @@ def is_live(saved: SavedMap) -> bool:
 def live_map(path: Path, stamp_ns: int | None = None) -> tuple[MapSnapshot, SeenSurface] | None:
     """Return the map at a stamp (None: the newest), and the surface seen by then; None before the first keyframe.
 
-    Raises:
-        MapFolderError: there is no journal, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no journal, or it is damaged or of another version.
     """
     with Journal(path) as journal:
         index = len(journal) - 1 if stamp_ns is None else step_at(journal.stamps_ns, stamp_ns)

@@ -64,8 +64,7 @@ class RecordedStep:
 def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
     """Yield the steps of the run of a map folder; `final` is where its submaps lie in the end.
 
-    Raises:
-        MapFolderError: there is no journal, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no journal, or it is damaged or of another version.
     """
     places = {submap.id: submap.world_from_submap for submap in final.submaps}
     with Journal(path) as journal:
@@ -85,8 +84,7 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
 def final_snapshot(path: Path) -> MapSnapshot:
     """Return the map of a folder; of a run that did not end, what its journal makes of it.
 
-    Raises:
-        MapFolderError: there is no map, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no map, or it is damaged or of another version.
     """
     saved = open_map(path, warns=False)
     if saved.manifest.finished_cleanly:
@@ -102,8 +100,7 @@ def final_snapshot(path: Path) -> MapSnapshot:
 def frame_indices(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the indices of the keyframes, and of all frames, both sorted.
 
-    Raises:
-        MapFolderError: there is no journal, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no journal, or it is damaged or of another version.
     """
     keyframes: set[int] = set()
     frames: set[int] = set()
@@ -119,9 +116,8 @@ def frame_indices(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 def frame_pose(path: Path, frame: int) -> tuple[Camera, FramePose]:
     """Return the camera of a frame, and its stamp and pose, as the odometry had it.
 
-    Raises:
-        LookupError: the run has no such frame.
-        MapFolderError: there is no journal, or it is damaged or of another version.
+    Raises `LookupError`: the run has no such frame; `MapFolderError`: there is no journal, or it is damaged or of
+    another version.
     """
     with Journal(path) as journal:
         for index in range(len(journal) - 1, -1, -1):
@@ -133,7 +129,7 @@ def frame_pose(path: Path, frame: int) -> tuple[Camera, FramePose]:
 
 
 def _told(journal: Journal, config: MappingConfig) -> Iterator[tuple[JournalEntry, Told]]:
-    """Yield the steps and the decisions of each; from the first step that has none, those of a replay of its events."""
+    # From the first step without decisions on, they are those of a replay.
     first = 0
     for entry in journal.entries():
         if entry.told is None and entry.step.kind is StepKind.KEYFRAME:

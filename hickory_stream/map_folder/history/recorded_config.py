@@ -22,8 +22,7 @@ MACHINE_KEYS = ("worker_python", "cluster", "generator")
 def recorded_config(path: Path) -> MapperConfig:
     """Return the configuration that a map was made with.
 
-    Raises:
-        MapFolderError: there is no map, or its configuration is that of another version.
+    Raises `MapFolderError`: there is no map, or its configuration is that of another version.
     """
     manifest = read_manifest(path)
     try:
@@ -39,9 +38,8 @@ def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False
 
     `ignores_recorded`: that the map was made with other workers is no reason to refuse.
 
-    Raises:
-        MapFolderError: there is no map, or its configuration is that of another version.
-        ConfigError: the map was made with an interpreter or a cluster that `own` does not name.
+    Raises `MapFolderError`: there is no map, or its configuration is that of another version; `ConfigError`: the map
+    was made with an interpreter or a cluster that `own` does not name.
     """
     recorded = recorded_config(path)
     for key in MACHINE_KEYS:
@@ -60,7 +58,6 @@ def told_config(path: Path) -> MapperConfig:
 
     What is told needs little of it, unlike what is to be continued or repeated: `recorded_config` refuses.
 
-    Raises:
-        MapFolderError: there is no map.
+    Raises `MapFolderError`: there is no map.
     """
     return as_far_as_known(MapperConfig, read_manifest(path).config)

@@ -48,8 +48,7 @@ def registration_history(journal: Journal, num_steps: int, *, num_recent: int) -
 
     `num_recent` keyframes are remembered beside the anchors.
 
-    Raises:
-        MapFolderError: the journal is damaged.
+    Raises `MapFolderError`: the journal is damaged.
     """
     found: list[tuple[int, KeyframeRegistered]] = []
     for index in _way_to(journal, num_steps):
@@ -72,7 +71,7 @@ def registration_history(journal: Journal, num_steps: int, *, num_recent: int) -
 
 
 def _way_to(journal: Journal, num_steps: int) -> list[int]:
-    """Return the steps that led to the state after `num_steps`, without those that somebody went back from."""
+    # Steps that led to the state after `num_steps`, without those that a seek went back from.
     way = []
     index = num_steps - 1
     while index >= 0:

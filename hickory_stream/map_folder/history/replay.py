@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
     """Return the map that the events of a map folder's journal make; `sinks` are shown every step, and closed.
 
-    Raises:
-        MapFolderError: there is no map or no journal, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no map or no journal, or it is damaged or of another version.
     """
     config = recorded_config(path)
     try:
@@ -60,8 +59,7 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
 def show_until_resumed(path: Path, sinks: Sequence[Sink]) -> None:
     """Show sinks the steps of an interrupted run after which `resume` goes on; they are left open for what comes then.
 
-    Raises:
-        MapFolderError: there is no map or no journal, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no map or no journal, or it is damaged or of another version.
     """
     config = recorded_config(path)
     with Journal(path) as journal:
@@ -71,8 +69,6 @@ def show_until_resumed(path: Path, sinks: Sequence[Sink]) -> None:
 
 @dataclass(slots=True)
 class _Shown:
-    """How far a run was shown: its last frame and camera, the keyframes, and the correction of the odometry (4, 4)."""
-
     last: FramePose | None = None
     camera: Camera | None = None
     num_keyframes: int = 0
@@ -80,7 +76,6 @@ class _Shown:
 
 
 def _show(again: Replay, journal: Journal, sinks: Sequence[Sink]) -> _Shown:
-    """Show sinks every step of a journal."""
     shown = _Shown()
     newest: MapSnapshot | None = None
     for replayed in again.steps(len(journal)):
@@ -101,10 +96,6 @@ def _show(again: Replay, journal: Journal, sinks: Sequence[Sink]) -> _Shown:
 def _reports(
     replayed: Replayed, journal: Journal, keyframe_index: int, map_from_odometry: NDArray[np.float64]
 ) -> list[FrameReport]:
-    """Return the reports of a step: its frames, the keyframe last with all that is known of it.
-
-    `map_from_odometry` (4, 4) is the correction of the odometry before it.
-    """
     step, published = replayed.entry.step, replayed.published
     observed = next((event for event in replayed.entry.events if isinstance(event, FrameObserved)), None)
     is_keyframe = step.kind is StepKind.KEYFRAME and observed is not None and published is not None
@@ -142,7 +133,7 @@ def _reports(
 
 
 def _segmentation(observed: FrameObserved, camera: Camera) -> Segmentation:
-    """Return the masks of the observations as one image; which pixels were structure is not known any more."""
+    # Which pixels were structure is not recorded.
     instances = np.zeros((camera.height, camera.width), dtype=np.int32)
     for observation in observed.observations:
         x0, y0, x1, y1 = observation.box_px

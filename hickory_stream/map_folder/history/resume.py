@@ -65,8 +65,7 @@ class ResumePoint:
 def resume_point_of(journal: Journal, config: MapperConfig) -> ResumePoint | None:
     """Return the state from which an interrupted run resumes, None if it had not reached its first keyframe.
 
-    Raises:
-        MapFolderError: the journal does not fit this version.
+    Raises `MapFolderError`: the journal does not fit this version.
     """
     if len(journal) == 0:
         return None
@@ -102,8 +101,7 @@ def resume_point_of(journal: Journal, config: MapperConfig) -> ResumePoint | Non
 def check_interrupted(path: Path) -> Manifest:
     """Return the manifest of a map whose run was interrupted.
 
-    Raises:
-        MapFolderError: there is no map, or its run had finished.
+    Raises `MapFolderError`: there is no map, or its run had finished.
     """
     manifest = read_manifest(path)
     if manifest.finished_cleanly:
@@ -116,10 +114,8 @@ def reopen(
 ) -> tuple[MapFolder, JournalWriter, ResumePoint | None]:
     """Return a map folder whose playback is to be continued, its journal, and where it goes on (None: anew).
 
-    Raises:
-        MapFolderError: there is no map, nothing to continue, or what is there cannot be continued; with features of
-            another extractor it cannot.
-        RecordingError: the source is another one than that of the map.
+    Raises `MapFolderError`: there is no map, nothing to continue, or what is there cannot be continued; with features
+    of another extractor it cannot; `RecordingError`: the source is another one than that of the map.
     """
     manifest = check_interrupted(path)
     if manifest.run.get("mode") != "playback":
@@ -157,8 +153,7 @@ def reopen(
 def was_sought(path: Path) -> bool:
     """Return whether somebody sought in the log while it was played: such a run cannot be continued.
 
-    Raises:
-        MapFolderError: there is no journal, or it is damaged.
+    Raises `MapFolderError`: there is no journal, or it is damaged.
     """
     with Journal(path) as journal:
         # They are counted up: where the last step has none, no earlier one has.
@@ -172,8 +167,7 @@ def was_sought(path: Path) -> bool:
 def save_live(path: Path) -> str:
     """Save the map of a run that was killed and cannot be continued, as of its last complete step; return the digest.
 
-    Raises:
-        MapFolderError: there is no map, nothing to save, or the disk refused.
+    Raises `MapFolderError`: there is no map, nothing to save, or the disk refused.
     """
     check_interrupted(path)
     config = recorded_config(path)
@@ -193,7 +187,6 @@ def save_live(path: Path) -> str:
 
 
 def _check_views(folder: MapFolder, continued: ResumePoint) -> None:
-    """Refuse a map whose views did not all reach the disk."""
     for tracked in continued.core.snapshot().objects:
         for view in tracked.views:
             if not (folder.views / f"{view.name}.json").is_file():

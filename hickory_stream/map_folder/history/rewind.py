@@ -47,8 +47,7 @@ class Rewound:
 def rewound_to(folder: MapFolder, config: MapperConfig, stamp_ns: int, now: MapperCore) -> Rewound:
     """Return the core as it was before a stamp; the next ids that it assigns are those of the core `now`.
 
-    Raises:
-        MapFolderError: the journal is damaged.
+    Raises `MapFolderError`: the journal is damaged.
     """
     with Journal(folder.path) as journal:
         index = step_at(journal.stamps_ns, stamp_ns - 1)

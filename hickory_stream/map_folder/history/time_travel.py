@@ -54,9 +54,8 @@ def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
 
     Each object is read when somebody looks at it (`known_map`).
 
-    Raises:
-        MapFolderError: there is no map or no journal, or it is damaged or of another version; also from what of the map
-            is looked at later.
+    Raises `MapFolderError`: there is no map or no journal, or it is damaged or of another version; also from what of
+    the map is looked at later.
     """
     # It stays open for whoever looks at the map later, and is closed with it.
     journal = Journal(path)
@@ -104,9 +103,7 @@ def changes(before: MapSnapshot, after: MapSnapshot) -> tuple[Change, ...]:
 def stamp_of(path: Path, text: str) -> int:
     """Return the stamp that a text names: seconds of the map's own clock ("12.5"), or a stamp ("17...ns").
 
-    Raises:
-        InputError: it is neither, or outside of the run.
-        MapFolderError: there is no journal.
+    Raises `InputError`: it is neither, or outside of the run; `MapFolderError`: there is no journal.
     """
     with Journal(path) as journal:
         stamps_ns = journal.stamps_ns

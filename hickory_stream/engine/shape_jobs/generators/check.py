@@ -1,4 +1,4 @@
-"""A generator tried on a built-in object: what it is, what it lacks, what it gives and what that takes."""
+"""Test of a generator on a built-in object: requirements, result and duration."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _DRAWN = np.array([230, 60, 40], np.uint8)
 
 
 def checked(spec: GeneratorSpec, path: Path) -> tuple[dict[str, Any], NDArray[np.uint8] | None]:
-    """Return what can be said of a generator, and a picture of what it made of a box, placed over the image of it."""
+    """Return facts about a generator, and a picture of its mesh of a box, over the box's image."""
     missing = missing_of(spec)
     told: dict[str, Any] = {
         "name": spec.name,
@@ -81,7 +81,6 @@ def _tried(generator: ExternalGenerator, told: dict[str, Any]) -> tuple[dict[str
 
 
 def _object() -> ShapeInputs:
-    """Return a box on a floor as a few views show it."""
     crops = []
     box = SCENE_BOXES[-1:]
     for index in _FRAMES:

@@ -1,4 +1,4 @@
-"""The reconstructor of a job: an embedded one, or the generator that this machine has chosen."""
+"""The reconstructor of a job: an embedded one, or the machine's generator."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _ATTEMPTS = 2
 
 
 class ExternalGenerator:
-    """The `MeshGenerator` that asks a program; a second process is tried where the first one fails."""
+    """A `MeshGenerator` that asks a program; a second process is tried if the first one fails."""
 
     def __init__(self, spec: GeneratorSpec) -> None:
         self.name = spec.name
@@ -61,9 +61,9 @@ class ExternalGenerator:
 
 
 def reconstructor_of(config: ShapeConfig) -> Reconstructor:
-    """Return the reconstructor of a job in this process; raises ConfigError where it needs a generator that is unset.
+    """Return the reconstructor of a job; the machine, never the job, chooses the program.
 
-    Which program that is this machine says, never the job.
+    Raises `ConfigError`: the job needs a generator, and none is set.
     """
     if config.reconstructor != "external":
         return make_reconstructor(config.reconstructor, config)
@@ -74,13 +74,12 @@ def reconstructor_of(config: ShapeConfig) -> Reconstructor:
 
 
 def generating(spec: Path, config: ShapeConfig) -> Reconstructor:
-    """Return the reconstructor that asks the generator of a TOML; raises ConfigError where that cannot be read."""
+    """Return the reconstructor that asks the generator of a TOML. Raises `ConfigError`: it cannot be read."""
     return make_reconstructor("external", config, _generator(str(spec)), _refiner(str(spec), config))
 
 
 @cache
 def _generator(path: str) -> ExternalGenerator:
-    """Return the one process of a generator that serves all jobs of this one."""
     generator = ExternalGenerator(read_spec(Path(path)))
     atexit.register(generator.process.close)
     return generator
@@ -88,7 +87,6 @@ def _generator(path: str) -> ExternalGenerator:
 
 @cache
 def _refining(path: str) -> GeneratorProcess | None:
-    """Return the one process of the refiner that a generator names, None where it names none."""
     spec = refiner_of(read_spec(Path(path)))
     if spec is None:
         return None
@@ -103,10 +101,9 @@ def _refiner(path: str, config: ShapeConfig) -> ExternalRefiner | None:
 
 
 def chosen_generator(config: MapperConfig) -> Path | None:
-    """Return the TOML of the generator that a run needs, None where it needs none; nothing is played with a bad one.
+    """Return the TOML of the generator of a run, None without one; checked before anything is played.
 
-    Raises:
-        ConfigError: there is none of that name, its licence was not accepted, or something of it is missing.
+    Raises `ConfigError`: no such generator, its licence was not accepted, or a part is missing.
     """
     if config.shapes.reconstructor != "external":
         return None
@@ -118,8 +115,7 @@ def chosen_generator(config: MapperConfig) -> Path | None:
 def check_generator(path: Path, config: MapperConfig) -> None:
     """Start the generator of a TOML, and its refiner, and end them again.
 
-    Raises:
-        ConfigError: its licence was not accepted, something of it is missing, or it does not start.
+    Raises `ConfigError`: its licence was not accepted, a part is missing, or it does not start.
     """
     spec = read_spec(path)
     refiner = refiner_of(spec)
@@ -140,7 +136,7 @@ def check_generator(path: Path, config: MapperConfig) -> None:
 
 
 def generator_key(config: MapperConfig) -> str:
-    """Return what tells the shapes of a run's generator from those of another one, "" without a generator."""
+    """Return the identity of a run's generator, "" without one."""
     if config.shapes.reconstructor != "external":
         return ""
     return fingerprint(read_spec(find_spec(config.run.generator)))

@@ -1,7 +1,7 @@
-"""A generator's process: started once, asked job after job, replaced when it crashes, hangs or grows.
+"""The process of a generator: started once, replaced when it crashes, hangs or grows.
 
-It is spoken to in lines of JSON. It says {"ready": true} when its weights are loaded; a job is {"job": NAME, "folder":
-PATH}, its answer {"done": NAME}. It ends when its standard input does. Standard error is the run's.
+Protocol, in lines of JSON: it says {"ready": true} when its weights are loaded; a job is {"job": NAME, "folder":
+PATH}, its answer {"done": NAME}. It ends with its standard input. Standard error is the run's.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _MOST_LINE = 1 << 16
 
 
 class GeneratorLimitError(WorkerError):
-    """A generator took more time or memory than it may."""
+    """A generator exceeded its limit of time or memory."""
 
 
 class GeneratorProcess:
-    """One generator; `ask` starts it where it does not run."""
+    """One generator; `ask` starts it if necessary."""
 
     def __init__(self, spec: GeneratorSpec) -> None:
         self.name = spec.name
@@ -45,10 +45,9 @@ class GeneratorProcess:
         self.most_memory_mb = 0.0
 
     def start(self) -> dict[str, Any]:
-        """Start the program and return what it said when it was ready.
+        """Start the program and return its message when it is ready.
 
-        Raises:
-            WorkerError: it cannot be started, or does not get ready.
+        Raises `WorkerError`: it cannot be started, or does not get ready.
         """
         program = program_of(self._spec)
         if program is None or (missing := missing_of(self._spec)):
@@ -78,11 +77,10 @@ class GeneratorProcess:
         return said
 
     def ask(self, folder: Path, job: str) -> None:
-        """Have one job done; afterwards its answer lies in the folder.
+        """Do one job; the answer is in the folder afterwards.
 
-        Raises:
-            WorkerError: it crashed, or answered what is no answer; it is started anew for the next job.
-            GeneratorLimitError: it took too long, or too much memory.
+        Raises `WorkerError`: it crashed or gave an invalid answer, and restarts for the next job;
+        `GeneratorLimitError`.
         """
         if self._child is None or self._child.poll() is not None:
             self.close()
@@ -103,7 +101,7 @@ class GeneratorProcess:
             raise
 
     def close(self) -> None:
-        """End the process and what it started."""
+        """End the process and its children."""
         child, self._child = self._child, None
         if child is None:
             return
@@ -119,7 +117,6 @@ class GeneratorProcess:
                     stream.close()
 
     def _next(self, limit_s: float, what: str) -> dict[str, Any]:
-        """Return the next line that it says; looks at its memory meanwhile."""
         until_s = time.monotonic() + limit_s
         while True:
             try:
@@ -160,7 +157,7 @@ class GeneratorProcess:
 
 
 def _read(child: subprocess.Popen[bytes], lines: queue.Queue[bytes]) -> None:
-    """Hand on what the child says, line by line; an empty line is its end."""
+    # An empty line is the end.
     assert child.stdout is not None
     with contextlib.suppress(OSError, ValueError):
         while line := child.stdout.readline(_MOST_LINE):
