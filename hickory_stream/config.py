@@ -1,4 +1,4 @@
-"""Configuration of the mapper: every algorithm declares its own beside itself; here they are put together."""
+"""Configuration of the mapper, composed of the configurations beside each algorithm."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class MapperConfig:
 
 
 def as_far_as_known(kind: type[T], data: Mapping[str, Any]) -> T:
-    """Return the configuration that another version wrote, as far as this one knows it; the rest has its defaults."""
+    """Return the configuration of another version, as far as this one knows it; defaults for the rest."""
     values: dict[str, Any] = {}
     for name, hint in type_hints(kind).items():  # type: ignore[arg-type] # a class is hashable
         if name not in data:

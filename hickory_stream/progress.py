@@ -1,4 +1,4 @@
-"""How long work shows itself: a bar on a terminal, a plain line now and then elsewhere, JSON lines for machines."""
+"""Progress of long work: a bar on a terminal, plain lines elsewhere, JSON lines for machines."""
 
 from __future__ import annotations
 
@@ -29,10 +29,7 @@ _RATE_AFTER_FRAMES = 8
 
 
 class ProgressPrinter:
-    """Prints progress to standard error; a call costs nothing when it is not yet time to print.
-
-    `part` says which of several runs it is, such as "2 of 5".
-    """
+    """Prints progress to standard error, rarely; `part` names one of several runs, such as "2 of 5"."""
 
     def __init__(
         self,
@@ -53,7 +50,7 @@ class ProgressPrinter:
         self._recent: deque[tuple[float, int]] = deque()
 
     def __call__(self, progress: Progress) -> None:
-        """Take note of where the run is."""
+        """Update the progress of the run."""
         now_s = self._clock()
         self._note(progress, now_s)
         every_s = {"bar": _BAR_EVERY_S, "json": _EVENT_EVERY_S}.get(self._style, _LINE_EVERY_S)

@@ -1,6 +1,6 @@
-"""In-memory fakes of every port, for tests of your own components and of ours: no file, no network, no weights.
+"""In-memory fakes of every port, for tests: no file, no network, no weights.
 
-The source is that of the three boxes in `box_scene`; `players.faults` makes any source fail.
+`box_scene` has a source, and `players.faults` makes any source fail.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class BreakingSource:
 
     @property
     def info(self) -> SourceInfo:
-        """That of the other one."""
+        """The other source's."""
         return self._source.info
 
     def frames(self) -> Iterator[RawFrame]:
@@ -48,11 +48,11 @@ class BreakingSource:
             yield frame
 
     def ledger(self) -> Mapping[str, int]:
-        """Return that of the other one."""
+        """Return the other source's ledger."""
         return self._source.ledger()
 
     def close(self) -> None:
-        """Close the other one."""
+        """Close the other source."""
         self._source.close()
 
 
@@ -71,7 +71,7 @@ class InstanceSegmenter:
         return None
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances of the frame's stamp; whatever is none of them and has depth is structure."""
+        """Return the instances by the frame's stamp; other pixels with depth are structure."""
         del prior, prepared
         instances = self._instances[frame.stamp_ns]
         return Segmentation(instances=instances, structure=(instances == 0) & np.isfinite(frame.depth_m), floor_z_m=0.0)
@@ -100,7 +100,7 @@ class MeanColorExtractor:
 
 
 class BoxReconstructor:
-    """A `Reconstructor` that answers at once: the box of the object as a mesh, seen at corners that layer 1 is near."""
+    """A `Reconstructor` that returns the object's box as a mesh at once; corners near layer 1 count as seen."""
 
     name = "box"
 
@@ -137,7 +137,7 @@ class RememberingSink:
         self.reports.append(report)
 
     def close(self) -> None:
-        """Note that it was closed."""
+        """Record the call."""
         self.is_closed = True
 
 
@@ -161,17 +161,17 @@ class FailingSink:
 
 
 class SlowSink:
-    """A `Sink` that takes `seconds` for each report before it hands it to another sink."""
+    """A `Sink` that waits `seconds` before it passes a report on."""
 
     def __init__(self, sink: Sink, seconds: float) -> None:
         self._sink = sink
         self._seconds = seconds
 
     def show(self, report: FrameReport) -> None:
-        """Wait, and hand one report on."""
+        """Wait, and pass one report on."""
         time.sleep(self._seconds)
         self._sink.show(report)
 
     def close(self) -> None:
-        """Close the other one."""
+        """Close the other sink."""
         self._sink.close()

@@ -1,8 +1,7 @@
-"""The caches: compiled kernels, shapes, recordings; they may be removed at any moment.
+"""Caches of compiled kernels, shapes and recordings, which may be removed at any moment.
 
-All of it lies in one folder, `$HICKORY_CACHE` or `hickory-stream` in the user's caches. Where that cannot be written (a
-service without a home, a read-only disk) a temporary folder stands in for it, and the user is told once. It is capped
-by bytes: what was not used for the longest time goes first.
+They lie in `$HICKORY_CACHE` or `hickory-stream` in the user's caches; if that cannot be written, in a temporary folder,
+with one message. Beyond a cap in bytes, the least recently used entries are removed.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ _TOUCH_EVERY_S = 3600.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CacheEntry:
-    """What is kept and removed as one: its files, their bytes, and when it was last used (seconds since 1970)."""
+    """Files that are removed together, their bytes, and the time of their last use (seconds since 1970)."""
 
     kind: Kind
     paths: tuple[Path, ...]
@@ -45,10 +44,7 @@ class CacheEntry:
 
 
 def cache_folder(kind: Kind) -> Path:
-    """Return the folder of a kind, which is there.
-
-    Raises `ConfigError`: there is no folder at all that can be written.
-    """
+    """Return the existing folder of a kind. Raises `ConfigError`: no folder can be written."""
     folder = cache_root() / kind
     with contextlib.suppress(OSError):  # a full disk: whoever writes there will say so
         folder.mkdir(exist_ok=True)
@@ -56,15 +52,12 @@ def cache_folder(kind: Kind) -> Path:
 
 
 def cache_root() -> Path:
-    """Return the folder of all caches: as configured, or, where that cannot be written, a temporary one.
-
-    Raises `ConfigError`: there is no folder at all that can be written.
-    """
+    """Return the folder of all caches, a temporary one if necessary. Raises `ConfigError`: no folder can be written."""
     return _usable_root(wanted_root())
 
 
 def wanted_root() -> Path:
-    """Return where the caches are to be: `$HICKORY_CACHE`, else in the user's caches."""
+    """Return the configured folder: `$HICKORY_CACHE`, else in the user's caches."""
     named = os.environ.get("HICKORY_CACHE")
     if named:
         return Path(named).absolute()
@@ -78,9 +71,9 @@ def wanted_root() -> Path:
 
 
 def cap_mb() -> float:
-    """Return how much may be kept, in megabytes: `$HICKORY_CACHE_MB`, by default 4000.
+    """Return the cap in megabytes: `$HICKORY_CACHE_MB`, by default 4000.
 
-    Raises `ConfigError`: it is no number of 0 or more.
+    Raises `ConfigError`: it is negative or no number.
     """
     named = os.environ.get("HICKORY_CACHE_MB", "")
     if not named:
@@ -95,7 +88,7 @@ def cap_mb() -> float:
 
 
 def entries() -> Iterator[CacheEntry]:
-    """Yield everything that is kept."""
+    """Yield all entries."""
     for kind in KINDS:
         for paths in _GROUPS[kind](cache_root() / kind):
             with contextlib.suppress(OSError):  # another process has just removed it
@@ -115,7 +108,7 @@ def _num_bytes(path: str | Path) -> int:
 
 
 def clear(kinds: Iterable[Kind] = KINDS) -> int:
-    """Remove all of these kinds; return how many bytes that were."""
+    """Remove all entries of these kinds; return their bytes."""
     root, wanted = cache_root(), list(kinds)
     num_bytes = sum(entry.num_bytes for entry in entries() if entry.kind in wanted)
     for kind in wanted:
@@ -124,7 +117,7 @@ def clear(kinds: Iterable[Kind] = KINDS) -> int:
 
 
 def prune() -> int:
-    """Remove what was not used for the longest time, where more is kept than may be; return how many bytes."""
+    """Remove the least recently used entries beyond the cap; return their bytes."""
     cap = cap_mb() * 1e6
     kept = sorted(entries(), key=lambda entry: entry.used_s)
     total = sum(entry.num_bytes for entry in kept)
@@ -145,7 +138,7 @@ def prune() -> int:
 
 
 def mark_used(*paths: Path) -> None:
-    """Note that an entry is in use; cheap where it was noted within the hour."""
+    """Record the use of an entry, at most once an hour."""
     with contextlib.suppress(OSError):  # it is a cache
         for path in paths:
             if time.time() - path.stat().st_mtime > _TOUCH_EVERY_S:

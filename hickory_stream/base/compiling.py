@@ -1,7 +1,4 @@
-"""Notification that a kernel is being compiled, which takes seconds, once after an installation or an update.
-
-Apart from `compiled`, so that one can ask to be told without loading the compiler.
-"""
+"""Notification of the compilation of a kernel, without loading the compiler."""
 
 from __future__ import annotations
 
@@ -14,10 +11,7 @@ _told: list[Callable[[str], None]] = []
 
 
 def tell_when_compiling(listener: Callable[[str], None]) -> Callable[[], None]:
-    """Have `listener` called with a kernel's name when it begins to be compiled, from any thread; return what ends it.
-
-    Kernels that are loaded from the cache are not told of.
-    """
+    """Call `listener`, from any thread, with the name of each kernel to be compiled; return a function that ends it."""
     _told.append(listener)
     return lambda: _told.remove(listener)
 

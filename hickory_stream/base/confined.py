@@ -1,7 +1,6 @@
-"""Checks of untrusted names, numbers and paths: what a map, a log, a job or a truth folder may refer to.
+"""Checks of untrusted names, numbers and paths of maps, logs, jobs and truth folders.
 
-A folder that came from somebody else may name only plain files within itself. Whatever is read or written under a name
-that a file gives goes through here; the rest of the code then never joins a foreign text to a path.
+A foreign folder may name only plain files within itself. All reads and writes under foreign names go through here.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ _FOLLOW_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 
 class OutsideError(ValueError):
-    """A name that is none, or that leads out of its folder."""
+    """An invalid name, or one that leads out of its folder."""
 
 
 def plain_name(text: object, suffix: str = "") -> str:
-    """Return a file's name as it is: letters, digits, `_`, `-` and single points between them, ending in `suffix`.
+    """Return a plain file name: letters, digits, `_`, `-` and single points between them, ending in `suffix`.
 
     Raises `OutsideError`: it is anything else.
     """
@@ -43,10 +42,7 @@ def plain_name(text: object, suffix: str = "") -> str:
 
 
 def whole_number(value: object, what: str, low: int = 0) -> int:
-    """Return an integer of at least `low`, e.g. an id.
-
-    Raises `OutsideError`: it is none (a bool, a text and a float are none), or too large.
-    """
+    """Return an integer of at least `low`, e.g. an id. Raises `OutsideError`: another type, or too large."""
     # NumPy's integers have an index, too; a bool has one by accident.
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise OutsideError(f"found {what} {_shown(value)}, expected a whole number")
@@ -87,10 +83,10 @@ def _has_link(root: Path, name: str) -> bool:
 
 
 def open_within(root: Path, name: object) -> BinaryIO:
-    """Return a regular file under a folder, open to be read.
+    """Return an open regular file under a folder.
 
-    Raises `OutsideError`: the name leads out of the folder, or is that of a pipe, a device or a folder; `OSError`:
-    there is no such file, or it cannot be read.
+    Raises `OutsideError`: the name leads out of the folder, or is a pipe, a device or a folder; `OSError`: no such
+    file.
     """
     path = path_within(root, name)
     # A pipe without a writer would be waited for.
@@ -108,10 +104,7 @@ def read_within(root: Path, name: object) -> bytes:
 
 
 def open_new(path: Path | str) -> int:
-    """Return the descriptor of a new, empty file to write and read; what was there, a link above all, is removed.
-
-    Raises `OSError`: the disk refused.
-    """
+    """Return the descriptor of a new, empty file; an old file or link there is removed. Raises `OSError`."""
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _FOLLOW_NO_LINK | getattr(os, "O_BINARY", 0)
     try:
         return os.open(path, flags, 0o666)
@@ -121,10 +114,9 @@ def open_new(path: Path | str) -> int:
 
 
 def open_to_change(path: Path) -> BinaryIO:
-    """Return a regular file to read and to write, as it is; a link is not followed.
+    """Return a regular file to read and write; a link is not followed.
 
-    Raises `OutsideError`: it is a pipe, a device or a folder; `OSError`: there is no such file, it is a link, or the
-    disk refused.
+    Raises `OutsideError`: it is a pipe, a device or a folder; `OSError`: there is no such file, or it is a link.
     """
     flags = os.O_RDWR | _FOLLOW_NO_LINK | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     descriptor = os.open(path, flags)
@@ -135,10 +127,7 @@ def open_to_change(path: Path) -> BinaryIO:
 
 
 def refuse_links(root: Path, names: Iterable[str]) -> None:
-    """Refuse a folder of which one of these entries is a link: what it holds, or would hold, lies elsewhere.
-
-    Raises `OutsideError`: naming it.
-    """
+    """Raise `OutsideError`, with its name, if one of these entries of a folder is a link."""
     for name in names:
         if (root / name).is_symlink():
             raise OutsideError(f"{root / name} is a link; replace it by what it points to")

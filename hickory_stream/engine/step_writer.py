@@ -91,7 +91,7 @@ class Recorder:
         ended_jobs: list[int],
         shapes: ShapeQueue,
     ) -> None:
-        """Write a step with the image of `color`; then remove dropped views and ended jobs. `known` is the map after it."""
+        """Write a step with the image of `color`, then remove dropped views and ended jobs; `known` is the map."""
 
         def write() -> None:
             self._journal.append(entry, color(), known)

@@ -1,11 +1,8 @@
-"""A snapshot as one JSON document and the binary files that it names, and back, exactly.
+"""A snapshot as one JSON document and binary files, and back, exactly.
 
-The name of a binary file carries the hash of its content: a document can only refer to files that are complete, and a
-file that exists never needs to be written again. Float32 arrays without a file of their own (features) are base64.
-
-What is read may come from anybody: every name is checked before it is opened, every number before it is used.
-
-Numbers, texts, poses and small arrays of a JSON document: written exactly, and checked when they are read.
+A file's name has the hash of its content: a document refers to complete files only, and an existing file is never
+written again. Small float32 arrays (features) are base64. Nothing read is trusted: names, numbers and sizes are
+checked.
 """
 
 from __future__ import annotations
@@ -50,17 +47,17 @@ if TYPE_CHECKING:
 
 
 def json_number(value: float | None) -> float | str | None:
-    """Return a float for JSON; JSON knows no infinity, which becomes a string that `float` reads."""
+    """Return a float for JSON; infinity becomes a string."""
     return None if value is None else float(value) if math.isfinite(value) else str(float(value))
 
 
 def maybe_float(value: float | str | None) -> float | None:
-    """Return a number that `json_number` made."""
+    """Return the number of `json_number`."""
     return None if value is None else float(value)
 
 
 def json_numbers(array: NDArray[np.float64]) -> Any:
-    """Return a small array as nested lists; Python writes the shortest text that reads back as the same double."""
+    """Return a small array as nested lists; Python writes the shortest text of the same double."""
     values = array.tolist()
     return values if np.isfinite(array).all() else np.vectorize(json_number, otypes=[object])(array).tolist()
 
@@ -79,7 +76,7 @@ def finite_array(values: Any) -> NDArray[np.float64]:
 
 
 def finite(value: Any) -> float:
-    """Return a number of the map; a text, which `float` would take, is refused."""
+    """Return a number; text, which `float` would accept, raises `ValueError`."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"found {value!r}, expected a finite number")
     return float(value)
@@ -136,7 +133,7 @@ _NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8
 
 
 def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
-    """Return the document of a snapshot, and the content of every file that it names by its path in the map folder."""
+    """Return the document of a snapshot, and the contents of its files by their path in the map folder."""
     files: dict[str, bytes] = {}
     document = {
         "revision": int(snapshot.revision),
@@ -150,13 +147,12 @@ def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
 
 
 def decode_snapshot(document: Json, read: Callable[[str], bytes], *, is_whole: bool = True) -> MapSnapshot:
-    """Return the snapshot of a document; `read` gives the content of a file by its path in the map folder.
+    """Return the snapshot of a document; `read` returns the content of a file by its path in the map folder.
 
-    Unless `is_whole`, points and voxels are read when somebody asks for them, and MapFolderError is raised there if
-    their file is damaged.
+    Unless `is_whole`, points and voxels are read on first use, which raises `MapFolderError` for a damaged file.
 
-    Raises:
-        KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError: the document or a file is damaged.
+    Raises KeyError, TypeError, ValueError, IndexError, AttributeError or OverflowError: the document or a file is
+    damaged.
     """
     snapshot = MapSnapshot(
         revision=whole_number(document["revision"], "revision"),
@@ -172,7 +168,7 @@ def decode_snapshot(document: Json, read: Callable[[str], bytes], *, is_whole: b
 
 
 def has_named_content(name: str, data: bytes) -> bool:
-    """Return whether a file's content is the one that its name promises."""
+    """Return whether a file's content has the hash in its name."""
     return name.rpartition(".")[0].endswith(f"-{_short_hash(data)}")
 
 
@@ -186,7 +182,7 @@ def _check_ids(what: str, ids: list[int]) -> None:
 
 
 def encode_space(submap: Submap, files: dict[str, bytes]) -> tuple[str, ...]:
-    """Return the names of the files of a submap's free voxels and of its structure, and add their content."""
+    """Return the names of the files of a submap's free and structure voxels, and add their contents."""
     return tuple(
         _add_file(files, f"{SPACE}/{submap.id:04d}-{name}", ".keys", keys_bytes(keys))
         for name, keys in (("free", submap.observed_space.free), ("structure", submap.observed_space.structure))
@@ -194,7 +190,7 @@ def encode_space(submap: Submap, files: dict[str, bytes]) -> tuple[str, ...]:
 
 
 def encode_submap(submap: Submap, space_names: tuple[str, ...]) -> Json:
-    """Return a submap as the document has it; `space_names` are as those of `encode_space`."""
+    """Return a submap for the document; `space_names` are of `encode_space`."""
     space = submap.observed_space
     free, structure = space_names
     return {
@@ -234,7 +230,7 @@ def encode_points(tracked: TrackedObject, files: dict[str, bytes]) -> str:
 
 
 def encode_object(tracked: TrackedObject, points_name: str) -> Json:
-    """Return an object as the document has it; `points_name` is as that of `encode_points`."""
+    """Return an object for the document; `points_name` is of `encode_points`."""
     names = [view.name for view in tracked.views]
     return {
         "id": int(tracked.id),
@@ -384,7 +380,7 @@ def _decode_shape(entry: Json) -> ObjectShape:
 
 
 def encode_graph(graph: PoseGraphRecord) -> Json:
-    """Return a pose graph as the document has it."""
+    """Return a pose graph for the document."""
     return {
         "nodes": [
             {
@@ -454,7 +450,7 @@ def _one_of(word: Any, known: tuple[T, ...]) -> T:
 
 
 def encode_superquadrics(primitives: Superquadrics) -> Json:
-    """Return superquadrics as JSON has them, exactly."""
+    """Return superquadrics for JSON, exactly."""
     return {
         "exponents": json_numbers(primitives.exponents),
         "semi_axes_m": json_numbers(primitives.semi_axes_m),
@@ -463,11 +459,7 @@ def encode_superquadrics(primitives: Superquadrics) -> Json:
 
 
 def decode_superquadrics(entry: Json) -> Superquadrics:
-    """Return what `encode_superquadrics` wrote.
-
-    Raises:
-        KeyError, TypeError, ValueError: it is damaged.
-    """
+    """Return the superquadrics. Raises KeyError, TypeError or ValueError: damaged."""
     bodies = _superquadrics(entry)
     check_bodies(bodies)
     return bodies

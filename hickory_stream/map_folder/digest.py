@@ -1,11 +1,10 @@
-"""The digest of a map: one number by which two runs are compared.
+"""The digest of a map: one number that compares two runs.
 
-In it, object by object in the order of their ids: id, phase, submap, sightings, first and last stamp, points and their
-colours, box, feature, every view (stamps, box, pose, factors, score, variance, feature, whether cut), which of them is
-the best, the ids merged into it; and of its shape the reconstructor, the hash of the mesh, its place, the fitted and
-the inflated superquadrics, the seen shares and the containment, or its sketch where it has one; and of a map that has a
-pose graph its nodes and edges. Not in it: timings, ledger, configuration, the revision and stamp of the snapshot,
-tickets and file names, the observed space, anything of wall time.
+It covers, by object: id, phase, submap, sightings, first and last stamp, points and colours, box, feature, all views
+(stamps, box, pose, factors, score, variance, feature, is_cut), the best view, merged ids; of the shape: reconstructor,
+hash and pose of the mesh, fitted and inflated superquadrics, seen shares, containment, or else the sketch; and nodes
+and edges of a pose graph. It leaves out timings, ledger, configuration, revision and stamp of the snapshot, tickets,
+file names, and observed space.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def map_digest(snapshot: MapSnapshot) -> str:
-    """Return the sha256 (hex) over the objects, superquadrics and meshes of a map; floats count to the last bit."""
+    """Return the sha256 (hex) of a map's objects, superquadrics and meshes, to the last bit of floats."""
     digest = hashlib.sha256()
     for tracked in sorted(snapshot.objects, key=lambda tracked: tracked.id):
         _feed(digest, _object_values(tracked))
@@ -34,9 +33,9 @@ def map_digest(snapshot: MapSnapshot) -> str:
 
 
 def seal_of(digest: str, document: bytes) -> str:
-    """Return what ties a digest to the document of a map (`map_codec`), which names every other file by its content.
+    """Return the tie between a digest and a map's document, which names all other files by content.
 
-    Who reads it knows, without those files, that the document is that of the map with this digest.
+    It proves, without those files, that the document belongs to the map with this digest.
     """
     return hashlib.sha256(digest.encode() + b"\n" + hashlib.sha256(document).digest()).hexdigest()
 

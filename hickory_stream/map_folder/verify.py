@@ -1,8 +1,7 @@
-"""Does what a map says of itself hold? Everything is proven anew: from the files, the journal and the meshes.
+"""Verification of a map from its files, journal and meshes.
 
-The digest tells of accidents and of edits by hand; it is no signature, and who alters a map on purpose can compute it
-anew. So the journal is gone through again, and layer 4 of each object is proven from its mesh and from the points that
-its job was given. What cannot be known, for lack of a journal or of an end, is told apart from what does not hold.
+The digest detects accidents and edits by hand, but is no signature. So the journal is replayed, and layer 4 of each
+object is proven from its mesh and its job's points. Checks that lack a journal or an end are reported as unknown.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ _MOST_OUTSIDE = 0.5
 
 
 class State(StrEnum):
-    """What came of a check."""
+    """The result of a check."""
 
     HOLDS = "holds"
     FAILS = "fails"
@@ -53,7 +52,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Finding:
-    """What came of one check: of the "digest", the "journal", the "views" or the "layer 4" of an object."""
+    """The result of one check: "digest", "journal", "views", or "layer 4" of an object."""
 
     check: str
     state: State
@@ -63,7 +62,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """What a map is worth: all findings, those of the whole map first, then by object."""
+    """All findings on a map: of the whole map first, then by object."""
 
     digest: str
     recorded_digest: str | None
@@ -72,19 +71,19 @@ class Verdict:
 
     @property
     def is_sound(self) -> bool:
-        """Whether nothing was found that does not hold."""
+        """Whether no check failed."""
         return all(finding.state is not State.FAILS for finding in self.findings)
 
     @property
     def num_proven(self) -> int:
-        """How many objects have a layer 4 that was proven anew."""
+        """Number of objects with a proven layer 4."""
         return sum(finding.check == "layer 4" and finding.state is State.HOLDS for finding in self.findings)
 
 
 def verify(path: Path, progress: Callable[[str], None] = lambda _: None) -> Verdict:
-    """Return what holds of the map in a folder; nothing is written.
+    """Return the verdict on the map in a folder; nothing is written.
 
-    Raises `MapFolderError`: there is no map, or it cannot be read.
+    Raises `MapFolderError`: there is no readable map.
     """
     saved = open_map(path, warns=False, is_whole=True)
     progress("journal")
@@ -104,9 +103,9 @@ def verify(path: Path, progress: Callable[[str], None] = lambda _: None) -> Verd
 
 
 def mend(path: Path) -> str:
-    """Write the objects of a map anew from its journal, where that makes the map of the manifest; return the digest.
+    """Rewrite the objects of a map from its journal if that gives the manifest's digest; return the digest.
 
-    Raises `MapFolderError`: the journal is damaged, or makes another map, or the disk refused; nothing was changed.
+    Raises `MapFolderError`: the journal is damaged, or gives another map, or the disk refused; nothing was changed.
     """
     manifest = read_manifest(path)
     snapshot = replay(path)

@@ -1,15 +1,11 @@
 """The pixels of a kept view as files: colour with the mask as alpha, depth in millimetres, camera and pose.
 
-Colour may be lossy (`run.view_colors`): the mask then is a file of its own, as exact as ever, and the description has
-the checksum of the colour's file, as neither JPEG nor WebP has one. Which it is, the files say.
+Colour may be lossy (`run.view_colors`): the mask is then a file of its own, and the description has the checksum of
+the colour's file, since JPEG and WebP lack one. Only JPEG and WebP as OpenCV writes them are read: baseline, lossy,
+without alpha. Claimed sizes are checked before memory is taken.
 
-They are written without a sync (2-3 ms a view); `MapFolder.save` syncs a view before the map first refers to it. The
-description comes last, so that a view which has one is complete.
-
-Images of kept views as files: what one claims to be is looked at before memory is taken for it.
-
-A file says its kind by its suffix. Of JPEG and WebP only the plain form that OpenCV writes is read: baseline, lossy,
-without alpha.
+Files are written without a sync (2-3 ms a view); `MapFolder.save` syncs a view before its first reference. The
+description comes last, as the mark of a complete view.
 """
 
 from __future__ import annotations
@@ -45,7 +41,7 @@ _JPEG_BASELINE = 0xC0
 
 
 def png_bytes(image: NDArray[Any], *, is_bilevel: bool = False) -> bytes:
-    """Return an image as PNG, quickly: (H, W, 4) uint8 BGRA, (H, W) uint16 or uint8; of one bit if `is_bilevel`."""
+    """Return a PNG, quickly, of (H, W, 4) uint8 BGRA, (H, W) uint16 or uint8; of one bit if `is_bilevel`."""
     import cv2
 
     # Run lengths only: as small as level 1 on camera images and a third quicker. One filter for all rows, the one that
@@ -70,9 +66,9 @@ def lossy_bytes(bgr: NDArray[np.uint8], suffix: str, quality: int) -> bytes:
 
 
 def read_image(path: Path, dtype: np.dtype[Any], num_dimensions: int, crc32: int | None = None) -> NDArray[Any]:
-    """Return the image of a file as it was stored, (H, W) or (H, W, channels) of BGR or BGRA; `crc32` is the file's.
+    """Return the stored image, (H, W) or (H, W, channels) of BGR or BGRA; `crc32` is the file's.
 
-    Raises `MapFolderError`: it is missing, damaged, another kind of image, or claims to be larger than any view.
+    Raises `MapFolderError`: it is missing, damaged, another kind of image, or claims more than the size of any view.
     """
     import cv2
 
@@ -137,10 +133,7 @@ _MOST_LOSSY_SIDE_PX = 16383
 
 
 def crop_files(views: Path, name: str) -> tuple[Path, ...]:
-    """Return the paths of a view's colour, depth, mask and description in the folder `views`; a name is a plain one.
-
-    They have a mask where a lossy colour is there; of a view that is not there they are those of one in PNG.
-    """
+    """Return the paths of a view's colour, depth, mask (if colour is lossy) and description in the folder `views`."""
     plain_name(name)
     depth, mask, description = views / f"{name}.depth.png", views / f"{name}.mask.png", views / f"{name}.json"
     for suffix in _LOSSY.values():
@@ -151,12 +144,9 @@ def crop_files(views: Path, name: str) -> tuple[Path, ...]:
 
 
 def write_crop(views: Path, name: str, crop: Crop, how: RunConfig | None = None) -> None:
-    """Write a view's pixels into the folder `views` (a map folder's `views/`) under `name` (`View.name`).
+    """Write a view's pixels into the folder `views` under `name` (`View.name`); colour as `how.view_colors`, or exact.
 
-    Depth is rounded to millimetres; what is beyond 65.5 m becomes "no return". Colour is as `how.view_colors` says,
-    exact without it.
-
-    Raises `MapFolderError`: the disk refused.
+    Depth is rounded to millimetres; more than 65.5 m becomes "no return". Raises `MapFolderError`: the disk refused.
     """
     description: dict[str, Any] = {
         "camera": asdict(crop.camera),
@@ -203,10 +193,7 @@ def read_crop(views: Path, name: str) -> Crop:
 
 
 def read_mask(views: Path, name: str) -> NDArray[np.bool_]:
-    """Return the mask of a view alone, as `read_crop` has it.
-
-    Raises `MapFolderError`: its file is missing or damaged.
-    """
+    """Return the mask of a view alone. Raises `MapFolderError`: its file is missing or damaged."""
     color_file, _, *mask_file, _ = crop_files(views, name)
     try:
         if mask_file:

@@ -1,12 +1,7 @@
-"""The map folder while it is written: made, continued, saved and finished by one process.
+"""A map folder while one process writes it: created, continued, saved and finished.
 
-`objects.json` is replaced last and what it no longer names is removed after that: whenever a run is killed, its
-folder opens as of its last complete save. `folder_layout` says what it holds, `saved_map` reads it.
-
-Saving one snapshot after another: what a save costs is what has changed since the last one.
-
-Records of a map never change: where an object or a submap is the one that was saved last, so are its part of the
-document and its files.
+`objects.json` is replaced last, and files that it no longer names are removed after that. A save costs as much as has
+changed: unchanged records keep their part of the document and their files.
 """
 
 from __future__ import annotations
@@ -68,24 +63,24 @@ R = TypeVar("R", Submap, TrackedObject)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EncodedSnapshot:
-    """A snapshot as it is written: its `document`, and the names of files that it has no more."""
+    """An encoded snapshot."""
 
     document: bytes
+    #: Files that it no longer names.
     gone: frozenset[str]
 
 
 class SnapshotEncoder:
-    """Encodes snapshots as `encode_snapshot` does, one after another."""
+    """Encodes consecutive snapshots like `encode_snapshot`."""
 
     def __init__(self) -> None:
         self._objects: dict[int, _Entry[TrackedObject]] = {}
         self._submaps: dict[int, _Entry[Submap]] = {}
 
     def encoded(self, snapshot: MapSnapshot, write: Write) -> EncodedSnapshot:
-        """Return what is to be written of a snapshot; the last one that was encoded is on the disk.
+        """Return an encoded snapshot; the one before is on the disk.
 
-        `write` is given the name and the content of each new file, one after another: where a whole map has moved,
-        they are not all in memory at once.
+        `write` receives name and content of each new file in turn: a map that moved is never in memory as a whole.
         """
         before: list[_Entry[Any]] = [*self._submaps.values(), *self._objects.values()]
         self._submaps = _entries(self._submaps, snapshot.submaps, _submap_entry, write)
@@ -106,13 +101,13 @@ class SnapshotEncoder:
 
     @property
     def files(self) -> set[str]:
-        """The names of all files of the last snapshot."""
+        """All files of the last snapshot."""
         entries: list[_Entry[Any]] = [*self._submaps.values(), *self._objects.values()]
         return {name for entry in entries for name in entry.files}
 
 
 class ReferencedNames:
-    """The views and meshes that a snapshot refers to, by their names below the map folder."""
+    """Names, below the map folder, of the views and meshes of a snapshot."""
 
     def __init__(self) -> None:
         self._names: dict[int, tuple[TrackedObject, frozenset[str]]] = {}
@@ -125,7 +120,7 @@ class ReferencedNames:
         return iter(self._num)
 
     def follow(self, snapshot: MapSnapshot) -> list[str]:
-        """Take up a snapshot; return the names that the last one did not refer to."""
+        """Advance to a snapshot; return its new names."""
         before, self._names = self._names, {}
         new: list[str] = []
         for tracked in snapshot.objects:
@@ -207,12 +202,11 @@ def create_map_folder(
     processor: str = "",
     overwrite: bool = False,
 ) -> MapFolder:
-    """Return a new, empty map folder; `overwrite` replaces a map that is there, but never anything else.
+    """Return a new, empty map folder, locked until it is closed; `overwrite` replaces an existing map, nothing else.
 
-    `config`, `source` (e.g. `asdict` of the `SourceInfo`) and `run` must be made of what JSON knows; `extractor`
-    names what makes the features, `processor` the kind that the map depends on. The map of a `run` has a journal from
-    its first moment, an empty one: a run that is killed at once can be gone on with. The folder is locked until it is
-    closed.
+    `config`, `source` (e.g. `asdict` of the `SourceInfo`) and `run` must be JSON; `extractor` makes the features,
+    `processor` is the kind that the map depends on. The map of a `run` has an empty journal at once, so that any kill
+    can be resumed.
 
     Raises `MapFolderError`: the place is taken or cannot be written; nothing is left behind.
     """
@@ -248,9 +242,9 @@ def create_map_folder(
 
 
 def reopen_map_folder(path: Path) -> MapFolder:
-    """Return the map folder of a run that ended early, to be continued; locked until it is closed.
+    """Return the map folder of an interrupted run, to be continued; locked until it is closed.
 
-    Raises `MapFolderError`: no map is there, its format is another, or another process writes it.
+    Raises `MapFolderError`: there is no map, it has another format, or another process writes it.
     """
     manifest = read_manifest(path)
     check_links(path)
@@ -269,7 +263,7 @@ def reopen_map_folder(path: Path) -> MapFolder:
 
 
 class MapFolder:
-    """A map folder being written, by one process, from any of its threads; `drop_...` never wait for the disk."""
+    """A map folder being written by one process, from any thread; `drop_...` never wait for the disk."""
 
     def __init__(
         self, path: Path, manifest: Manifest, lock: FolderLock | None = None, snapshot: MapSnapshot = EMPTY
@@ -289,7 +283,7 @@ class MapFolder:
 
     @property
     def views(self) -> Path:
-        """The folder of the kept views' pixels, for `write_crop` and `read_crop`."""
+        """The folder of kept views, for `write_crop` and `read_crop`."""
         return self.path / VIEWS
 
     @property
@@ -299,11 +293,11 @@ class MapFolder:
 
     @property
     def jobs(self) -> Path:
-        """The folder in which shape jobs are handed over."""
+        """The folder of shape jobs."""
         return self.path / JOBS
 
     def save(self, snapshot: MapSnapshot) -> None:
-        """Make `snapshot` what the folder opens as; only what changed since the last save is written.
+        """Save a snapshot; only changes are written.
 
         Raises `MapFolderError`: the disk refused; the folder opens as of the save before.
         """
@@ -330,7 +324,7 @@ class MapFolder:
         self._drop_requests.append(f"{VIEWS}/{name}")
 
     def keep_views(self, names: Iterable[str]) -> set[str]:
-        """Remove these views' pixels no more, though that was asked for; return those that are gone already."""
+        """Cancel the removal of these views' pixels; return views that are gone already."""
         with self._lock:
             self._take_requests()
             kept = set(names)
@@ -338,11 +332,11 @@ class MapFolder:
             return {name for name in kept if not all(path.exists() for path in crop_files(self.views, name))}
 
     def keep_shape(self, mesh_name: str) -> None:
-        """Never remove a mesh: the map was known to have it at some moment."""
+        """Keep a mesh for good: the map had it at some moment."""
         self._shapes_to_keep.add(mesh_name)
 
     def write_json(self, name: Literal["ledger.json", "timings.json"], data: Any) -> None:
-        """Replace a file beside the map by `data`, which JSON must know.
+        """Replace a file beside the map by JSON.
 
         Raises `MapFolderError`: the disk refused; the old file is untouched.
         """
@@ -350,7 +344,7 @@ class MapFolder:
             write_atomically(self.path / name, pretty_json(data))
 
     def finish(self, *, finished_cleanly: bool, is_reproducible: bool = True) -> Manifest:
-        """Note the map's digest and how the run ended, and remove what a clean end left unreferenced.
+        """Record the map's digest and the end of the run, and remove files that a clean end left unreferenced.
 
         Raises `MapFolderError`: the disk refused; the map opens as not finished.
         """
@@ -378,7 +372,7 @@ class MapFolder:
         return self.manifest
 
     def close(self) -> None:
-        """Let other processes write the folder."""
+        """Unlock the folder."""
         if self._folder_lock is not None:
             self._folder_lock.release()
 
@@ -428,7 +422,7 @@ class MapFolder:
 
 
 def rewrite_objects(path: Path, snapshot: MapSnapshot, kept_meshes: Iterable[str]) -> str:
-    """Save a map anew in its folder, as its run did, with the meshes of earlier moments kept; return the digest.
+    """Save a map into its folder again, with the meshes of earlier moments; return the digest.
 
     Raises `MapFolderError`: a mesh is missing, another process writes the folder, or the disk refused.
     """

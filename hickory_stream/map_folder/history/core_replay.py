@@ -1,8 +1,4 @@
-"""Replay of a recorded run by the core alone, without perception, workers or a clock, to the same map.
-
-From the journal alone: the core is given its events, from the beginning or from the last checkpoint before the moment
-that is asked for.
-"""
+"""Replay of a recorded run by the core alone, without perception, workers or a clock, to the same map."""
 
 from __future__ import annotations
 
@@ -34,10 +30,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Replayed:
-    """A replayed step, and what the core published in it (None: it was no keyframe)."""
+    """A replayed step."""
 
     index: int
     entry: JournalEntry
+    #: Map and decisions of a keyframe, None for other steps.
     published: Publish | None
 
 
@@ -46,9 +43,9 @@ _NONSENSE = (ValueError, LookupError, TypeError, AttributeError, AssertionError,
 
 
 class Replay:
-    """The core of a recorded run after some step; `steps` advances it, `on_request` receives its shape jobs.
+    """The core of a recorded run after some step; `steps` advances it, `on_request` receives shape jobs.
 
-    `reads_later`: of the map before that, arrays are read when they are looked at (`Journal.checkpoint_before`).
+    `reads_later`: arrays of the checkpoint are read on first use (`Journal.checkpoint_before`).
     """
 
     def __init__(
@@ -68,9 +65,9 @@ class Replay:
         self.num_steps = 0
 
     def seek(self, index: int) -> None:
-        """Bring the core to where it was after a step, from the last checkpoint before it.
+        """Restore the core after a step, from the last checkpoint before it.
 
-        Raises `MapFolderError`: the journal is damaged.
+        Raises `MapFolderError`: a damaged journal.
         """
         found = self._journal.checkpoint_before(index, reads_later=self._reads_later)
         if found is not None:
@@ -86,7 +83,7 @@ class Replay:
             pass
 
     def steps(self, end: int) -> Iterator[Replayed]:
-        """Go on to before the step `end`, step by step."""
+        """Replay and yield steps up to the step `end`, exclusive."""
         while self.num_steps < end:
             entry = self._journal.entry(self.num_steps)
             self._go_back(entry.step)
@@ -99,7 +96,7 @@ class Replay:
             yield Replayed(index=self.num_steps - 1, entry=entry, published=published)
 
     def snapshot(self) -> MapSnapshot:
-        """Return the map as it is now. Raises `MapFolderError`: the journal is damaged."""
+        """Return the current map. Raises `MapFolderError`: a damaged journal."""
         with self._sense():
             return self.core.snapshot()
 
@@ -139,7 +136,7 @@ class Replay:
 
 
 def mesh_names(journal: Journal) -> set[str]:
-    """Return the meshes that the map had at some moment."""
+    """Return all meshes that the map ever had."""
     names = set()
     for index in range(len(journal)):
         for event in journal.events(index, "ShapeReady"):

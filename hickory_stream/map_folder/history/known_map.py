@@ -1,7 +1,7 @@
-"""The map after a step as the journal's records have it: each is read when somebody looks at it, points and all.
+"""The map after a step from the journal's records, each read on first use.
 
-Points and space are in no record: who looks at some has the core given the events since the last checkpoint, once for
-all of the map. What it then says of an object must be what the record says.
+Records have no points and space: their first use replays the events since the last checkpoint, once for all. Replayed
+objects must equal their records.
 """
 
 from __future__ import annotations
@@ -31,11 +31,9 @@ _REST = tuple(f.name for f in fields(TrackedObject) if f.name not in ("id", *_PO
 
 
 def known_map(journal: Journal, index: int, config: Callable[[], MappingConfig]) -> MapSnapshot | None:
-    """Return the map after a step; None where the journal, an older one, has no records of it.
+    """Return the map after a step, None for an older journal without records; `config` is called before a replay.
 
-    `config` is asked for when the core is to be given the events.
-
-    Raises `MapFolderError`: the journal is damaged; also from whatever of the map is looked at later.
+    Raises `MapFolderError`: the journal is damaged; also later, on first use of a record.
     """
     known = journal.known(index)
     if known is None:

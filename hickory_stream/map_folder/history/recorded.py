@@ -1,7 +1,6 @@
-"""What a run saw and decided, keyframe by keyframe, from its journal.
+"""Observations and decisions of a run, keyframe by keyframe, from its journal.
 
-The decisions are those of the journal; where an older one has none, the core is given its events again, and what is
-told from there on is what this version decides.
+Decisions of an older journal without them are those of a replay by this version.
 """
 
 from __future__ import annotations
@@ -34,14 +33,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RecordedKeyframe:
-    """A keyframe as the core was told of it; `number` counts keyframes from 0.
-
-    What it saw is where the odometry had it; `map_from_odometry` (4, 4) takes it to where the finished map has it.
-    """
+    """A keyframe as the core received it; `number` counts from 0."""
 
     number: int
     camera: Camera
     observed: FrameObserved
+    #: (4, 4), from the observation's world to the finished map's.
     map_from_odometry: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -55,14 +52,14 @@ class RecordedKeyframe:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RecordedStep:
-    """A step of a run: its keyframe, None at the end of the run, and what was decided."""
+    """A step of a run; its keyframe is None at the end of the run."""
 
     keyframe: RecordedKeyframe | None
     decisions: tuple[Decision, ...]
 
 
 def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
-    """Yield the steps of the run of a map folder; `final` is where its submaps lie in the end.
+    """Yield the steps of a map folder's run; `final` gives the final poses of submaps.
 
     Raises `MapFolderError`: there is no journal, or it is damaged or of another version.
     """
@@ -82,7 +79,7 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
 
 
 def final_snapshot(path: Path) -> MapSnapshot:
-    """Return the map of a folder; of a run that did not end, what its journal makes of it.
+    """Return the map of a folder; of an unfinished run, by its journal.
 
     Raises `MapFolderError`: there is no map, or it is damaged or of another version.
     """

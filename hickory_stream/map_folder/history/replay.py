@@ -1,6 +1,6 @@
-"""The third mode: a recorded run again, from the map folder alone, shown to sinks as it was shown then.
+"""Replay of a recorded run to sinks, from the map folder alone.
 
-There is no depth in a map folder: what is shown of a keyframe are its image, its masks, the decisions and the map.
+A map folder has no depth: a keyframe shows its image, masks, decisions and the map.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
-    """Return the map that the events of a map folder's journal make; `sinks` are shown every step, and closed.
+    """Return the map of a journal's events; `sinks` receive every step, and are closed.
 
     Raises `MapFolderError`: there is no map or no journal, or it is damaged or of another version.
     """
@@ -57,7 +57,7 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
 
 
 def show_until_resumed(path: Path, sinks: Sequence[Sink]) -> None:
-    """Show sinks the steps of an interrupted run after which `resume` goes on; they are left open for what comes then.
+    """Show sinks the steps of an interrupted run that `resume` continues; the sinks stay open.
 
     Raises `MapFolderError`: there is no map or no journal, or it is damaged or of another version.
     """

@@ -1,9 +1,7 @@
-"""Resuming a run that was interrupted: killed, stopped, or ended by an error.
+"""Resuming of an interrupted run: killed, stopped, or ended by an error.
 
-A playback continues after its last complete step and comes to the same map as one that was never interrupted. Of a live
-run, whose frames are gone, everything up to the last step is saved; so it is of one in whose log somebody sought.
-
-The state from which an interrupted run resumes.
+A playback continues after its last complete step, to the same map as an uninterrupted one. A live run, whose frames are
+gone, or a run with seeks is saved as of its last step.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Position:
-    """Where reading goes on: after the frame `last_index` of a round, whose last keyframe was `keyframe`."""
+    """Reading continues after this position: the frame `last_index` of a round, whose last keyframe was `keyframe`."""
 
     round_index: int = 0
     first_index: int = 0
@@ -48,10 +46,7 @@ class Position:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ResumePoint:
-    """The state of an interrupted run, from its journal: the core, the last step, and the pending shape jobs.
-
-    `registration` is what the registration of keyframes knew; None where none was registered.
-    """
+    """The state of an interrupted run: core, last step, pending shape jobs."""
 
     core: MapperCore
     step: Step
@@ -59,11 +54,12 @@ class ResumePoint:
     open_jobs: tuple[OpenJob, ...]
     mesh_names: tuple[str, ...]
     last_frame: FramePose
+    #: None without registered keyframes.
     registration: RegistrationHistory | None = None
 
 
 def resume_point_of(journal: Journal, config: MapperConfig) -> ResumePoint | None:
-    """Return the state from which an interrupted run resumes, None if it had not reached its first keyframe.
+    """Return the state of an interrupted run, None before its first keyframe.
 
     Raises `MapFolderError`: the journal does not fit this version.
     """
@@ -99,10 +95,7 @@ def resume_point_of(journal: Journal, config: MapperConfig) -> ResumePoint | Non
 
 
 def check_interrupted(path: Path) -> Manifest:
-    """Return the manifest of a map whose run was interrupted.
-
-    Raises `MapFolderError`: there is no map, or its run had finished.
-    """
+    """Return the manifest of an interrupted map. Raises `MapFolderError`: there is no map, or its run had finished."""
     manifest = read_manifest(path)
     if manifest.finished_cleanly:
         raise MapFolderError(f"{path} is finished: there is nothing to resume; `inspect` shows it")
@@ -112,10 +105,10 @@ def check_interrupted(path: Path) -> Manifest:
 def reopen(
     path: Path, info: SourceInfo, config: MapperConfig, extractor: str
 ) -> tuple[MapFolder, JournalWriter, ResumePoint | None]:
-    """Return a map folder whose playback is to be continued, its journal, and where it goes on (None: anew).
+    """Return the folder of a playback to continue, its journal, and its state (None: from the beginning).
 
-    Raises `MapFolderError`: there is no map, nothing to continue, or what is there cannot be continued; with features
-    of another extractor it cannot; `RecordingError`: the source is another one than that of the map.
+    Raises `MapFolderError`: there is no map, nothing to continue, or it cannot be continued, e.g. with another feature
+    extractor; `RecordingError`: the source differs from the map's.
     """
     manifest = check_interrupted(path)
     if manifest.run.get("mode") != "playback":
@@ -151,10 +144,7 @@ def reopen(
 
 
 def was_sought(path: Path) -> bool:
-    """Return whether somebody sought in the log while it was played: such a run cannot be continued.
-
-    Raises `MapFolderError`: there is no journal, or it is damaged.
-    """
+    """Return whether a run had seeks, so that it cannot be continued. Raises `MapFolderError`: no readable journal."""
     with Journal(path) as journal:
         # They are counted up: where the last step has none, no earlier one has.
         with suppress(MapFolderError):
@@ -165,7 +155,7 @@ def was_sought(path: Path) -> bool:
 
 
 def save_live(path: Path) -> str:
-    """Save the map of a run that was killed and cannot be continued, as of its last complete step; return the digest.
+    """Save the map of a killed run as of its last complete step; return the digest.
 
     Raises `MapFolderError`: there is no map, nothing to save, or the disk refused.
     """

@@ -1,6 +1,6 @@
-"""The history of every track of a run: its masks, its merges and splits, and why it was dropped.
+"""History of every track of a run: masks, merges, splits, and why it was dropped.
 
-Derived from decisions alone, so that a viewer, which receives them live, and a command, which reads the journal, agree.
+It is derived from decisions alone, so that a viewer of a running map and a command with a journal agree.
 """
 
 from __future__ import annotations
@@ -44,16 +44,15 @@ class Ending:
 
 @dataclass(kw_only=True, slots=True)
 class TrackHistory:
-    """The history of a track; `born`: how it was created, `ending`: None for a track in the map.
-
-    `changes`: where it was set aside as part of the room, and where it was an object after all.
-    """
+    """The history of a track."""
 
     id: int
     born: Turn
     masks: list[Joined] = field(default_factory=list)
     turns: list[Turn] = field(default_factory=list)
+    #: Where it was set aside as part of the room, or became an object again.
     changes: list[Turn] = field(default_factory=list)
+    #: None for a track in the map.
     ending: Ending | None = None
 
     @property
@@ -70,7 +69,7 @@ class TrackHistories:
         self._homes: dict[tuple[int, int], int] = {}
 
     def add(self, frame: int | None, decisions: Iterable[Decision]) -> None:
-        """Take the decisions of a keyframe by the index of its frame, None for those of the end."""
+        """Add the decisions of a keyframe by its frame's index, None for those of the end."""
         for decision in decisions:
             if decision.object_id is not None:
                 self._take(frame, decision.object_id, decision)
