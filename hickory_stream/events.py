@@ -32,8 +32,6 @@ if TYPE_CHECKING:
         View,
     )
 
-# ---- events ---------------------------------------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FrameObserved:
@@ -213,8 +211,6 @@ Event = (
     | KeyframeKeptOut
     | SourceEnded
 )
-
-# ---- effects --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.superquadric import Superquadrics
 
 
-# ---- what a source yields -------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Frame:
     """A decoded, posed RGB-D frame; colour and depth are registered pixel by pixel.
@@ -114,9 +111,6 @@ class SourceInfo:
     end_ns: int | None
     #: Role (color, depth, camera_info, pose, ...) and its topic or file pattern.
     streams: tuple[tuple[str, str], ...]
-
-
-# ---- perception -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -268,9 +262,6 @@ class CoarseFrame:
         freeze(self, "structure", np.bool_, self.depth_mm.shape)
         if self.stride_px < 1 or self.depth_mm.size == 0:
             raise ValueError(f"cells of {self.stride_px} pixels, {self.depth_mm.shape} of them")
-
-
-# ---- the map --------------------------------------------------------------------------------------------------------
 
 
 class Phase(StrEnum):
@@ -607,8 +598,6 @@ class MapSnapshot:
     objects: tuple[TrackedObject, ...]
     graph: PoseGraphRecord | None = None
 
-
-# ---- what sinks are shown -------------------------------------------------------------------------------------------
 
 DropCause = Literal["structure", "in structure", "looked through", "never confirmed"]
 """Why a track is no object: structure, a piece of some, nothing where it should be, or seen too seldom."""

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from hickory_stream.records import FrameReport, MapPrior
 
 
-# ---- a source --------------------------------------------------------------------------------------------------------
-
-
 class BreakingSource:
     """A `Source` that plays another one, and raises `error` in place of the frame `at`."""
 
@@ -54,9 +51,6 @@ class BreakingSource:
     def close(self) -> None:
         """Close the other source."""
         self._source.close()
-
-
-# ---- perception ------------------------------------------------------------------------------------------------------
 
 
 class InstanceSegmenter:
@@ -96,9 +90,6 @@ class MeanColorExtractor:
         return features.astype(np.float32)
 
 
-# ---- shapes ----------------------------------------------------------------------------------------------------------
-
-
 class BoxReconstructor:
     """A `Reconstructor` that returns the object's box as a mesh at once; corners near layer 1 count as seen."""
 
@@ -120,9 +111,6 @@ class BoxReconstructor:
             is_seen=gaps_m < 0.1 * inputs.box.diagonal_m,
         )
         return Reconstruction(mesh=mesh, world_from_object=inputs.box.world_from_box)
-
-
-# ---- sinks -----------------------------------------------------------------------------------------------------------
 
 
 class RememberingSink:

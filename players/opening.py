@@ -169,27 +169,18 @@ def _open_folder(folder: Path, options: SourceOptions) -> Source | None:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError as error:
         raise RecordingError(f"{folder} cannot be read: {error.strerror or error}") from error
-    from players.logs.folder_layouts import (
-        CAM_PARAMS,
-        CAMERA_POSES,
-        TRAJECTORY,
-        open_hope,
-        open_posed_folder,
-        open_replica,
-        open_seven_scenes,
-        open_tum,
-    )
+    from players.logs import folder_layouts
 
     if "metadata.yaml" in names:
         return None
     if any(name.startswith("frame-") and ".color." in name for name in names):
-        return open_seven_scenes(folder, options)
+        return folder_layouts.open_seven_scenes(folder, options)
     if "rgb.txt" in names:
-        return open_tum(folder, options)
-    if TRAJECTORY in names and "results" in names:
-        return open_replica(folder, options)
+        return folder_layouts.open_tum(folder, options)
+    if folder_layouts.TRAJECTORY in names and "results" in names:
+        return folder_layouts.open_replica(folder, options)
     if any(name.endswith(("_rgb.jpg", "_rgb.png")) for name in names):
-        return open_hope(folder, options)
-    if CAM_PARAMS in names or CAMERA_POSES in names:
-        return open_posed_folder(folder, options)
+        return folder_layouts.open_hope(folder, options)
+    if folder_layouts.CAM_PARAMS in names or folder_layouts.CAMERA_POSES in names:
+        return folder_layouts.open_posed_folder(folder, options)
     return None

@@ -145,9 +145,6 @@ def mark_used(*paths: Path) -> None:
                 os.utime(path)
 
 
-# ---- what belongs together ------------------------------------------------------------------------------------------
-
-
 def _two_levels(folder: Path) -> Iterator[tuple[Path, ...]]:
     yield from ((path,) for path in sorted(folder.glob("*/*")))
 
@@ -167,9 +164,6 @@ _GROUPS = {
     "true-shapes": _by_stem,
     "image-features": _two_levels,
 }
-
-
-# ---- where ----------------------------------------------------------------------------------------------------------
 
 
 @cache

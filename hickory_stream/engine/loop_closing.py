@@ -103,8 +103,6 @@ class LoopCloser:
             answer.cancel()
         self._thread.shutdown(wait=True, cancel_futures=True)
 
-    # ---- on the thread of searches -----------------------------------------------------------------------------------
-
     def _found(self, search: SearchLoops) -> tuple[Loop, ...]:
         submaps = search.submaps
         later_id = submaps[-1].id

@@ -134,8 +134,6 @@ class Run:
             for name in parts.resumes.mesh_names:
                 folder.keep_shape(name)
 
-    # ---- from outside ------------------------------------------------------------------------------------------------
-
     @property
     def num_keyframes(self) -> int:
         """Number of mapped keyframes."""
@@ -227,8 +225,6 @@ class Run:
     def _is_source_over(self) -> bool:
         return self._parts.resumes is not None and self._parts.resumes.step.kind is StepKind.ENDED
 
-    # ---- frame by frame ----------------------------------------------------------------------------------------------
-
     async def _map(self) -> None:
         while (reads := await self._reader.take()) is not None:
             try:
@@ -279,8 +275,6 @@ class Run:
         self._loops.restart(rewound.core.searches)
         self._corrections.forget()
         self._announcer.publish(await on_thread(self._thinker, rewound.core.snapshot))
-
-    # ---- a keyframe --------------------------------------------------------------------------------------------------
 
     async def _map_keyframe(self, read: Read) -> FrameOutcome:
         # A live run decodes the keyframe only now: its images may be torn.
@@ -356,8 +350,6 @@ class Run:
             free_keys=ahead.free_keys,
         )
 
-    # ---- the end -----------------------------------------------------------------------------------------------------
-
     async def _end(self, last: FramePose) -> None:
         decisions: tuple[Decision, ...] = ()
         self._clock.counts.update(self._reader.lost)
@@ -390,8 +382,6 @@ class Run:
                 decisions=decisions,
             )
         )
-
-    # ---- what others are told ----------------------------------------------------------------------------------------
 
     def _metrics(self, times_s: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
         backlogs = {f"sink-{i}": length for i, length in enumerate(self._announcer.backlogs)}

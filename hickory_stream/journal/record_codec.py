@@ -151,9 +151,6 @@ def encode_array(array: NDArray[Any]) -> bytes:
     return cbor2.dumps(_array_tag(array))
 
 
-# ---- writing --------------------------------------------------------------------------------------------------------
-
-
 def _plain(value: Any, parts: PartStore | None) -> Any:
     kind: type = type(value)
     if kind in _AS_THEY_ARE or kind is int:
@@ -233,9 +230,6 @@ def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
 def _little(dtype: np.dtype[Any]) -> tuple[np.dtype[Any], str]:
     little = dtype.newbyteorder("<")
     return little, little.str
-
-
-# ---- reading --------------------------------------------------------------------------------------------------------
 
 
 class _Reader:

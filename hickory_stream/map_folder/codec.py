@@ -178,9 +178,6 @@ def _check_ids(what: str, ids: list[int]) -> None:
         raise ValueError(f"the ids of {what}s are not in ascending order: {ids[:10]}")
 
 
-# ---- the records ----------------------------------------------------------------------------------------------------
-
-
 def encode_space(submap: Submap, files: dict[str, bytes]) -> tuple[str, ...]:
     """Return the names of the files of a submap's free and structure voxels, and add their contents."""
     return tuple(
@@ -472,9 +469,6 @@ def _superquadrics(entry: Json) -> Superquadrics:
         semi_axes_m=to_array(entry["semi_axes_m"]).reshape(count, 3),
         world_from_local=to_array(entry["world_from_local"]).reshape(count, 4, 4),
     )
-
-
-# ---- files ----------------------------------------------------------------------------------------------------------
 
 
 def _read_later(record: R, name: str, arrays: Callable[[], Arrays], *fields: str) -> R:

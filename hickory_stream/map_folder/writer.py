@@ -19,31 +19,8 @@ from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.lazy_arrays import are_made_alike
 from hickory_stream.journal.format import JOURNAL
-from hickory_stream.map_folder.codec import (
-    POINTS,
-    SPACE,
-    encode_graph,
-    encode_object,
-    encode_points,
-    encode_snapshot,
-    encode_space,
-    encode_submap,
-)
+from hickory_stream.map_folder import codec, layout
 from hickory_stream.map_folder.digest import map_digest, seal_of
-from hickory_stream.map_folder.layout import (
-    EMPTY,
-    FOLDERS,
-    JOBS,
-    OBJECTS,
-    SHAPES,
-    VIEWS,
-    FolderLock,
-    check_links,
-    check_place,
-    files_of_name,
-    named_by,
-    remove_map,
-)
 from hickory_stream.map_folder.manifest import MANIFEST, Manifest, manifest_json, pretty_json, read_manifest
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import crop_files
@@ -96,7 +73,7 @@ class SnapshotEncoder:
             f'"objects": [{", ".join(entry.text for entry in self._objects.values())}]',
         ]
         if snapshot.graph is not None:
-            parts.append(f'"graph": {dumps_exactly(encode_graph(snapshot.graph))}')
+            parts.append(f'"graph": {dumps_exactly(codec.encode_graph(snapshot.graph))}')
         return EncodedSnapshot(document=f"{{{', '.join(parts)}}}".encode(), gone=frozenset(gone))
 
     @property
@@ -128,7 +105,7 @@ class ReferencedNames:
             if known is not None and known[0] is tracked:
                 self._names[tracked.id] = known
                 continue
-            names = named_by(tracked)
+            names = layout.named_by(tracked)
             self._names[tracked.id] = (tracked, names)
             old = known[1] if known is not None else frozenset()
             for name in names - old:
@@ -175,16 +152,16 @@ def _entries(
 def _submap_entry(submap: Submap, known: _Entry[Submap] | None, files: dict[str, bytes]) -> _Entry[Submap]:
     # A submap that was moved has its voxels where they were.
     has_same_space = known is not None and known.record.observed_space is submap.observed_space
-    names = known.files if known is not None and has_same_space else encode_space(submap, files)
-    return _Entry(submap, dumps_exactly(encode_submap(submap, names)), names)
+    names = known.files if known is not None and has_same_space else codec.encode_space(submap, files)
+    return _Entry(submap, dumps_exactly(codec.encode_submap(submap, names)), names)
 
 
 def _object_entry(
     tracked: TrackedObject, known: _Entry[TrackedObject] | None, files: dict[str, bytes]
 ) -> _Entry[TrackedObject]:
     has_same_points = known is not None and are_made_alike(known.record, tracked)
-    points = known.files[0] if known is not None and has_same_points else encode_points(tracked, files)
-    return _Entry(tracked, dumps_exactly(encode_object(tracked, points)), (points,))
+    points = known.files[0] if known is not None and has_same_points else codec.encode_points(tracked, files)
+    return _Entry(tracked, dumps_exactly(codec.encode_object(tracked, points)), (points,))
 
 
 def _others(entries: Iterable[_Entry[Any]], than: Iterable[_Entry[Any]]) -> list[_Entry[Any]]:
@@ -210,13 +187,13 @@ def create_map_folder(
 
     Raises `MapFolderError`: the place is taken or cannot be written; nothing is left behind.
     """
-    check_place(path, overwrite)
+    layout.check_place(path, overwrite)
     manifest = Manifest(config=config, source=source, run=run or {}, extractor=extractor, processor=processor)
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     with disk_errors(path):
         try:
             path.mkdir(parents=True, exist_ok=True)
-            lock = FolderLock(path)
+            lock = layout.FolderLock(path)
         except OSError:
             if missing:
                 shutil.rmtree(missing[-1], ignore_errors=True)
@@ -229,8 +206,8 @@ def create_map_folder(
                 (path / JOURNAL).unlink(missing_ok=True)
             # Before all else, so that what a kill leaves is known for a map folder, opens, and can be overwritten.
             write_atomically(path / MANIFEST, manifest_json(manifest))
-            remove_map(path)
-            for name in FOLDERS:
+            layout.remove_map(path)
+            for name in layout.FOLDERS:
                 (path / name).mkdir(exist_ok=True)
             sync(path)
         except OSError:
@@ -247,11 +224,11 @@ def reopen_map_folder(path: Path) -> MapFolder:
     Raises `MapFolderError`: there is no map, it has another format, or another process writes it.
     """
     manifest = read_manifest(path)
-    check_links(path)
+    layout.check_links(path)
     with disk_errors(path):
-        lock = FolderLock(path)
+        lock = layout.FolderLock(path)
         try:
-            for name in FOLDERS:
+            for name in layout.FOLDERS:
                 (path / name).mkdir(exist_ok=True)
             for partial in path.rglob(f".*{PARTIAL_SUFFIX}"):
                 partial.unlink()
@@ -266,7 +243,11 @@ class MapFolder:
     """A map folder being written by one process, from any thread; `drop_...` never wait for the disk."""
 
     def __init__(
-        self, path: Path, manifest: Manifest, lock: FolderLock | None = None, snapshot: MapSnapshot = EMPTY
+        self,
+        path: Path,
+        manifest: Manifest,
+        lock: layout.FolderLock | None = None,
+        snapshot: MapSnapshot = layout.EMPTY,
     ) -> None:
         self.path = path
         self.manifest = manifest
@@ -284,17 +265,17 @@ class MapFolder:
     @property
     def views(self) -> Path:
         """The folder of kept views, for `write_crop` and `read_crop`."""
-        return self.path / VIEWS
+        return self.path / layout.VIEWS
 
     @property
     def shapes(self) -> Path:
         """The folder of the meshes."""
-        return self.path / SHAPES
+        return self.path / layout.SHAPES
 
     @property
     def jobs(self) -> Path:
         """The folder of shape jobs."""
-        return self.path / JOBS
+        return self.path / layout.JOBS
 
     def save(self, snapshot: MapSnapshot) -> None:
         """Save a snapshot; only changes are written.
@@ -313,7 +294,7 @@ class MapFolder:
             for folder in sorted(written):
                 sync(self.path / folder)
             self._sync_referenced(snapshot)
-            write_atomically(self.path / OBJECTS, encoded.document)
+            write_atomically(self.path / layout.OBJECTS, encoded.document)
             sync(self.path)
             self._last, self._encoder, self._is_swept = snapshot, encoder, was_swept
             self._remove_unreferenced(encoded.gone)
@@ -321,14 +302,14 @@ class MapFolder:
 
     def drop_view(self, name: str) -> None:
         """Remove a view's pixels once the saved map does not refer to them."""
-        self._drop_requests.append(f"{VIEWS}/{name}")
+        self._drop_requests.append(f"{layout.VIEWS}/{name}")
 
     def keep_views(self, names: Iterable[str]) -> set[str]:
         """Cancel the removal of these views' pixels; return views that are gone already."""
         with self._lock:
             self._take_requests()
             kept = set(names)
-            self._dropped -= {f"{VIEWS}/{name}" for name in kept}
+            self._dropped -= {f"{layout.VIEWS}/{name}" for name in kept}
             return {name for name in kept if not all(path.exists() for path in crop_files(self.views, name))}
 
     def keep_shape(self, mesh_name: str) -> None:
@@ -352,20 +333,20 @@ class MapFolder:
             self._referenced.follow(self._last)
             if finished_cleanly:
                 past = {self.shapes / name for name in self._shapes_to_keep}
-                kept = past.union(*(files_of_name(self.path, name) for name in self._referenced))
+                kept = past.union(*(layout.files_of_name(self.path, name) for name in self._referenced))
                 for path in {*self.views.iterdir(), *self.shapes.iterdir()} - kept:
                     path.unlink(missing_ok=True)
             self._remove_dropped()
-            if not (self.path / OBJECTS).exists():
-                document, _ = encode_snapshot(self._last)
-                write_atomically(self.path / OBJECTS, dumps_exactly(document).encode())
+            if not (self.path / layout.OBJECTS).exists():
+                document, _ = codec.encode_snapshot(self._last)
+                write_atomically(self.path / layout.OBJECTS, dumps_exactly(document).encode())
             digest = map_digest(self._last)
             self.manifest = replace(
                 self.manifest,
                 finished_cleanly=finished_cleanly,
                 is_reproducible=is_reproducible,
                 digest=digest,
-                seal=seal_of(digest, (self.path / OBJECTS).read_bytes()),
+                seal=seal_of(digest, (self.path / layout.OBJECTS).read_bytes()),
             )
             write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
             sync(self.path)
@@ -385,7 +366,7 @@ class MapFolder:
     def _sync_referenced(self, snapshot: MapSnapshot) -> None:
         # Views are written without a sync; the map may refer to them only after one.
         self._unsynced.update(self._referenced.follow(snapshot))
-        files = {name: files_of_name(self.path, name) for name in self._unsynced}
+        files = {name: layout.files_of_name(self.path, name) for name in self._unsynced}
         # The description of a view, the last of its files, is written last.
         whole = {name for name, paths in files.items() if paths[-1].exists()}
         for path in [path for name in whole for path in files[name]]:
@@ -402,7 +383,7 @@ class MapFolder:
             (self.path / name).unlink(missing_ok=True)
         if not self._is_swept:
             names = self._encoder.files
-            for folder in (POINTS, SPACE):
+            for folder in (codec.POINTS, codec.SPACE):
                 for path in (self.path / folder).iterdir():
                     if f"{folder}/{path.name}" not in names:
                         path.unlink()
@@ -416,7 +397,7 @@ class MapFolder:
     def _remove_dropped(self) -> None:
         self._take_requests()
         unreferenced = {name for name in self._dropped if name not in self._referenced}
-        for path in [path for name in unreferenced for path in files_of_name(self.path, name)]:
+        for path in [path for name in unreferenced for path in layout.files_of_name(self.path, name)]:
             path.unlink(missing_ok=True)
         self._dropped -= unreferenced
 
@@ -427,12 +408,12 @@ def rewrite_objects(path: Path, snapshot: MapSnapshot, kept_meshes: Iterable[str
     Raises `MapFolderError`: a mesh is missing, another process writes the folder, or the disk refused.
     """
     manifest = read_manifest(path)
-    check_links(path)
+    layout.check_links(path)
     for tracked in snapshot.objects:
-        if tracked.shape is not None and not (path / SHAPES / tracked.shape.mesh_name).is_file():
+        if tracked.shape is not None and not (path / layout.SHAPES / tracked.shape.mesh_name).is_file():
             raise MapFolderError(f"{path} lacks shapes/{tracked.shape.mesh_name} of object {tracked.id}")
     with disk_errors(path):
-        folder = MapFolder(path, manifest, FolderLock(path))
+        folder = MapFolder(path, manifest, layout.FolderLock(path))
     try:
         for name in kept_meshes:
             folder.keep_shape(name)

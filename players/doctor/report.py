@@ -178,8 +178,6 @@ def _histogram_lines(histogram: dict[str, list[float]]) -> list[str]:
     ]
 
 
-# ---- the page --------------------------------------------------------------------------------------------------------
-
 _STYLE = """
 table { width: 100%; font-size: .88rem; }
 td, th { padding: .25rem .6rem; text-align: left; border-bottom: 1px solid var(--line); }

@@ -11,16 +11,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
 
 from hickory_stream.errors import RecordingError
-from players.live.dds_domain import (
-    check_installed,
-    participant,
-    qos,
-    ros_type,
-    settings,
-    taken,
-    topic_of,
-    write,
-)
+from players.live import dds_domain as dds
 from players.live.transport import Health
 from players.logs.containers import Topic
 
@@ -51,7 +42,7 @@ class DdsRoute:
             raise RecordingError(f"found {uri}, expected {KNOWN}, with a DOMAIN of 0 to {_MOST_DOMAINS}")
         if interfaces and not peers:
             raise RecordingError(f"{uri} names an interface and no peer: name the robot, e.g. &peer=192.168.123.161")
-        check_installed()
+        dds.check_installed()
         self.uri = uri
         self._domain = domain
         self._interface = interfaces[0] if interfaces else _LOOPBACK
@@ -95,8 +86,6 @@ class DdsRoute:
         if self._thread is not None:
             self._thread.join(10.0)
 
-    # ---- the way back ------------------------------------------------------------------------------------------------
-
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
         """Announce a topic of ours: reliable, and latched for late subscribers if asked."""
         del definition, type_hash
@@ -110,15 +99,13 @@ class DdsRoute:
             if writer is None:
                 return False
             is_heard = self._offers[name][1] or bool(writer.get_matched_subscriptions())
-            return write(writer, data) and is_heard
+            return dds.write(writer, data) and is_heard
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
         """Call `hear` with each message of a topic."""
         with self._lock:
             self._listeners[name] = hear
             self._wanted.add(name)
-
-    # ---- the domain --------------------------------------------------------------------------------------------------
 
     def _run(self, inbox: Inbox) -> None:
         from cyclonedds.core import DDSException
@@ -135,7 +122,7 @@ class DdsRoute:
         from cyclonedds.core import WaitSet
         from cyclonedds.util import duration
 
-        domain, member = participant(self._domain, settings(self._interface, self._peers))
+        domain, member = dds.participant(self._domain, dds.settings(self._interface, self._peers))
         self._problem = f"nobody publishes in domain {self._domain}: {', '.join(self._peers)} over {self._interface}"
         publications = BuiltinDataReader(member, BuiltinTopicDcpsPublication)
         waiting = WaitSet(member)
@@ -149,7 +136,7 @@ class DdsRoute:
                 with self._lock:
                     readers = list(self._readers.items())
                 for name, reader in readers:
-                    for data in taken(reader):
+                    for data in dds.taken(reader):
                         if name in self._listeners:
                             self._listeners[name](data)
                         else:
@@ -175,7 +162,7 @@ class DdsRoute:
             if is_gone:
                 inbox.withdraw(name)
             return
-        type_name = ros_type(endpoint.type_name)
+        type_name = dds.ros_type(endpoint.type_name)
         if not endpoint.topic_name.startswith("rt/") or type_name is None or key.startswith(own):
             return
         name = endpoint.topic_name.removeprefix("rt")
@@ -187,16 +174,7 @@ class DdsRoute:
                 self._other_types[name] = type_name
                 return
         if name not in self._listeners:
-            inbox.announce(
-                Topic(
-                    name=name,
-                    type_name=type_name,
-                    num_messages=None,
-                    wire="cdr",
-                    definition_format="none",
-                    definition="",
-                )
-            )
+            inbox.announce(Topic(name=name, type_name=type_name))
 
     def _declare(self, member: Any, waiting: Any) -> None:
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
@@ -206,15 +184,15 @@ class DdsRoute:
         with self._lock:
             for name in sorted(self._wanted & self._types.keys() - self._readers.keys()):
                 type_name, is_reliable, is_latched = self._types[name]
-                kind = qos(is_reliable=is_reliable, is_latched=is_latched)
-                reader = self._readers[name] = DataReader(member, topic_of(member, name, type_name), qos=kind)
+                kind = dds.qos(is_reliable=is_reliable, is_latched=is_latched)
+                reader = self._readers[name] = DataReader(member, dds.topic_of(member, name, type_name), qos=kind)
                 condition = ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any)
                 waiting.attach(condition)
                 self._conditions.append(condition)
             for name, (type_name, is_latched) in self._offers.items():
                 if name not in self._writers:
-                    kind = qos(is_reliable=True, is_latched=is_latched, depth=1 if is_latched else 10)
-                    self._writers[name] = DataWriter(member, topic_of(member, name, type_name), qos=kind)
+                    kind = dds.qos(is_reliable=True, is_latched=is_latched, depth=1 if is_latched else 10)
+                    self._writers[name] = DataWriter(member, dds.topic_of(member, name, type_name), qos=kind)
 
 
 def _offered(kind: Any) -> tuple[bool, bool]:

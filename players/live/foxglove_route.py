@@ -189,8 +189,6 @@ class FoxgloveRoute:
         if self._thread is not None:
             self._thread.join(5.0)
 
-    # ---- the way back ------------------------------------------------------------------------------------------------
-
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
         """Announce a topic of ours."""
         del type_hash
@@ -206,8 +204,6 @@ class FoxgloveRoute:
             self._heard[name] = hear
             self._wanted.add(name)
             self._ask()
-
-    # ---- connection --------------------------------------------------------------------------------------------------
 
     def _run(self, inbox: Inbox) -> None:
         from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage

@@ -85,8 +85,6 @@ class Inbox:
         """How many topics were announced beyond `MAX_TOPICS`."""
         self.arrivals: dict[str, Arrivals] = {}
 
-    # ---- for routes --------------------------------------------------------------------------------------------------
-
     def announce(self, topic: Topic) -> None:
         """Add a topic; of two types under one name the first one holds."""
         with self._changed:
@@ -157,8 +155,6 @@ class Inbox:
         with self._changed:
             self._end = self._end if self._end is not None else reason
             self._changed.notify_all()
-
-    # ---- for the reader ----------------------------------------------------------------------------------------------
 
     def take(self, timeout_s: float) -> LogMessage | None:
         """Return the oldest message; None after the timeout, or at the end."""

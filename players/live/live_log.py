@@ -73,8 +73,6 @@ class LiveLog:
         """Return the number of received messages of each topic that were not passed on yet."""
         return self.inbox.waiting() + Counter(message.topic for message in self._kept)
 
-    # ---- opening -----------------------------------------------------------------------------------------------------
-
     def want(self, names: Collection[str]) -> None:
         """Keep the images of these topics only from now on; small messages are always kept."""
         self._wanted = frozenset(names)
@@ -97,8 +95,6 @@ class LiveLog:
         """Accept no more messages, and wake a waiting reader."""
         self._is_ended = True
         self.inbox.close()
-
-    # ---- reading -----------------------------------------------------------------------------------------------------
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield kept messages, then arriving ones until the attempt at opening ends, or after `begin` to the end."""

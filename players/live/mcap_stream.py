@@ -15,22 +15,8 @@ from typing import TYPE_CHECKING
 
 from players.live.inbox import MAX_MESSAGE_BYTES
 from players.live.transport import Health
+from players.logs import mcap_records as mcap
 from players.logs.decompression import UnpackError
-from players.logs.mcap_records import (
-    CHANNEL,
-    CHUNK_OP,
-    FOOTER,
-    HEAD,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_OP,
-    SCHEMA,
-    Described,
-    is_record,
-    learn,
-    topic_of,
-    unpacked_chunk,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -56,7 +42,7 @@ class McapStream:
         """Prepare to read a path, or standard input where there is none."""
         self.uri = uri
         self._path = path
-        self._described = Described()
+        self._described = mcap.Described()
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
         self._health = Health(is_connected=False, problem=f"nothing was written to {path or 'standard input'} yet")
@@ -92,24 +78,24 @@ class McapStream:
         inbox.close(reason)
 
     def _take(self, inbox: Inbox, opcode: int, content: memoryview) -> None:
-        if opcode == CHUNK_OP:
-            records = memoryview(unpacked_chunk(content, 0, len(content)))
+        if opcode == mcap.CHUNK_OP:
+            records = memoryview(mcap.unpacked_chunk(content, 0, len(content)))
             at = 0
-            while at + HEAD.size <= len(records):
-                inner, length = HEAD.unpack_from(records, at)
-                at += HEAD.size
-                if inner != CHUNK_OP:
+            while at + mcap.HEAD.size <= len(records):
+                inner, length = mcap.HEAD.unpack_from(records, at)
+                at += mcap.HEAD.size
+                if inner != mcap.CHUNK_OP:
                     self._take(inbox, inner, records[at : at + length])
                 at += length
-        elif opcode in (SCHEMA, CHANNEL):
-            learn(self._described, opcode, bytes(content))
+        elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
+            mcap.learn(self._described, opcode, bytes(content))
             for channel in self._described.channels:
-                inbox.announce(topic_of(self._described, channel, None))
-        elif opcode == MESSAGE_OP and len(content) >= MESSAGE.size:
-            channel = MESSAGE.unpack_from(content, 0)[0]
+                inbox.announce(mcap.topic_of(self._described, channel, None))
+        elif opcode == mcap.MESSAGE_OP and len(content) >= mcap.MESSAGE.size:
+            channel = mcap.MESSAGE.unpack_from(content, 0)[0]
             known = self._described.channels.get(channel)
             if known is not None and not self._stopped.is_set():
-                inbox.put(known[1], content[MESSAGE.size :], waits=True)
+                inbox.put(known[1], content[mcap.MESSAGE.size :], waits=True)
 
     def _records(self) -> Iterator[tuple[int, memoryview]]:
         buffer, at = bytearray(), 0
@@ -118,20 +104,20 @@ class McapStream:
         for piece in pieces:
             buffer += piece
             if is_first:
-                if len(buffer) < len(MAGIC):
+                if len(buffer) < len(mcap.MAGIC):
                     continue
-                if bytes(buffer[: len(MAGIC)]) != MAGIC:
+                if bytes(buffer[: len(mcap.MAGIC)]) != mcap.MAGIC:
                     raise _NotMcapError(f"begins with {bytes(buffer[:8]).hex(' ')}; expected an MCAP stream")
-                at, is_first = len(MAGIC), False
-            while at + HEAD.size <= len(buffer):
-                opcode, length = HEAD.unpack_from(buffer, at)
-                if length > _MAX_RECORD_BYTES or not is_record(opcode, length, length):
+                at, is_first = len(mcap.MAGIC), False
+            while at + mcap.HEAD.size <= len(buffer):
+                opcode, length = mcap.HEAD.unpack_from(buffer, at)
+                if length > _MAX_RECORD_BYTES or not mcap.is_record(opcode, length, length):
                     raise _NotMcapError(f"holds what is no record (kind {opcode}, {length} bytes); write it anew")
-                if at + HEAD.size + length > len(buffer):
+                if at + mcap.HEAD.size + length > len(buffer):
                     break
-                if opcode == FOOTER:
+                if opcode == mcap.FOOTER:
                     return
-                begin = at + HEAD.size
+                begin = at + mcap.HEAD.size
                 yield opcode, memoryview(bytes(buffer[begin : begin + length]))
                 at = begin + length
             del buffer[:at]

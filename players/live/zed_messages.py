@@ -23,7 +23,7 @@ ODOM = "/zed/zed_node/odom"
 _OPTICAL, _WORLD = "zed_left_optical", "odom"
 
 TOPICS = tuple(
-    Topic(name=name, type_name=type_name, num_messages=None, wire="cdr", definition_format="none", definition="")
+    Topic(name=name, type_name=type_name)
     for name, type_name in (
         (COLOR, IMAGE),
         (DEPTH, IMAGE),

@@ -14,20 +14,8 @@ import numpy as np
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.camera import Camera
+from players.live import zed_messages as zed
 from players.live.transport import Health
-from players.live.zed_messages import (
-    COLOR,
-    COLOR_INFO,
-    DEPTH,
-    DEPTH_INFO,
-    ODOM,
-    TOPICS,
-    color_message,
-    depth_message,
-    info_message,
-    pose_message,
-    world_from_camera,
-)
 from players.live.zed_sdk import check_sdk, load_sdk
 
 if TYPE_CHECKING:
@@ -69,7 +57,7 @@ class ZedRoute:
 
     def start(self, inbox: Inbox) -> None:
         """Open the camera and grab in a separate thread, with retries."""
-        for topic in TOPICS:
+        for topic in zed.TOPICS:
             inbox.announce(topic)
         self._thread = threading.Thread(target=self._run, args=(inbox,), name="zed", daemon=True)
         self._thread.start()
@@ -86,8 +74,6 @@ class ZedRoute:
         self._stopped.set()
         if self._thread is not None:
             self._thread.join(10.0)
-
-    # ---- the camera --------------------------------------------------------------------------------------------------
 
     def _run(self, inbox: Inbox) -> None:
         while not self._stopped.is_set():
@@ -139,7 +125,7 @@ class ZedRoute:
             if error == sl.ERROR_CODE.END_OF_SVOFILE_REACHED:
                 return ""
             if error == sl.ERROR_CODE.CORRUPTED_FRAME:
-                inbox.refuse(COLOR, "corrupted")
+                inbox.refuse(zed.COLOR, "corrupted")
                 continue
             if error != sl.ERROR_CODE.SUCCESS:
                 failures += 1
@@ -157,20 +143,20 @@ class ZedRoute:
             waits = self._address.svo is not None
             if is_tracked:
                 tracked = np.array(pose.pose_data(sl.Transform()).m, dtype=np.float64)
-                inbox.put(ODOM, pose_message(stamp_ns, world_from_camera(tracked)), waits=waits)
-            for name in (COLOR_INFO, DEPTH_INFO):
-                inbox.put(name, info_message(stamp_ns, pinhole), waits=waits)
+                inbox.put(zed.ODOM, zed.pose_message(stamp_ns, zed.world_from_camera(tracked)), waits=waits)
+            for name in (zed.COLOR_INFO, zed.DEPTH_INFO):
+                inbox.put(name, zed.info_message(stamp_ns, pinhole), waits=waits)
             camera.retrieve_image(color, sl.VIEW.LEFT)
             camera.retrieve_measure(depth, sl.MEASURE.DEPTH)
-            inbox.put(COLOR, color_message(stamp_ns, color.get_data()), waits=waits)
-            inbox.put(DEPTH, depth_message(stamp_ns, depth.get_data()), waits=waits)
+            inbox.put(zed.COLOR, zed.color_message(stamp_ns, color.get_data()), waits=waits)
+            inbox.put(zed.DEPTH, zed.depth_message(stamp_ns, depth.get_data()), waits=waits)
             self._count_dropped(camera, inbox)
         return ""
 
     def _count_dropped(self, camera: Any, inbox: Inbox) -> None:
         number = int(camera.get_frame_dropped_count())
         if number > self._dropped:
-            inbox.lost(COLOR, number - self._dropped)
+            inbox.lost(zed.COLOR, number - self._dropped)
         self._dropped = number
 
 

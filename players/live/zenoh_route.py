@@ -14,16 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import RecordingError
+from players.live import zenoh_keys
 from players.live.transport import Health
-from players.live.zenoh_keys import (
-    HASHED_KEYS,
-    TOKENS,
-    Publication,
-    own_token,
-    publication_of_key,
-    publication_of_token,
-    within,
-)
 from players.live.zenoh_return import ZenohReturn
 from players.logs.containers import Topic
 
@@ -62,7 +54,7 @@ class ZenohRoute:
         self._lock = threading.RLock()
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
-        self._publications: dict[str, Publication] = {}
+        self._publications: dict[str, zenoh_keys.Publication] = {}
         self._tokens: defaultdict[str, set[str]] = defaultdict(set)
         self._other_types: dict[str, str] = {}
         self._wanted: set[str] = set()
@@ -123,8 +115,6 @@ class ZenohRoute:
             for thread in callers:
                 thread.join(max(0.0, ends_s - time.monotonic()))
 
-    # ---- the way back ------------------------------------------------------------------------------------------------
-
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
         """Announce a topic of ours; ROS 2 over Zenoh sends no definitions."""
         del definition
@@ -137,8 +127,6 @@ class ZenohRoute:
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
         """Call `hear` with each message of a topic."""
         self._return.listen(name, hear)
-
-    # ---- connection --------------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
         import zenoh
@@ -167,7 +155,9 @@ class ZenohRoute:
             with self._lock:
                 self._session = session
                 liveliness = session.liveliness()
-            self._watching = [liveliness.declare_subscriber(tokens, self._on_token, history=True) for tokens in TOKENS]
+            self._watching = [
+                liveliness.declare_subscriber(tokens, self._on_token, history=True) for tokens in zenoh_keys.TOKENS
+            ]
             if not self._stopped.wait(_TOKENLESS_S):
                 self._listen_to_keys()
             return
@@ -175,9 +165,9 @@ class ZenohRoute:
     def _listen_to_keys(self) -> None:
         with self._lock:
             if not self._publications and not self._wanted:
-                self._listening = [self._session.declare_subscriber(keys, self._on_key) for keys in HASHED_KEYS]
-
-    # ---- topics ------------------------------------------------------------------------------------------------------
+                self._listening = [
+                    self._session.declare_subscriber(keys, self._on_key) for keys in zenoh_keys.HASHED_KEYS
+                ]
 
     def _on_token(self, sample: Any) -> None:
         import zenoh
@@ -185,10 +175,10 @@ class ZenohRoute:
         token = str(sample.key_expr)
         if self._session is not None and str(self._session.zid()) in token.split("/"):
             return  # one of ours
-        publication = publication_of_token(token)
+        publication = zenoh_keys.publication_of_token(token)
         if publication is None:
             return
-        name = within(publication, self._namespace)
+        name = zenoh_keys.within(publication, self._namespace)
         if name is None:
             return
         assert self._inbox is not None
@@ -204,35 +194,24 @@ class ZenohRoute:
         self._learn(name, publication)
 
     def _on_key(self, sample: Any) -> None:
-        publication = publication_of_key(str(sample.key_expr))
-        name = within(publication, self._namespace) if publication is not None else None
+        publication = zenoh_keys.publication_of_key(str(sample.key_expr))
+        name = zenoh_keys.within(publication, self._namespace) if publication is not None else None
         if publication is not None and name is not None:
             self._learn(name, publication)
 
-    def _learn(self, name: str, publication: Publication) -> None:
+    def _learn(self, name: str, publication: zenoh_keys.Publication) -> None:
         assert self._inbox is not None
         with self._lock:
             known = self._publications.setdefault(name, publication)
             if known.type_name != publication.type_name:
                 self._other_types[name] = publication.type_name
                 return
-        self._inbox.announce(
-            Topic(
-                name=name,
-                type_name=publication.type_name,
-                num_messages=None,
-                wire="cdr",
-                definition_format="none",
-                definition="",
-            )
-        )
+        self._inbox.announce(Topic(name=name, type_name=publication.type_name))
         with self._lock:
             self._declare_wanted()
             session = self._session
         if session is not None:
             self._return.attach(session, publication)
-
-    # ---- messages ----------------------------------------------------------------------------------------------------
 
     def _declare_wanted(self) -> None:
         # Called with the lock.
@@ -258,11 +237,11 @@ class ZenohRoute:
                 self._ask_cache(publication, name)
             else:
                 declared.append(self._session.declare_subscriber(publication.key, take))
-            token = own_token(publication, str(self._session.zid()), len(self._declared), "MS")
+            token = zenoh_keys.own_token(publication, str(self._session.zid()), len(self._declared), "MS")
             if token is not None:
                 declared.append(self._session.liveliness().declare_token(token))
 
-    def _ask_cache(self, publication: Publication, name: str) -> None:
+    def _ask_cache(self, publication: zenoh_keys.Publication, name: str) -> None:
         # Bridges before 1.5 have no advanced publishers, but answer queries.
         if publication.layout != "bridge":
             return
@@ -277,7 +256,7 @@ class ZenohRoute:
         assert self._inbox is not None
         publication = self._publications[name]
         if publication.layout == "rmw":
-            found = publication_of_key(str(sample.key_expr))
+            found = zenoh_keys.publication_of_key(str(sample.key_expr))
             if found is not None and found.type_name != publication.type_name:
                 self._inbox.refuse(name, "other_type")
                 return

@@ -7,12 +7,13 @@ A definition that cannot be parsed makes only its topic unreadable.
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from players.logs.log_damage import Flaws
@@ -27,12 +28,12 @@ class Topic:
 
     name: str
     type_name: str
-    num_messages: int | None
-    wire: Wire
-    definition_format: DefinitionFormat
-    definition: str
+    num_messages: int | None = None
+    wire: Wire = "cdr"
+    definition_format: DefinitionFormat = "none"
+    definition: str = ""
+    #: A type from outside ROS; `type_name` is then its equivalent in ROS.
     foreign_type: str = ""
-    """The name of a type from outside ROS; `type_name` is then its equivalent in ROS."""
 
 
 class LogMessage(NamedTuple):
@@ -102,6 +103,16 @@ def merged_topics(topics: Iterable[Topic]) -> tuple[Topic, ...]:
     return tuple(by_name[name] for name in sorted(by_name))
 
 
+def summed_by(name_of: Callable[[int], str], counts: Mapping[int, int] | None) -> dict[str, int] | None:
+    """Return counts by topic from those by channel or connection; None for None."""
+    if counts is None:
+        return None
+    total: Counter[str] = Counter()
+    for number, count in counts.items():
+        total[name_of(number)] += count
+    return dict(total)
+
+
 def deserialize(topic: Topic, data: Any) -> Any:
     """Return the message of raw bytes; arrays in it are read-only views of them.
 
@@ -136,8 +147,6 @@ def _typestore(type_name: str, definition_format: DefinitionFormat, definition: 
     if definition_format == "none" or not definition.strip():
         return get_typestore(Stores.ROS2_HUMBLE)
     store = get_typestore(Stores.EMPTY)
-    if definition_format == "msg":
-        store.register(get_types_from_msg(definition, type_name))
-    else:
-        store.register(get_types_from_idl(definition))
+    is_msg = definition_format == "msg"
+    store.register(get_types_from_msg(definition, type_name) if is_msg else get_types_from_idl(definition))
     return store

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.geometry.camera import Camera
     from hickory_stream.geometry.depth_sensor import DepthSensor
 
 
@@ -65,27 +64,24 @@ class FolderSource:
     """A `Source` of an image folder."""
 
     def __init__(self, folder: Path, content: FolderContent) -> None:
-        """Check that the folder has frames. Raises `RecordingError`: no frame has colour, depth and a pose."""
+        """Raises `RecordingError`: no frame has colour, depth and a pose."""
         if not content.frames:
             found = ", ".join(f"{count} {fate}" for fate, count in content.fates.items() if count) or "no images"
             raise RecordingError(f"{folder}: no frame has colour, depth and a pose; found {found}")
         self._content = content
         self._ledger = Ledger()
-        self._info = SourceInfo(
+        images = [file for frame in content.frames for file in (frame.color, frame.depth)]
+        sampled = [*content.text_files, *images[:2], *images[-2:]]
+        self.info = SourceInfo(
             uri=str(folder),
             kind=content.kind,
-            identity=_identity(content),
+            identity=files_identity([*content.text_files, *images], sampled),
             camera=content.registration.color_camera,
             num_frames=len(content.frames),
             start_ns=content.frames[0].stamp_ns,
             end_ns=content.frames[-1].stamp_ns,
             streams=content.streams,
         )
-
-    @property
-    def info(self) -> SourceInfo:
-        """The diagnosis of the folder when it was opened."""
-        return self._info
 
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames from the beginning; a frame whose colour has another size is counted and skipped.
@@ -116,7 +112,7 @@ class FolderSource:
             index += 1
         if index == 0:
             raise CalibrationError(
-                f"{self._info.uri}: the intrinsics are for {camera.width}x{camera.height} pixels; no image is"
+                f"{self.info.uri}: the intrinsics are for {camera.width}x{camera.height} pixels; no image is"
             )
 
         ledger.is_complete = True
@@ -161,7 +157,10 @@ def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes:
         depth_m = content.sensor.returns(
             decode_depth_png(_read(files.depth), content.depth_units_per_m, str(files.depth))
         )
-        _check_size(depth_m, content.registration.depth_camera, files.depth)
+        camera = content.registration.depth_camera
+        if depth_m.shape != (camera.height, camera.width):
+            size = f"{depth_m.shape[1]}x{depth_m.shape[0]}"
+            raise RecordingError(f"{files.depth} has {size} pixels; expected {camera.width}x{camera.height}")
     except RecordingError:
         ledger.count("unreadable_image")
         raise
@@ -178,20 +177,8 @@ def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes:
     )
 
 
-def _check_size(depth_m: NDArray[np.float32], camera: Camera, file: Path) -> None:
-    height, width = depth_m.shape
-    if (width, height) != (camera.width, camera.height):
-        raise RecordingError(f"{file} has {width}x{height} pixels; expected {camera.width}x{camera.height}")
-
-
 def _read(file: Path) -> bytes:
     try:
         return file.read_bytes()
     except OSError as error:
         raise RecordingError(f"{file} cannot be read: {error.strerror}") from error
-
-
-def _identity(content: FolderContent) -> str:
-    images = [file for frame in content.frames for file in (frame.color, frame.depth)]
-    sampled = [*content.text_files, *images[:2], *images[-2:]]
-    return files_identity([*content.text_files, *images], sampled)

@@ -14,18 +14,8 @@ import numpy as np
 
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
+from players.logs import folder_text
 from players.logs.folder import FolderContent, FolderFrame, FolderSource
-from players.logs.folder_text import (
-    GRAVITY,
-    read_cam_params,
-    read_hope_camera,
-    read_intrinsics,
-    read_pose_file,
-    read_pose_rows,
-    read_stamped_rows,
-    read_tum_track,
-    read_world_from_log,
-)
 from players.logs.synchronizer import Leftover, Stamped, default_tolerance_ns, pair_nearest
 from players.messages.depth_registration import Registration
 from players.messages.image_decoding import compressed_size
@@ -55,7 +45,7 @@ def open_seven_scenes(folder: Path, options: SourceOptions) -> FolderSource:
     """
     profile_name = options.profile or "seven_scenes"
     profile = load_profile(profile_name)
-    depth_intrinsics = read_intrinsics(folder / INTRINSICS)
+    depth_intrinsics = folder_text.read_intrinsics(folder / INTRINSICS)
     poses = _by_number(folder.glob("frame-*.pose.txt"))
     colors = _by_number(file for file in folder.glob("frame-*.color.*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number(folder.glob("frame-*.depth.png"))
@@ -65,7 +55,7 @@ def open_seven_scenes(folder: Path, options: SourceOptions) -> FolderSource:
             number * 1_000_000_000 // profile.frame_rate_hz,
             colors.get(number),
             depths.get(number),
-            read_pose_file(poses[number]) if number in poses else None,
+            folder_text.read_pose_file(poses[number]) if number in poses else None,
         )
     return found.source(
         kind="7-Scenes folder",
@@ -101,18 +91,19 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
     if missing:
         raise RecordingError(f"{folder} looks like TUM RGB-D but has no {', '.join(missing)}")
     has_intrinsics = (folder / INTRINSICS).is_file()
-    intrinsics = read_intrinsics(folder / INTRINSICS) if has_intrinsics else profile.color
+    intrinsics = folder_text.read_intrinsics(folder / INTRINSICS) if has_intrinsics else profile.color
     if intrinsics is None:
         raise CalibrationError(f"{folder} has no {INTRINSICS} (3x3), and the profile {profile_name} has no intrinsics")
     images = {
-        name: [(ns, folder / words[0]) for ns, words in read_stamped_rows(files[name], 2)] for name in ("rgb", "depth")
+        name: [(ns, folder / words[0]) for ns, words in folder_text.read_stamped_rows(files[name], 2)]
+        for name in ("rgb", "depth")
     }
     tolerance_ns = options.sync_tolerance_ns
     if tolerance_ns is None:
         tolerance_ns = default_tolerance_ns(*([stamp_ns for stamp_ns, _ in rows] for rows in images.values()))
     track = None
     if has_poses:
-        track = read_tum_track(files["groundtruth"], options.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS)
+        track = folder_text.read_tum_track(files["groundtruth"], options.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS)
     found = _Collector(folder, profile, options)
     stamped = [Stamped("color", *row) for row in images["rgb"]] + [Stamped("depth", *row) for row in images["depth"]]
     for match in pair_nearest(sorted(stamped, key=lambda image: image.stamp_ns), tolerance_ns):
@@ -150,8 +141,8 @@ def open_posed_folder(folder: Path, options: SourceOptions) -> FolderSource:
         if not (folder / name).is_file():
             error = CalibrationError if name == CAM_PARAMS else RecordingError
             raise error(f"{folder} has no {name}; the layout is rgb/, depth/, {CAM_PARAMS} and {CAMERA_POSES}")
-    intrinsics, units_per_m = read_cam_params(folder / CAM_PARAMS)
-    poses = read_pose_rows(folder / CAMERA_POSES)
+    intrinsics, units_per_m = folder_text.read_cam_params(folder / CAM_PARAMS)
+    poses = folder_text.read_pose_rows(folder / CAMERA_POSES)
     colors = _by_number(file for file in (folder / "rgb").glob("*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number((folder / "depth").glob("*.png"))
     numbers = sorted(colors.keys() | depths.keys())
@@ -187,10 +178,10 @@ def open_replica(folder: Path, options: SourceOptions) -> FolderSource:
     parameters = next((f for f in (folder / CAM_PARAMS, folder.parent / CAM_PARAMS) if f.is_file()), None)
     intrinsics, units_per_m = profile.color, profile.depth_units_per_m
     if parameters is not None:
-        intrinsics, units_per_m = read_cam_params(parameters)
+        intrinsics, units_per_m = folder_text.read_cam_params(parameters)
     if intrinsics is None:
         raise CalibrationError(f"{folder} has no {CAM_PARAMS}, and the profile {profile.name} has no intrinsics")
-    poses = read_pose_rows(folder / TRAJECTORY)
+    poses = folder_text.read_pose_rows(folder / TRAJECTORY)
     colors = _by_number(file for file in (folder / "results").glob("frame*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number((folder / "results").glob("depth*.png"))
     found = _Collector(folder, profile, options)
@@ -228,7 +219,7 @@ def open_hope(folder: Path, options: SourceOptions) -> FolderSource:
     for number in sorted(colors.keys() | depths.keys()):
         pose = None
         if number in jsons:
-            camera, pose = read_hope_camera(jsons[number], profile.extrinsics_units_per_m)
+            camera, pose = folder_text.read_hope_camera(jsons[number], profile.extrinsics_units_per_m)
             intrinsics = intrinsics or camera
         stamp_ns = number * 1_000_000_000 // profile.frame_rate_hz
         found.add(stamp_ns, colors.get(number), depths.get(number), pose)
@@ -255,8 +246,8 @@ class _Collector:
         self._folder = folder
         self._estimates_poses = options.estimates_poses
         self._ignores_poses = options.pose_topic == NO_TOPIC
-        self._world_from_log = read_world_from_log(folder)
-        self._up = GRAVITY if (folder / GRAVITY).is_file() else "z of the log"
+        self._world_from_log = folder_text.read_world_from_log(folder)
+        self._up = folder_text.GRAVITY if (folder / folder_text.GRAVITY).is_file() else "z of the log"
         self._color_from_depth = from_rotation_translation(np.eye(3), np.array(profile.color_from_depth_m))
         self._depth_from_color = invert(self._color_from_depth)
         self._sensor = profile.sensor

@@ -71,10 +71,7 @@ class JoinedLog:
             self._next(i, log.messages([name for name in topics if name in self._topic_of[i]]), None)
             for i, log in enumerate(self.logs)
         ]
-        while True:
-            waiting = [(head.stamp_ns, i) for i, head in enumerate(heads) if head is not None]
-            if not waiting:
-                return
+        while waiting := [(head.stamp_ns, i) for i, head in enumerate(heads) if head is not None]:
             _, i = min(waiting)
             head = heads[i]
             assert head is not None
@@ -87,6 +84,4 @@ class JoinedLog:
             return None
         # Static transforms may have any stamp, and stamps may be unset: neither changes the log's position in time.
         stamp_ns = peek_stamp_ns(self._topic_of[i][message.topic], message.data) or 0
-        if before_ns is None and stamp_ns == 0:
-            return _Head(message, rest, 0)
         return _Head(message, rest, max(stamp_ns, before_ns or 0))

@@ -12,20 +12,12 @@ import numpy as np
 
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import from_rotation_translation
+from players.logs import topic_discovery as discovery
 from players.logs.containers import UnreadableMessageError, deserialize
 from players.logs.log_setup import LogSetup
 from players.logs.log_source import LogSource
 from players.logs.synchronizer import default_tolerance_ns
 from players.logs.time_base import choose_clock
-from players.logs.topic_discovery import (
-    ImageTopics,
-    camera_infos,
-    choose_images,
-    info_names,
-    is_rectified,
-    pose_topics,
-    tf_topics,
-)
 from players.messages.calibration import Lens, lens_of
 from players.messages.depth_registration import Registration
 from players.messages.images import LogImage, Probe, check_color_encoding, check_depth_encoding, image_of
@@ -59,7 +51,7 @@ class Opening:
     options: SourceOptions
     profile: Profile
     is_profile_guessed: bool
-    topics: ImageTopics
+    topics: discovery.ImageTopics
     color: Probe
     depth: Probe
     reader: RigReader
@@ -183,13 +175,13 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
     if not any(topic.num_messages != 0 for topic in log.topics):
         raise RecordingError(f"{log.path} ({log.kind}) holds no messages{_damage_of(log)}")
     profile, is_guessed = choose_profile(log.topics, options)
-    topics = choose_images(log.path, log.topics, options, profile.topics)
+    topics = discovery.choose_images(log.path, log.topics, options, profile.topics)
     poses = [] if options.pose_file else _pose_topics(log, options, profile)
     is_named = options.pose_topic not in (None, NO_TOPIC) or (
         bool(profile.topics.get("pose")) and any(topic.name in profile.topics["pose"] for topic in poses)
     )
     is_named = is_named and not all(topic.type_name in TF for topic in poses)
-    wanted = [*poses, *tf_topics(log.topics), *camera_infos(log.topics)]
+    wanted = [*poses, *discovery.tf_topics(log.topics), *discovery.camera_infos(log.topics)]
     max_gap_ns = options.max_pose_gap_ns or profile.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS
     reader = RigReader(wanted, max_gap_ns, profile.jump_limits, uses_log_time=options.clock == "log")
     pose_file = None
@@ -219,7 +211,7 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
 
 def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Topic]:
     try:
-        return pose_topics(log.path, log.topics, options, profile.topics.get("pose", ()))
+        return discovery.pose_topics(log.path, log.topics, options, profile.topics.get("pose", ()))
     except NoPosesError:
         if not options.estimates_poses:
             raise
@@ -282,7 +274,7 @@ def _find_info(reader: RigReader, probe: Probe, name: str | None, listed: Sequen
     assert probe.first is not None
     if name is not None:
         return name if name in reader.infos else None
-    for candidate in (*listed, *info_names(probe.topic)):
+    for candidate in (*listed, *discovery.info_names(probe.topic)):
         if candidate in reader.infos:
             return candidate
     same_frame = [info for info in sorted(reader.infos) if reader.infos[info].frame == probe.first.frame]
@@ -327,14 +319,14 @@ def _info_topic(opening: Opening, topic: Topic, image: LogImage, found: str | No
         asked = options.color_info_topic if option == "--color-info-topic" else options.depth_info_topic
         raise CalibrationError(
             f"{opening.log.path}: no intrinsics for {topic.name}: no CameraInfo on "
-            f"{asked or ' or '.join(info_names(topic))}, nor one of frame {image.frame}; "
+            f"{asked or ' or '.join(discovery.info_names(topic))}, nor one of frame {image.frame}; "
             f"CameraInfo topics: {infos}. Name one with {option}"
         )
     return found
 
 
 def _lens(reader: RigReader, info: str, topic: Topic, image: LogImage) -> Lens:
-    return lens_of(reader.infos[info], topic=info, image_size=image.size, is_rectified=is_rectified(topic))
+    return lens_of(reader.infos[info], topic=info, image_size=image.size, is_rectified=discovery.is_rectified(topic))
 
 
 def _depth_lens(opening: Opening, color_info: str, color_lens: Lens) -> tuple[str, Lens]:

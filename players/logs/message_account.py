@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from players.logs.log_setup import LogSetup
 
 
-_FLAWS_TOLD = 5
+_MAX_FLAWS = 5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -41,7 +41,7 @@ class TopicAccount:
 
     @property
     def difference(self) -> int:
-        """How many messages the container declares that are in no bucket."""
+        """Number of declared messages that are in no bucket."""
         return 0 if self.declared is None else self.declared - self.total
 
 
@@ -60,21 +60,15 @@ class Account:
 
     def as_dict(self) -> dict[str, Any]:
         """Return it for `ledger.json`."""
-        total: Counter[str] = Counter()
+        names = ("used", "not_needed", "unreadable", "not_played", "difference")
         rejected: Counter[str] = Counter()
         for entry in self.topics:
-            total["used"] += entry.used
-            total["not_needed"] += entry.not_needed
-            total["unreadable"] += entry.unreadable
-            total["not_played"] += entry.not_played
-            total["difference"] += entry.difference
             rejected.update(entry.rejected)
+        is_declared = all(e.declared is not None for e in self.topics)
         return {
             "unit": self.unit,
-            "declared": None
-            if any(e.declared is None for e in self.topics)
-            else sum(e.declared or 0 for e in self.topics),
-            **total,
+            "declared": sum(e.declared or 0 for e in self.topics) if is_declared else None,
+            **({name: sum(getattr(e, name) for e in self.topics) for name in names} if self.topics else {}),
             "rejected": dict(sorted(rejected.items())),
             "is_complete": self.is_complete,
             "damaged_places": self.num_flaws,
@@ -82,12 +76,9 @@ class Account:
             "explanation": self.explanation,
             "topics": {
                 entry.topic: {
-                    "declared": entry.declared,
-                    "used": entry.used,
-                    "not_needed": entry.not_needed,
+                    **{name: getattr(entry, name) for name in ("declared", "used", "not_needed")},
                     "rejected": dict(sorted(entry.rejected.items())),
-                    "unreadable": entry.unreadable,
-                    "not_played": entry.not_played,
+                    **{name: getattr(entry, name) for name in ("unreadable", "not_played")},
                 }
                 for entry in self.topics
             },
@@ -108,20 +99,17 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
             readable = max(0, (claimed or 0) - unreadable)
             entries.append(TopicAccount(topic=topic.name, declared=claimed, not_needed=readable, unreadable=unreadable))
             continue
-        rejected = Counter(
-            {reason: number for (name, reason), number in rejected_of.items() if name == topic.name and number}
-        )
-        read = ledger.read[topic.name]
-        bad = ledger.unreadable[topic.name]
+        rejected = {reason: number for (name, reason), number in rejected_of.items() if name == topic.name and number}
+        read, bad = ledger.read[topic.name], ledger.unreadable[topic.name]
         not_played = 0 if ledger.is_complete or claimed is None else max(0, claimed - read - unreadable)
         entries.append(
             TopicAccount(
                 topic=topic.name,
                 declared=claimed,
-                used=read - bad - rejected.total(),
+                used=read - bad - sum(rejected.values()),
                 unreadable=unreadable + bad,
                 not_played=not_played,
-                rejected=dict(rejected),
+                rejected=rejected,
             )
         )
     if lost.get(""):
@@ -130,7 +118,7 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
         topics=tuple(entries),
         is_complete=ledger.is_complete,
         num_flaws=len(log.flaws),
-        flaws=tuple(f"{f.file} at byte {f.offset}: {f.what}" for f in islice(log.flaws, _FLAWS_TOLD)),
+        flaws=tuple(f"{f.file} at byte {f.offset}: {f.what}" for f in islice(log.flaws, _MAX_FLAWS)),
         explanation=_explanation(log, entries),
     )
 
@@ -140,7 +128,7 @@ def _explanation(log: Log, entries: list[TopicAccount]) -> str:
     if log.declared() is None:
         return "the container declares no totals (its index is missing or damaged): they are those that were found"
     if difference > 0:
-        return f"{difference} messages lay in damaged bytes of which no index tells the topic"
+        return f"{difference} messages lay in damaged bytes whose topics no index lists"
     if difference < 0:
         return f"{-difference} messages more than the container declares were found: its index is older than its data"
     return ""

@@ -10,13 +10,13 @@ import mmap
 import re
 import struct
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import RecordingError
-from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type
+from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type, summed_by
 from players.logs.decompression import UnpackError, release, unpack
-from players.logs.log_damage import Flaw, Flaws
+from players.logs.log_damage import Flaws
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -58,14 +58,14 @@ class Ros1Log:
     """A `Log` in one ROS 1 bag."""
 
     kind = "ROS 1 bag"
+    #: None of the bag; bz2 and (optionally) lz4 have their own.
     checksum = ""
-    """ROS 1 bags have no checksum; the formats bz2 and (optionally) lz4 have their own."""
 
     def __init__(self, path: Path) -> None:
         """Read the index, or all records if no index fits. Raises `RecordingError`: not one connection can be read."""
         self.path = path
         self.files = (path,)
-        self.flaws = Flaws()
+        self.flaws = Flaws(path.name)
         self._connections: dict[int, Topic] = {}
         self._declared: Counter[int] | None = None
         self._chunk_places: list[int] = []
@@ -86,12 +86,7 @@ class Ros1Log:
 
     def declared(self) -> dict[str, int] | None:
         """Return the declared number of messages of each topic, None without an index."""
-        if self._declared is None:
-            return None
-        by_topic: Counter[str] = Counter()
-        for connection, number in self._declared.items():
-            by_topic[self._name(connection)] += number
-        return dict(by_topic)
+        return summed_by(self._name, self._declared)
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the file; unreadable ones are noted in `flaws`."""
@@ -115,7 +110,7 @@ class Ros1Log:
             except _NoRecordError as error:
                 if self._is_indexed:
                     raise _WrongIndexError from error
-                self._flaw(place, f"a chunk is not there: {error}", 0)
+                self.flaws.note(place, f"a chunk is not there: {error}", 0)
                 continue
             read.add(place)
             if chunk.index and not any(connection in names for connection, _ in chunk.index.values()):
@@ -130,11 +125,8 @@ class Ros1Log:
 
     def chunk_spans(self, data: mmap.mmap) -> list[tuple[tuple[int, int], int]]:
         """Return where each chunk and the index behind it begin and end, and how many messages it has."""
-        spans = []
-        for place in self._chunk_places:
-            chunk = _chunk_at(data, place)
-            spans.append(((place, chunk.index_end), len(chunk.index)))
-        return spans
+        chunks = [_chunk_at(data, place) for place in self._chunk_places]
+        return [((chunk.offset, chunk.index_end), len(chunk.index)) for chunk in chunks]
 
     def _content(self, content: Any, chunk: _Chunk, names: dict[int, str]) -> Iterator[LogMessage]:
         view, at, end = memoryview(content), 0, len(content)
@@ -151,20 +143,12 @@ class Ros1Log:
                     lost[self._name(chunk.index[at][0])] += 1
                 at = next((start for start in starts if start > at), end)
                 continue
-            if connection is not None:
-                name = names.get(connection)
-                if name is not None:
-                    yield LogMessage(name, _stamp_ns(header), view[data_at:data_end])
+            if connection in names:
+                yield LogMessage(names[connection], _stamp_ns(header), view[data_at:data_end])
             at = data_end
         if first_bad is not None:
-            unknown = lost.pop("", 0)
-            self._flaw(
-                chunk.offset,
-                f"records in a chunk that its index does not confirm, the first at byte {first_bad} of it",
-                0,
-                lost=tuple(lost.items()),
-                num_unknown=unknown,
-            )
+            what = f"records in a chunk that its index does not confirm, the first at byte {first_bad} of it"
+            self.flaws.note(chunk.offset, what, 0, lost)
 
     def _checked(
         self, header: dict[bytes, bytes], at: int, data_end: int, chunk: _Chunk, end: int, view: memoryview
@@ -184,8 +168,6 @@ class Ros1Log:
             if data_end != end and data_end not in chunk.index and not _is_connection_at(view, data_end, end):
                 raise _NoRecordError("a message of another length than the index has")
         return connection
-
-    # ---- the index and the walk --------------------------------------------------------------------------------------
 
     def _read_index(self, data: mmap.mmap) -> bool:
         try:
@@ -233,7 +215,8 @@ class Ros1Log:
                     (declared,) = _SIZE.unpack_from(data, data_at - 4)
                     if declared != data_end - data_at:
                         missing = declared - (data_end - data_at)
-                        self._flaw(at, f"the bag is cut off within a chunk, of which {missing} bytes are missing", 0)
+                        what = f"the bag is cut off within a chunk, of which {missing} bytes are missing"
+                        self.flaws.note(at, what, 0)
                 elif data_end != data_at + _SIZE.unpack_from(data, data_at - 4)[0]:
                     raise _NoRecordError("data beyond the end")
                 elif op == _CONNECTION:
@@ -243,7 +226,7 @@ class Ros1Log:
             except _NoRecordError:
                 following = _next_chunk(data, at + 1)
                 what = "bytes that are no record" if following < end else "the bag is cut off"
-                self._flaw(at, what, following - at)
+                self.flaws.note(at, what, following - at)
                 at = following
             else:
                 at = data_end
@@ -279,19 +262,10 @@ class Ros1Log:
         except (_NoRecordError, KeyError, UnicodeDecodeError):
             return
         self._connections[number] = Topic(
-            name=name,
-            type_name=normalized_type(type_name),
-            num_messages=None,
-            wire="ros1",
-            definition_format="msg",
-            definition=definition,
+            name=name, type_name=normalized_type(type_name), wire="ros1", definition_format="msg", definition=definition
         )
 
-    # ---- small things ------------------------------------------------------------------------------------------------
-
     def _topics(self) -> tuple[Topic, ...]:
-        from dataclasses import replace
-
         counts = self._declared
         if counts is None:
             counts = Counter()
@@ -300,10 +274,8 @@ class Ros1Log:
                     counts.update(_chunk_at(data, place).counts)
         is_known = self._declared is not None or bool(counts)
         return merged_topics(
-            [
-                replace(topic, num_messages=counts.get(number, 0) if is_known else None)
-                for number, topic in self._connections.items()
-            ]
+            replace(topic, num_messages=counts.get(number, 0) if is_known else None)
+            for number, topic in self._connections.items()
         )
 
     def _name(self, connection: int) -> str:
@@ -311,19 +283,8 @@ class Ros1Log:
         return topic.name if topic else ""
 
     def _bad_chunk(self, chunk: _Chunk, reason: str) -> None:
-        lost: Counter[str] = Counter()
-        for connection, number in chunk.counts.items():
-            lost[self._name(connection)] += number
-        unknown = lost.pop("", 0)
         num_bytes = chunk.data_end - chunk.offset
-        self._flaw(chunk.offset, f"a chunk {reason}", num_bytes, lost=tuple(lost.items()), num_unknown=unknown)
-
-    def _flaw(
-        self, offset: int, what: str, num_bytes: int, *, lost: tuple[tuple[str, int], ...] = (), num_unknown: int = 0
-    ) -> None:
-        self.flaws.add(
-            Flaw(file=self.path.name, offset=offset, what=what, num_bytes=num_bytes, lost=lost, num_unknown=num_unknown)
-        )
+        self.flaws.note(chunk.offset, f"a chunk {reason}", num_bytes, summed_by(self._name, chunk.counts))
 
 
 def _unpacked(data: mmap.mmap, chunk: _Chunk) -> Any:

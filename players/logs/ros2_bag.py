@@ -50,8 +50,12 @@ def bag_files(folder: Path) -> list[Path]:
     metadata = folder / METADATA
     listed = _listed(metadata) if metadata.is_file() else []
     named = [folder / name for name in listed if (folder / name).is_file()]
-    # Files that are not listed belong to the bag too: a recorder that was killed does not list all of them.
-    return named + sorted((file for file in present if file not in named), key=_natural)
+
+    def natural(file: Path) -> list[Any]:  # bag_10 comes after bag_9
+        return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
+
+    # A recorder that was killed does not list all files.
+    return named + sorted((file for file in present if file not in named), key=natural)
 
 
 def open_bag_file(file: Path) -> Log:
@@ -71,23 +75,18 @@ def open_bag_file(file: Path) -> Log:
 def _listed(metadata: Path) -> list[str]:
     text = metadata.read_text(encoding="utf-8", errors="replace")
     block = re.search(r"relative_file_paths:\s*\n((?:\s*-\s*\S.*\n?)+)", text)
-    if block is None:
-        return []
-    names = re.findall(r"-\s*[\"']?([^\"'\n]+?)[\"']?\s*(?:\n|$)", block.group(1))
+    names = re.findall(r"-\s*[\"']?([^\"'\n]+?)[\"']?\s*(?:\n|$)", block.group(1)) if block is not None else []
     return [Path(name).name for name in names]
 
 
-def _natural(file: Path) -> list[Any]:
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
-
-
 def _unpacked_file(file: Path) -> Path:
+    import atexit
     import shutil
 
     import zstandard
 
     target = Path(tempfile.mkdtemp(prefix="hickory-bag-")) / file.name.removesuffix(".zstd")
-    _removed_at_exit(target.parent)
+    atexit.register(shutil.rmtree, target.parent, ignore_errors=True)
     try:
         with file.open("rb") as packed, target.open("wb") as unpacked:
             for block in zstandard.ZstdDecompressor().read_to_iter(packed):
@@ -99,10 +98,3 @@ def _unpacked_file(file: Path) -> Path:
         if target.stat().st_size == 0:
             raise RecordingError(f"{file} cannot be unpacked: {error}") from error
     return target
-
-
-def _removed_at_exit(folder: Path) -> None:
-    import atexit
-    import shutil
-
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)

@@ -10,6 +10,7 @@ from bisect import insort
 from collections import deque
 from dataclasses import dataclass, field
 from itertools import pairwise
+from operator import attrgetter
 from statistics import median
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -91,7 +92,7 @@ def pair_arriving(
         if image.stamp_ns < passed_ns.get(image.stream, image.stamp_ns):
             yield Leftover(stream=image.stream, stamp_ns=image.stamp_ns, item=image.item, is_late=True)
             continue
-        insort(waiting[image.stream], image, key=_stamp)
+        insort(waiting[image.stream], image, key=attrgetter("stamp_ns"))
         newest_ns[image.stream] = max(image.stamp_ns, newest_ns.get(image.stream, image.stamp_ns))
         settled_ns = max(newest_ns.values()) - horizon_ns
         certain_ns = settled_ns
@@ -156,13 +157,8 @@ def _has_twin(waiting: dict[Stream, list[Stamped]]) -> bool:
     return bool(color and depth) and color[0].stamp_ns == depth[0].stamp_ns
 
 
-def _stamp(image: Stamped) -> int:
-    return image.stamp_ns
-
-
 def _oldest(waiting: dict[Stream, list[Stamped]]) -> Stamped | None:
-    heads = [images[0] for images in waiting.values() if images]
-    return min(heads, key=_stamp) if heads else None
+    return min((images[0] for images in waiting.values() if images), key=attrgetter("stamp_ns"), default=None)
 
 
 def _decide(oldest: Stamped, waiting: dict[Stream, list[Stamped]], tolerance_ns: int) -> Pair | Leftover:
@@ -186,6 +182,5 @@ def _is_partner(oldest: Stamped, other: Stamped, rivals: list[Stamped], toleranc
 
 
 def _period_ns(stamps_ns: Sequence[int]) -> int | None:
-    ordered = sorted(set(stamps_ns))
-    steps = [after - before for before, after in pairwise(ordered)]
+    steps = [after - before for before, after in pairwise(sorted(set(stamps_ns)))]
     return int(median(steps)) if steps else None

@@ -8,8 +8,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from players.messages.images import Probe
     from players.options import Clock
     from players.poses.camera_poses import PosePlan, RigReader
@@ -27,8 +25,9 @@ def choose_clock(
     if asked == "header":
         return "header", "header stamps, as asked"
     for probe in (color, depth):
-        if _is_unset(probe.stamps_ns):
-            return "log", f"log time: the header stamps of {probe.topic.name} are not set (all {probe.stamps_ns[0]})"
+        stamps_ns = probe.stamps_ns
+        if stamps_ns and (max(stamps_ns) == 0 or (len(stamps_ns) > 2 and len(set(stamps_ns)) == 1)):
+            return "log", f"log time: the header stamps of {probe.topic.name} are not set (all {stamps_ns[0]})"
     if color.stamps_ns and depth.stamps_ns:
         header_ns = abs(color.stamps_ns[0] - depth.stamps_ns[0])
         log_ns = abs(color.log_ns[0] - depth.log_ns[0])
@@ -40,7 +39,3 @@ def choose_clock(
         if track is not None and track.num_added == 1 and track.num_duplicates > 20:
             return "log", f"log time: the header stamps of {key[0]} are not set"
     return "header", "header stamps"
-
-
-def _is_unset(stamps_ns: Sequence[int]) -> bool:
-    return len(stamps_ns) > 0 and (max(stamps_ns) == 0 or (len(stamps_ns) > 2 and len(set(stamps_ns)) == 1))

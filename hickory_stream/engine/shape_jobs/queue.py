@@ -11,16 +11,7 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.shape_jobs.job_folder import (
-    FAILED,
-    is_answered,
-    is_complete,
-    job_folder,
-    keep_input,
-    remove_job,
-    take_result,
-    write_job,
-)
+from hickory_stream.engine.shape_jobs import job_folder as jobs_on_disk
 from hickory_stream.errors import MapFolderError, WorkerError
 from hickory_stream.events import ShapeFailed, ShapeReady
 from hickory_stream.journal.step import OpenJob
@@ -87,8 +78,8 @@ class ShapeQueue:
 
     async def request(self, request: RequestShape) -> None:
         """Submit a job to the workers."""
-        folder = job_folder(self._folder.jobs, request.ticket)
-        await asyncio.to_thread(write_job, folder, request, self._folder.views, self._config)
+        folder = jobs_on_disk.job_folder(self._folder.jobs, request.ticket)
+        await asyncio.to_thread(jobs_on_disk.write_job, folder, request, self._folder.views, self._config)
         key = await asyncio.to_thread(self._cache.key, folder) if self._cache is not None else None
         if self._cache is not None and key is not None and await asyncio.to_thread(self._cache.fetch, key, folder):
             answer, key = _answered(), None
@@ -106,10 +97,10 @@ class ShapeQueue:
         )
 
     def _adopt(self, job: OpenJob) -> None:
-        folder = job_folder(self._folder.jobs, job.ticket)
-        if is_answered(folder):
+        folder = jobs_on_disk.job_folder(self._folder.jobs, job.ticket)
+        if jobs_on_disk.is_answered(folder):
             answer = _answered()
-        elif is_complete(folder):
+        elif jobs_on_disk.is_complete(folder):
             answer = self._workers.submit(folder)
         else:
             raise MapFolderError(f"{folder}, which the map waits for, did not reach the disk; play the log again")
@@ -139,11 +130,11 @@ class ShapeQueue:
     def forget(self, tickets: list[int]) -> None:
         """Remove the folders of finished jobs; the input of a failed one is kept."""
         for ticket in tickets:
-            folder = job_folder(self._folder.jobs, ticket)
+            folder = jobs_on_disk.job_folder(self._folder.jobs, ticket)
             if ticket in self._failed:
-                keep_input(folder, self._folder.path / FAILED, *self._failed.pop(ticket))
+                jobs_on_disk.keep_input(folder, self._folder.path / jobs_on_disk.FAILED, *self._failed.pop(ticket))
             else:
-                remove_job(folder)
+                jobs_on_disk.remove_job(folder)
 
     def cancel(self, ticket: int) -> None:
         """Drop a job; if it runs, its result is ignored."""
@@ -177,9 +168,11 @@ class ShapeQueue:
         if job.known is not None:
             return replace(job.known, stamp_ns=stamp_ns)
         if reason is None:
-            folder = job_folder(self._folder.jobs, ticket)
+            folder = jobs_on_disk.job_folder(self._folder.jobs, ticket)
             try:
-                answer = await asyncio.to_thread(take_result, folder, ticket, job.object_id, self._folder.shapes)
+                answer = await asyncio.to_thread(
+                    jobs_on_disk.take_result, folder, ticket, job.object_id, self._folder.shapes
+                )
             except WorkerError as error:
                 reason = str(error)
             else:

@@ -9,19 +9,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream.engine.shape_jobs.generators import spec as specs
 from hickory_stream.engine.shape_jobs.generators.exchange import read_answer, write_question
 from hickory_stream.engine.shape_jobs.generators.process import GeneratorLimitError, GeneratorProcess
 from hickory_stream.engine.shape_jobs.generators.refine import ExternalRefiner
-from hickory_stream.engine.shape_jobs.generators.spec import (
-    CHOICE_VARIABLE,
-    GeneratorSpec,
-    check_licence,
-    find_spec,
-    fingerprint,
-    missing_of,
-    read_spec,
-    refiner_of,
-)
 from hickory_stream.errors import ConfigError, WorkerError
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import make_reconstructor
@@ -38,7 +29,7 @@ _ATTEMPTS = 2
 class ExternalGenerator:
     """A `MeshGenerator` that asks a program; a second process is tried if the first one fails."""
 
-    def __init__(self, spec: GeneratorSpec) -> None:
+    def __init__(self, spec: specs.GeneratorSpec) -> None:
         self.name = spec.name
         self._spec = spec
         self.process = GeneratorProcess(spec)
@@ -67,9 +58,9 @@ def reconstructor_of(config: ShapeConfig) -> Reconstructor:
     """
     if config.reconstructor != "external":
         return make_reconstructor(config.reconstructor, config)
-    path = os.environ.get(CHOICE_VARIABLE, "")
+    path = os.environ.get(specs.CHOICE_VARIABLE, "")
     if not path:
-        raise ConfigError(f"this job needs a generator; set ${CHOICE_VARIABLE} to its TOML")
+        raise ConfigError(f"this job needs a generator; set ${specs.CHOICE_VARIABLE} to its TOML")
     return generating(Path(path), config)
 
 
@@ -80,14 +71,14 @@ def generating(spec: Path, config: ShapeConfig) -> Reconstructor:
 
 @cache
 def _generator(path: str) -> ExternalGenerator:
-    generator = ExternalGenerator(read_spec(Path(path)))
+    generator = ExternalGenerator(specs.read_spec(Path(path)))
     atexit.register(generator.process.close)
     return generator
 
 
 @cache
 def _refining(path: str) -> GeneratorProcess | None:
-    spec = refiner_of(read_spec(Path(path)))
+    spec = specs.refiner_of(specs.read_spec(Path(path)))
     if spec is None:
         return None
     process = GeneratorProcess(spec)
@@ -107,7 +98,7 @@ def chosen_generator(config: MapperConfig) -> Path | None:
     """
     if config.shapes.reconstructor != "external":
         return None
-    path = find_spec(config.run.generator)
+    path = specs.find_spec(config.run.generator)
     check_generator(path, config)
     return path
 
@@ -117,13 +108,13 @@ def check_generator(path: Path, config: MapperConfig) -> None:
 
     Raises `ConfigError`: its licence was not accepted, a part is missing, or it does not start.
     """
-    spec = read_spec(path)
-    refiner = refiner_of(spec)
+    spec = specs.read_spec(path)
+    refiner = specs.refiner_of(spec)
     for program in [spec] if refiner is None else [spec, refiner]:
-        check_licence(program, config.run.i_accept)
+        specs.check_licence(program, config.run.i_accept)
         if config.run.cluster:
             continue  # what it needs is on the machines of the cluster
-        if missing := missing_of(program):
+        if missing := specs.missing_of(program):
             lacking = "; ".join(missing)
             raise ConfigError(f"the generator {program.name} ({path}) lacks {lacking}; see `generators check`")
         process = GeneratorProcess(program)
@@ -139,4 +130,4 @@ def generator_key(config: MapperConfig) -> str:
     """Return the identity of a run's generator, "" without one."""
     if config.shapes.reconstructor != "external":
         return ""
-    return fingerprint(read_spec(find_spec(config.run.generator)))
+    return specs.fingerprint(specs.read_spec(specs.find_spec(config.run.generator)))
