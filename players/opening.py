@@ -64,18 +64,17 @@ def _open(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Sou
         source = _open_folder(paths[0], options)
         if source is not None:
             if options.robot is not None:
-                raise RecordingError(
-                    f"found --robot {options.robot}, but a folder of images is of no robot; leave it out"
-                )
+                found = f"found --robot {options.robot}"
+                raise RecordingError(f"{found}, but a folder of images is of no robot; leave it out")
             return source
     from players.logs.log_opening import open_log
 
     log = open_log(open_container(*paths), options)
     if options.extrinsics == "log":
         return log
-    from players.poses.extrinsics import with_estimated_mounting
+    from players.poses.extrinsics import with_estimated_extrinsics
 
-    return with_estimated_mounting(log)
+    return with_estimated_extrinsics(log)
 
 
 def open_container(*paths: Path) -> Log:
@@ -147,7 +146,8 @@ def _open_bag_folder(folder: Path) -> Log:
     logs = [name for name in names if name.endswith((".mcap", ".bag", ".db3", ".db3.zstd", ".mcap.zstd"))]
     if len(logs) == 1:
         return _open_file(folder / logs[0])
-    if logs and _is_split(logs):
+    # The names of a split recording differ in a single number.
+    if len({re.sub(r"\d+(?=\D*$)", "#", name.split(".")[0]) + name[name.index(".") :] for name in logs}) == 1:
         if len(bag_files(folder)) == len(logs):
             return open_ros2_bag(folder)
         return open_container(*(folder / name for name in logs))
@@ -158,10 +158,6 @@ def _open_bag_folder(folder: Path) -> Log:
         )
     found = ", ".join(names[:8]) + (" ..." if len(names) > 8 else "") or "nothing"
     raise RecordingError(f"{folder} is no log that is known; found {found}; expected {_KINDS}")
-
-
-def _is_split(names: list[str]) -> bool:
-    return len({re.sub(r"\d+(?=\D*$)", "#", name.split(".")[0]) + name[name.index(".") :] for name in names}) == 1
 
 
 def _open_folder(folder: Path, options: SourceOptions) -> Source | None:

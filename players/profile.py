@@ -181,8 +181,7 @@ def _match(table: Mapping[str, Any], topics: Sequence[Topic]) -> dict[str, str] 
 def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Profile:
     patterns = tuple(table.pop("match", {}).get("topics", ()))
     color, depth = table.pop("color", None), table.pop("depth", None)
-    sensor = table.pop("sensor", {})
-    time = table.pop("time", {})
+    sensor, time = table.pop("sensor", {}), table.pop("time", {})
     rig, robots = table.pop("rig", None), table.pop("robots", {})
     topics = {role: _filled(table.get("streams", {}).get(role, ()), parameters) for role in _ROLES}
     unknown = table.pop("streams", {}).keys() - set(_ROLES)
@@ -213,22 +212,17 @@ def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Prof
 
 def _ns(time: dict[str, Any], name: str) -> int | None:
     # Removes the value from `time`.
-    milliseconds = time.pop(name, None)
-    if milliseconds is None:
+    if name not in time:
         return None
-    _TOLERANCE.check(name, milliseconds)
-    return round(milliseconds * 1e6)
+    _TOLERANCE.check(name, time[name])
+    return round(time.pop(name) * 1e6)
 
 
 def _filled(names: Sequence[str] | str, parameters: Mapping[str, str]) -> tuple[str, ...]:
     # Names with unknown parameters are left out.
     names = (names,) if isinstance(names, str) else names
-    filled = []
-    for name in names:
-        wanted = re.findall(r"\{(\w+)\}", name)
-        if all(word in parameters for word in wanted):
-            filled.append(re.sub(r"\{(\w+)\}", lambda hit: parameters[hit.group(1)], name))
-    return tuple(filled)
+    known = (name for name in names if all(word in parameters for word in re.findall(r"\{(\w+)\}", name)))
+    return tuple(re.sub(r"\{(\w+)\}", lambda hit: parameters[hit.group(1)], name) for name in known)
 
 
 def _rig(rig: Mapping[str, Any], robots: Mapping[str, Any], parameters: Mapping[str, str]) -> RigLinks:

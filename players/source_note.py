@@ -25,13 +25,8 @@ if TYPE_CHECKING:
 
 
 _KINDS: dict[str, Any] = {
-    "uris": list,
-    "options": dict,
-    "first_frames": int,
-    "start_s": (int, float),
-    "end_s": (int, float),
-    "faults": str,
-    "fault_seed": int,
+    **{"uris": list, "options": dict, "faults": str},
+    **{"first_frames": int, "fault_seed": int, "start_s": (int, float), "end_s": (int, float)},
 }
 
 
@@ -65,11 +60,10 @@ def note_of(
 def open_noted(
     note: Mapping[str, Any], clock: PlaybackClock | None = None, keyframes: KeyframeConfig | None = None
 ) -> Source:
-    """Return the source that was noted, following a clock (None: as fast as possible) that steps by `keyframes`.
+    """Return the noted source, following a clock (None: as fast as possible) that steps by `keyframes`.
 
-    Raises `RecordingError`: nothing is there, it is of no known kind, or lacks what mapping needs; or the note is
-    damaged; `CalibrationError`: intrinsics or extrinsics are missing or contradict the images; `InputError`: the faults
-    are invalid, or the log ends before the start.
+    Raises as `open_source`; `RecordingError`: the note is damaged; `InputError`: the faults are invalid, or the log
+    ends before the start.
     """
     _check(note)
     known = {field.name for field in fields(SourceOptions)}

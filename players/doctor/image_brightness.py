@@ -44,9 +44,5 @@ def light_of(rgb: NDArray[np.uint8]) -> Light:
 
 def light_of_all(frames: Sequence[Light]) -> Light | None:
     """Return the brightness and colour of a log: medians over its frames; None without frames."""
-    if not frames:
-        return None
-    return Light(
-        median=float(np.median([light.median for light in frames])),
-        color=float(np.median([light.color for light in frames])),
-    )
+    median, color = ([getattr(light, name) for light in frames] for name in ("median", "color"))
+    return Light(median=float(np.median(median)), color=float(np.median(color))) if frames else None

@@ -36,7 +36,7 @@ class ClockOffset:
         if offset_ns is not None and abs(difference_ns - self._least[-1][1]) > _STEP_NS:
             self._odd = [kept for kept in self._odd if abs(kept - difference_ns) <= _STEP_NS] + [difference_ns]
             # A delay that grows is no step of the clock: a link that is behind lets go of it again.
-            if len(self._odd) < _CONFIRMED or self._is_delay(difference_ns):
+            if len(self._odd) < _CONFIRMED or 0 < difference_ns - self._least[0][1] < _WINDOW_NS:
                 return
             self._least.clear()
             self.num_steps += 1
@@ -46,9 +46,6 @@ class ClockOffset:
         self._least.append((arrival_ns, difference_ns))
         while arrival_ns - self._least[0][0] > _WINDOW_NS:
             self._least.popleft()
-
-    def _is_delay(self, difference_ns: int) -> bool:
-        return 0 < difference_ns - self._least[0][1] < _WINDOW_NS
 
     def age_ns(self, arrival_ns: int, stamp_ns: int) -> int | None:
         """Return how much later than the quickest message this one came."""

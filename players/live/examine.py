@@ -59,7 +59,7 @@ def examine_live(
             _rename(found, path, refusal)
         else:
             found.refusal = refusal or f"{uri} has sent nothing"
-    _tell(found, status)
+    _note_status(found, status)
     return found
 
 
@@ -97,7 +97,7 @@ def _rename(found: Diagnosis, path: Path, refusal: str | None) -> None:
     found.notes = [text.replace(str(path), found.uri) for text in found.notes]
 
 
-def _tell(found: Diagnosis, status: LiveStatus) -> None:
+def _note_status(found: Diagnosis, status: LiveStatus) -> None:
     found.live = {**status.as_dict(), "table": status_table(status).splitlines()}
     if status.problem:
         found.notes.append(status.problem)

@@ -270,7 +270,7 @@ class FoxgloveRoute:
                 case "status" if said.get("level", 0) >= 1:
                     self._note = f"the server says: {said.get('message', '')}"[:_NOTE_LETTERS]
         except (ValueError, KeyError, TypeError, AttributeError, binascii.Error):
-            self._note = f"the server has sent what is no message of the protocol: {text[:40]!r}"
+            self._note = f"the server has sent no message of the protocol: {text[:40]!r}"
 
     def _advertised(self, inbox: Inbox, channel: Mapping[str, Any]) -> None:
         encoding = str(channel["encoding"])

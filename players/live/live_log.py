@@ -46,9 +46,9 @@ class LiveLog:
         self.clock_offset = ClockOffset()
         self.inbox = inbox
         self.roles: dict[str, str] = {}
-        """What the topics are for that were asked for, by name."""
+        """Roles of the requested topics, by name."""
         self.hidden: frozenset[str] = frozenset()
-        """Topics of other robots, which whoever reads the log does not see."""
+        """Topics of other robots, which a reader of the log does not see."""
         self._most_s = most_s
         self._loses_nothing = loses_nothing
         self._wanted: frozenset[str] | None = None

@@ -39,7 +39,6 @@ class McapStream:
     kind = "MCAP stream"
 
     def __init__(self, uri: str, path: Path | None) -> None:
-        """Prepare to read a path, or standard input where there is none."""
         self.uri = uri
         self._path = path
         self._described = mcap.Described()
@@ -99,9 +98,8 @@ class McapStream:
 
     def _records(self) -> Iterator[tuple[int, memoryview]]:
         buffer, at = bytearray(), 0
-        pieces = self._pieces()
         is_first = True
-        for piece in pieces:
+        for piece in self._pieces():
             buffer += piece
             if is_first:
                 if len(buffer) < len(mcap.MAGIC):
@@ -112,7 +110,7 @@ class McapStream:
             while at + mcap.HEAD.size <= len(buffer):
                 opcode, length = mcap.HEAD.unpack_from(buffer, at)
                 if length > _MAX_RECORD_BYTES or not mcap.is_record(opcode, length, length):
-                    raise _NotMcapError(f"holds what is no record (kind {opcode}, {length} bytes); write it anew")
+                    raise _NotMcapError(f"holds no record (kind {opcode}, {length} bytes); write it again")
                 if at + mcap.HEAD.size + length > len(buffer):
                     break
                 if opcode == mcap.FOOTER:

@@ -112,13 +112,8 @@ class LiveMapSource(SourceAround):
         arrived = self._log.inbox.arrivals.get(entry.topic)
         dropped = {fate: n for fate, n in arrived.fates.items() if fate != "lost"} if arrived is not None else {}
         not_needed = max(0, entry.not_needed - sum(dropped.values()))
-        is_needed = not entry.not_needed
-        return replace(
-            entry,
-            not_needed=not_needed,
-            not_played=num_left if is_needed else 0,
-            rejected={**entry.rejected, **dropped},
-        )
+        not_played = 0 if entry.not_needed else num_left
+        return replace(entry, not_needed=not_needed, not_played=not_played, rejected={**entry.rejected, **dropped})
 
 
 def open_live(
@@ -199,7 +194,7 @@ def _opened(
     route: LiveSource, log: LiveLog, options: SourceOptions, patience: _Patience, tell: Callable[[str], None]
 ) -> LogSource:
     ends_s = time.monotonic() + patience.most_s
-    told = ""
+    reported = ""
     while True:
         is_over = log.inbox.is_over  # before the attempt: it may be the last one that can succeed
         try:
@@ -213,9 +208,9 @@ def _opened(
             if time.monotonic() >= ends_s:
                 waited = f"waited {patience.most_s:g} s for {log.path}"
                 raise type(error)(f"{reason}; {waited}: `hickory-stream doctor {log.path}` shows its topics") from error
-        if reason != told:
+        if reason != reported:
             tell(f"waiting: {reason}")
-            told = reason
+            reported = reason
         log.idle(_BETWEEN_S)
 
 
@@ -234,7 +229,7 @@ def subscribe(route: LiveSource, log: LiveLog, options: SourceOptions) -> None:
     profile, _ = choose_profile(topics, options)
     log.hidden = frozenset(of_other_robots(log.path, topics, options, profile))
     topics = log.topics
-    # What is there is asked for even where something else is missing: it may come later than that.
+    # Announced topics are subscribed to even if others are missing.
     small = {topic.name for topic in [*tf_topics(topics), *camera_infos(topics)]}
     try:
         poses = [] if options.pose_file else pose_topics(log.path, topics, options, profile.topics.get("pose", ()))

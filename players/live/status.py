@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from players.live.rates import Arrivals
+from players.live.inbox import Arrivals
 from players.messages.records import TF
 
 if TYPE_CHECKING:
@@ -108,12 +108,11 @@ def _problem(topic: Topic, role: str, age_s: float | None, fates: Mapping[str, i
     is_latched = topic.name.endswith("tf_static")
     if age_s is None:
         if is_latched:
-            return "nothing has come: it is sent once, and whoever sends it keeps nothing for late comers"
+            return "nothing has come: it is sent once, and its publisher keeps nothing for late subscribers"
         return "announced, but nothing has come: the camera or its driver may be off, or sends on demand only"
     if not is_latched and role not in ("color_info", "depth_info") and age_s > _SILENT_S:
         return f"silent for {age_s:.0f} s"
-    told = ", ".join(f"{number} {_FATES.get(fate, fate)}" for fate, number in sorted(fates.items()) if number)
-    return told
+    return ", ".join(f"{number} {_FATES.get(fate, fate)}" for fate, number in sorted(fates.items()) if number)
 
 
 _FATES = {
@@ -132,7 +131,7 @@ def status_table(status: LiveStatus) -> str:
     if status.clock_offset_s is not None and abs(status.clock_offset_s) > _OFF_S:
         clock = f"; the robot's clock is {_span(status.clock_offset_s)} ours, its stamps are kept"
     if status.clock_steps:
-        clock += f"; it was set anew {status.clock_steps} time{'s' * (status.clock_steps > 1)}"
+        clock += f"; it was set again {status.clock_steps} time{'s' * (status.clock_steps > 1)}"
     state = "connected" if status.is_connected else f"not connected: {status.problem}"
     note = f"; {status.problem}" if status.is_connected and status.problem else ""
     lines = [f"{status.uri} ({status.kind}): {state}{note}{clock}"]

@@ -138,8 +138,8 @@ class ZedRoute:
             stamp_ns = int(camera.get_timestamp(sl.TIME_REFERENCE.IMAGE).get_nanoseconds())
             state = camera.get_position(pose, sl.REFERENCE_FRAME.WORLD)
             is_tracked = state == sl.POSITIONAL_TRACKING_STATE.OK
-            told = "" if is_tracked else f"the camera is not tracked ({_name(state)}): nothing is mapped"
-            self._health = Health(is_connected=True, problem=told)
+            problem = "" if is_tracked else f"the camera is not tracked ({_name(state)}): nothing is mapped"
+            self._health = Health(is_connected=True, problem=problem)
             waits = self._address.svo is not None
             if is_tracked:
                 tracked = np.array(pose.pose_data(sl.Transform()).m, dtype=np.float64)

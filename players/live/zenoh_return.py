@@ -8,6 +8,7 @@ import time
 import uuid
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from players.live.zenoh_keys import own_token, publication_like, publishing_key
@@ -121,7 +122,8 @@ class ZenohReturn:
             self._announce(ours, "MP")
         for name, hear in self._listeners.items():
             if name not in self._declared:
-                self._declared[name] = self._session.declare_subscriber(self._key_of(name), _handing_over(hear))
+                key = self._ours(name, _Offer(type_name="", type_hash="", is_latched=False)).key
+                self._declared[name] = self._session.declare_subscriber(key, partial(_hand_over, hear))
 
     def _announce(self, ours: Publication, kind: Any) -> None:
         # Our own entities are numbered apart from those of the subscriptions.
@@ -131,18 +133,9 @@ class ZenohReturn:
 
     def _ours(self, name: str, offer: _Offer) -> Publication:
         assert self._like is not None
-        return publication_like(
-            self._like,
-            name,
-            offer.type_name,
-            namespace=self._namespace,
-            type_hash=offer.type_hash,
-            is_latched=offer.is_latched,
-        )
-
-    def _key_of(self, name: str) -> str:
-        return self._ours(name, _Offer(type_name="", type_hash="", is_latched=False)).key
+        named = {"namespace": self._namespace, "type_hash": offer.type_hash}
+        return publication_like(self._like, name, offer.type_name, **named, is_latched=offer.is_latched)
 
 
-def _handing_over(hear: Callable[[bytes], None]) -> Callable[[Any], None]:
-    return lambda sample: hear(sample.payload.to_bytes())
+def _hand_over(hear: Callable[[bytes], None], sample: Any) -> None:
+    hear(sample.payload.to_bytes())

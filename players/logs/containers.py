@@ -6,6 +6,7 @@ A definition that cannot be parsed makes only its topic unreadable.
 
 from __future__ import annotations
 
+import hashlib
 import struct
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -13,12 +14,13 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from players.logs.log_damage import Flaws
 
 DefinitionFormat = Literal["msg", "idl", "protobuf", "jsonschema", "none"]
+_SAMPLE_BYTES = 1 << 20
 Wire = Literal["cdr", "ros1", "protobuf", "json", "other"]
 
 
@@ -150,3 +152,19 @@ def _typestore(type_name: str, definition_format: DefinitionFormat, definition: 
     is_msg = definition_format == "msg"
     store.register(get_types_from_msg(definition, type_name) if is_msg else get_types_from_idl(definition))
     return store
+
+
+def files_identity(files: Sequence[Path], sampled: Sequence[Path] | None = None) -> str:
+    """Return the sha256 over name and size of all files, and the first and last MiB of the `sampled` ones (or of all).
+
+    The folder is not included, so that a log keeps its identity when it is moved.
+    """
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(f"{file.name}\0{file.stat().st_size}\0".encode())
+    for file in files if sampled is None else sampled:
+        with file.open("rb") as stream:
+            digest.update(stream.read(_SAMPLE_BYTES))
+            stream.seek(max(_SAMPLE_BYTES, file.stat().st_size - _SAMPLE_BYTES))
+            digest.update(stream.read(_SAMPLE_BYTES))
+    return digest.hexdigest()

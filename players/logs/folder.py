@@ -14,9 +14,8 @@ import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.records import Frame, RawFrame, SourceInfo
-from players.logs.counts import Ledger
-from players.logs.identity import files_identity
-from players.logs.message_account import Account, TopicAccount
+from players.logs.containers import files_identity
+from players.logs.message_account import Account, Ledger, TopicAccount
 from players.messages.depth_registration import Registration, register_depth
 from players.messages.image_decoding import compressed_size, decode_color, decode_depth_png
 

@@ -17,9 +17,8 @@ import numpy as np
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
-from players.logs.containers import UnreadableMessageError, deserialize
-from players.logs.counts import Ledger
-from players.logs.identity import files_identity
+from players.logs.containers import UnreadableMessageError, deserialize, files_identity
+from players.logs.message_account import Ledger, account_of
 from players.logs.synchronizer import Leftover, Pair, Stamped, pair_epochs
 from players.logs.timeline import Order, Timeline
 from players.messages.depth_registration import Registration, register_depth, with_motion
@@ -158,8 +157,6 @@ class LogSource:
 
     def account(self) -> Account:
         """Return the ledger of every message in the latest pass."""
-        from players.logs.message_account import account_of
-
         return account_of(self._log, self.setup, self._ledger)
 
     def close(self) -> None:

@@ -24,16 +24,10 @@ MAX_PIXELS = 64_000_000
 """The maximum number of pixels: an image that claims more is damaged, or a decompression bomb."""
 
 _RAW_TYPES = {
-    "rgb8": ("u1", 3),
-    "bgr8": ("u1", 3),
-    "8UC3": ("u1", 3),
-    "rgba8": ("u1", 4),
-    "bgra8": ("u1", 4),
-    "8UC4": ("u1", 4),
-    "mono8": ("u1", 1),
-    "8UC1": ("u1", 1),
-    "mono16": ("u2", 1),
-    "16UC1": ("u2", 1),
+    **dict.fromkeys(("rgb8", "bgr8", "8UC3"), ("u1", 3)),
+    **dict.fromkeys(("rgba8", "bgra8", "8UC4"), ("u1", 4)),
+    **dict.fromkeys(("mono8", "8UC1"), ("u1", 1)),
+    **dict.fromkeys(("mono16", "16UC1"), ("u2", 1)),
     "32FC1": ("f4", 1),
     **dict.fromkeys(("yuv422", "uyvy", "UYVY", "yuv422_yuy2", "yuyv", "YUYV"), ("u1", 2)),
     **dict.fromkeys(("nv12", "nv21"), ("u1", 1)),
@@ -124,9 +118,8 @@ def decode_compressed_depth(data: bytes, encoding: str, units_per_m: float, what
     """
     if not data:
         raise RecordingError(f"{what} is empty")
-    is_inverse = encoding.strip().startswith("32FC1")
     numbers = _depth_numbers(data, what)
-    if not is_inverse:
+    if not encoding.strip().startswith("32FC1"):
         return metres_of_u16(numbers, units_per_m)
     kind, a, b = struct.unpack_from("<iff", data, 0)
     if data[:8] == _PNG or kind != 0 or not (np.isfinite((a, b)).all() and a > 0):
@@ -181,8 +174,7 @@ def raw_pixels(message: Any, what: str) -> NDArray[Any]:
     Raises `RecordingError`: fewer bytes than the header announces.
     """
     dtype, channels = _RAW_TYPES[message.encoding]
-    big = bool(message.is_bigendian)
-    wire = np.dtype(dtype).newbyteorder(">" if big else "<")
+    wire = np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<")
     row_bytes = message.width * channels * wire.itemsize
     # NV12 and NV21: the chroma plane follows the luma plane, with half as many rows.
     height = message.height * 3 // 2 if message.encoding in ("nv12", "nv21") else message.height

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from players.logs.containers import Topic
 
-
 _UNITS_PER_M = 1000.0
 """Integer depth is millimetres (REP 118)."""
 
@@ -62,7 +61,7 @@ def image_of(topic: Topic, message: Any, stamp_ns: int | None = None) -> LogImag
         topic=topic.name,
         stamp_ns=header_stamp_ns(message) if stamp_ns is None else stamp_ns,
         frame=frame_name(message.header.frame_id),
-        size=_compressed_size(message) if is_compressed else _raw_size(message),
+        size=_compressed_size(message) if is_compressed else (int(message.width), int(message.height)),
         is_compressed=is_compressed,
         message=message,
     )
@@ -82,9 +81,8 @@ def check_color_encoding(image: LogImage) -> None:
 
 def check_depth_encoding(image: LogImage) -> None:
     """Check that depth can be decoded, to the right unit. Raises `RecordingError`: the encoding is not known."""
-    if image.is_compressed:
-        return  # Recognised by its bytes: drivers write the format string in many ways.
-    if image.encoding not in DEPTH_ENCODINGS:
+    # A compressed image is recognised by its bytes: drivers write the format string in many ways.
+    if not image.is_compressed and image.encoding not in DEPTH_ENCODINGS:
         raise RecordingError(
             f"{image.topic} is encoded as {image.encoding!r}; depth must be one of {', '.join(DEPTH_ENCODINGS)}, "
             "or a CompressedImage of 16-bit PNG or RVL; name another topic with --depth-topic"
@@ -111,10 +109,6 @@ def depth_of(image: LogImage, units_per_m: float = _UNITS_PER_M) -> NDArray[np.f
     if image.is_compressed:
         return decode_compressed_depth(image.data(), image.encoding, units_per_m, str(image))
     return depth_of_pixels(raw_pixels(image.message, str(image)), units_per_m)
-
-
-def _raw_size(message: Any) -> tuple[int, int]:
-    return int(message.width), int(message.height)
 
 
 def _compressed_size(message: Any) -> tuple[int, int] | None:

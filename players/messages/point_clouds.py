@@ -43,9 +43,7 @@ def scan_of(message: Any, stamp_ns: int | None = None) -> Scan:
     rows = _rows(message, [fields[name] for name in names], at)
     points = np.stack([rows[axis].ravel().astype(np.float32) for axis in "xyz"], axis=1)
     is_finite = np.isfinite(points).all(axis=1)
-    times_s = None
-    if time_name is not None:
-        times_s = _since(rows[time_name].ravel(), stamp_ns)
+    times_s = _since(rows[time_name].ravel(), stamp_ns) if time_name is not None else None
     return Scan(
         stamp_ns=stamp_ns,
         frame=frame_name(message.header.frame_id),
@@ -76,14 +74,8 @@ def _rows(message: Any, fields: list[Any], at: str) -> NDArray[Any]:
         raise RecordingError(
             f"{at} has {len(data)} bytes in rows of {row_step}; {height} x {width} points of {step} bytes need {needed}"
         )
-    kind = np.dtype(
-        {
-            "names": [field.name for field in fields],
-            "formats": formats,
-            "offsets": [int(field.offset) for field in fields],
-            "itemsize": step,
-        }
-    )
+    names, offsets = [field.name for field in fields], [int(field.offset) for field in fields]
+    kind = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
     return np.ndarray((height, width), dtype=kind, buffer=data.data, strides=(row_step, step))
 
 

@@ -237,7 +237,7 @@ class RigReader:
         try:
             info = camera_info_of(deserialize(topic, message.data))
         except (UnreadableMessageError, ValueError):
-            self._unreadable(topic)
+            self.fates["unreadable_message"] += 1
             return
         self._info_bytes[topic.name] = content
         known = self.infos.get(topic.name)
@@ -251,7 +251,7 @@ class RigReader:
         try:
             poses = poses_of(topic.type_name, deserialize(topic, message.data))
         except UnreadableMessageError:
-            self._unreadable(topic)
+            self.fates["unreadable_message"] += 1
             return
         num_bad = 0
         for pose in poses:
@@ -283,14 +283,11 @@ class RigReader:
         self.fates[fate] += 1
         self.rejected[topic.name] += 1
 
-    def _unreadable(self, topic: Topic) -> None:
-        self.fates["unreadable_message"] += 1
 
-
-def mounted(plan: PosePlan, body_from_camera: NDArray[np.float64], told: str) -> PosePlan:
-    """Return the plan with another camera pose on its body; `told` states its origin."""
+def with_extrinsics(plan: PosePlan, body_from_camera: NDArray[np.float64], origin: str) -> PosePlan:
+    """Return the plan with another camera pose on its body."""
     link = _Link(static=body_from_camera, key=None, is_inverted=False)
-    return replace(plan, links=(link,), is_static=True, extrinsics=told)
+    return replace(plan, links=(link,), is_static=True, extrinsics=origin)
 
 
 def body_from_camera_of(plan: PosePlan) -> NDArray[np.float64]:
@@ -324,14 +321,7 @@ def plan_poses(
         if carried:
             return max(carried, key=_preference)
         if not is_named and rig is None and (chain := _chain_from_fixed(tree, camera_frame)) is not None:
-            return PosePlan(
-                stream=None,
-                links=_links(chain),
-                is_static=chain.is_static,
-                source="TF",
-                path=" <- ".join(chain.frames),
-                extrinsics="TF of the log",
-            )
+            return _plan_of(None, chain, chain.frames, "TF of the log")
     elif carried := [plan for s in streams if s.child and (plan := _carried(s, tree, camera_frame, pose_frame))]:
         return max(carried, key=_preference)
     of_the_rig = [stream for stream in streams if stream.topic in rig_topics]
@@ -341,22 +331,15 @@ def plan_poses(
         if chain is None:
             raise CalibrationError(f"profile {profile_name}: its links do not connect {rig.body} to {rig.color}")
         frames = (stream.parent, *([stream.child] if stream.child else []), *chain.frames)
-        return PosePlan(
-            stream=stream,
-            links=_links(chain),
-            is_static=True,
-            source=stream.topic,
-            path=" <- ".join(frames),
-            extrinsics=f"profile {profile_name}",
-        )
+        return _plan_of(stream, chain, frames, f"profile {profile_name}")
     if not streams and not tree.edges:
         raise NoPosesError(f"{path}: the pose topics hold no pose; --odometry depth estimates them")
-    told = _unconnected(path, streams, tree, camera_frame)
+    reason = _unconnected(path, streams, tree, camera_frame)
     if not streams and not any(isinstance(edge.parent_from_child, GrowingTrack) for edge in tree.edges.values()):
-        raise NoPosesError(f"{told}, or estimate poses with --odometry depth")
+        raise NoPosesError(f"{reason}, or estimate poses with --odometry depth")
     if rig is not None:
-        told += f". The profile {profile_name} knows the body of {' or '.join(rig_topics)} only: play that log, too"
-    raise CalibrationError(told)
+        reason += f". The profile {profile_name} knows the body of {' or '.join(rig_topics)} only: play that log, too"
+    raise CalibrationError(reason)
 
 
 def _carried(stream: PoseStream, tree: FrameTree, camera_frame: str, pose_frame: str | None) -> PosePlan | None:
@@ -364,31 +347,26 @@ def _carried(stream: PoseStream, tree: FrameTree, camera_frame: str, pose_frame:
     chain = tree.chain(body, camera_frame) if body else None
     if chain is None or stream.parent in chain.frames[1:]:
         return None
-    path = " <- ".join((stream.parent, *chain.frames))
     extrinsics = "TF of the log" if chain.edges else "none: the pose is the camera's"
-    return PosePlan(
-        stream=stream,
-        links=_links(chain),
-        is_static=chain.is_static,
-        source=stream.topic,
-        path=path,
-        extrinsics=extrinsics,
-    )
+    return _plan_of(stream, chain, (stream.parent, *chain.frames), extrinsics)
 
 
-def _links(chain: Chain) -> tuple[_Link, ...]:
+def _plan_of(stream: PoseStream | None, chain: Chain, frames: Sequence[str], extrinsics: str) -> PosePlan:
     links = []
     for edge, is_inverted in chain.edges:
         link = edge.parent_from_child
-        is_fixed = isinstance(link, np.ndarray)
-        links.append(
-            _Link(
-                static=link.any_pose() if isinstance(link, GrowingTrack) else np.asarray(link),
-                key=None if is_fixed and edge.is_published_static else ("tf", edge.parent, edge.child),
-                is_inverted=is_inverted,
-            )
-        )
-    return tuple(links)
+        is_fixed = isinstance(link, np.ndarray) and edge.is_published_static
+        static = link.any_pose() if isinstance(link, GrowingTrack) else np.asarray(link)
+        key = None if is_fixed else ("tf", edge.parent, edge.child)
+        links.append(_Link(static=static, key=key, is_inverted=is_inverted))
+    return PosePlan(
+        stream=stream,
+        links=tuple(links),
+        is_static=chain.is_static,
+        source=stream.topic if stream is not None else "TF",
+        path=" <- ".join(frames),
+        extrinsics=extrinsics,
+    )
 
 
 def _preference(plan: PosePlan) -> tuple[bool, bool, int, str]:

@@ -66,10 +66,10 @@ class OdometrySource(SourceAround):
     def info(self) -> SourceInfo:
         """The info of the other source, with estimated poses."""
         info = self._source.info
-        told = {**dict(info.streams), "pose": f"odometry: {self.poses_by}"}
+        streams = {**dict(info.streams), "pose": f"odometry: {self.poses_by}"}
         if self._lidar is not None:
-            told["lidar"], told["lidar_to_camera"] = self._lidar[0], self._lidar[2]
-        return replace(info, streams=tuple(told.items()))
+            streams["lidar"], streams["lidar_to_camera"] = self._lidar[0], self._lidar[2]
+        return replace(info, streams=tuple(streams.items()))
 
     @property
     def played(self) -> Source:
@@ -87,7 +87,7 @@ class OdometrySource(SourceAround):
         placed = self._by_lidar(counts) if self._lidar is not None else self._by_depth(counts)
         index = 0
         for raw, world_from_camera, degenerate, decoded in self._handed_over(placed):
-            frame = replace(
+            yield replace(
                 raw,
                 index=index,
                 world_from_camera=world_from_camera,
@@ -96,7 +96,6 @@ class OdometrySource(SourceAround):
                 is_posed=True,
             )
             index += 1
-            yield frame
 
     def ledger(self) -> Mapping[str, int]:
         """Return the ledger of the other source, and the counts of odometry.
@@ -124,7 +123,7 @@ class OdometrySource(SourceAround):
 
     def _by_depth(self, counts: Counter[str]) -> Iterator[_Posed]:
         odometry = make_odometry("depth", self._method)
-        told = _Told(counts, "depth")
+        results = _Results(counts, "depth")
         world_from_start: NDArray[np.float64] | None = None
         before: NDArray[np.float64] | None = None
         for raw in self._source.frames():
@@ -135,7 +134,7 @@ class OdometrySource(SourceAround):
                 continue
             scan = scan_of_depth(frame)
             step = compose(invert(before), raw.world_from_camera) if before is not None and raw.is_posed else None
-            found = told.heard(odometry.register(scan, step), scan)
+            found = results.add(odometry.register(scan, step), scan)
             if found is None:
                 counts["odometry_lost"] += 1
                 continue
@@ -149,7 +148,7 @@ class OdometrySource(SourceAround):
         assert self._lidar is not None and isinstance(self._source, LogSource)
         topic, camera_from_lidar, _ = self._lidar
         lidar_from_camera = invert(camera_from_lidar)
-        told, odometry = _Told(counts, topic), make_odometry("lidar", self._method)
+        results, odometry = _Results(counts, topic), make_odometry("lidar", self._method)
         known, track = GrowingTrack(_MAX_GAP_NS, None), GrowingTrack(_MAX_GAP_NS, None)
         sweeps = self._source.scans(topic)
         sweep = next(sweeps, None)
@@ -162,7 +161,7 @@ class OdometrySource(SourceAround):
             nonlocal sweep, last_ns, degenerate
             while sweep is not None and (until_ns is None or sweep.stamp_ns <= until_ns):
                 step = _step(known, last_ns, sweep.stamp_ns, camera_from_lidar)
-                found = told.heard(odometry.register(sweep, step), sweep)
+                found = results.add(odometry.register(sweep, step), sweep)
                 if found is not None:
                     track.add(sweep.stamp_ns, _row(found.start_from_sensor))
                     last_ns = sweep.stamp_ns
@@ -188,9 +187,8 @@ class OdometrySource(SourceAround):
                     continue
                 start_from_camera = compose(start_from_lidar, lidar_from_camera)
                 if world_from_start is None:
-                    world_from_start = compose(
-                        self._world_from_first(first, scan_of_depth(first.decode())), invert(start_from_camera)
-                    )
+                    world_from_first = self._world_from_first(first, scan_of_depth(first.decode()))
+                    world_from_start = compose(world_from_first, invert(start_from_camera))
                 yield first, compose(world_from_start, start_from_camera), degenerate, None
 
     def _world_from_first(self, raw: RawFrame, scan: Scan) -> NDArray[np.float64]:
@@ -204,17 +202,16 @@ class OdometrySource(SourceAround):
                 "is taken to be upright. Heights are wrong where it is not; name --pose-topic, or start elsewhere",
                 raw.stamp_ns / 1e9,
             )
-            up = _CAMERA_UP
-        return world_from_down(-up)
+        return world_from_down(-(_CAMERA_UP if up is None else up))
 
 
-class _Told:
+class _Results:
     def __init__(self, counts: Counter[str], name: str) -> None:
         self._counts = counts
         self._name = name
         self._is_lost = False
 
-    def heard(self, found: Registered | NotRegistered, scan: Scan) -> Registered | None:
+    def add(self, found: Registered | NotRegistered, scan: Scan) -> Registered | None:
         if isinstance(found, NotRegistered):
             if not self._is_lost:
                 logger.warning("odometry by %s is lost at %.3f s: %s", self._name, scan.stamp_ns / 1e9, found.reason)
@@ -284,11 +281,6 @@ def _row(pose: NDArray[np.float64]) -> list[float]:
 
 
 def _frame_of(
-    raw: RawFrame,
-    decoded: Frame | None,
-    index: int,
-    world_from_camera: NDArray[np.float64],
-    degenerate: NDArray[np.float64],
+    raw: RawFrame, decoded: Frame | None, index: int, pose: NDArray[np.float64], degenerate: NDArray[np.float64]
 ) -> Frame:
-    frame = decoded or raw.decode()
-    return replace(frame, index=index, world_from_camera=world_from_camera, degenerate=degenerate)
+    return replace(decoded or raw.decode(), index=index, world_from_camera=pose, degenerate=degenerate)

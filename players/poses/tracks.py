@@ -193,9 +193,8 @@ class GrowingTrack:
             return True
         if end_ns - start_ns > _MAX_STANDING_NS:
             return False
-        return _distance(self._rows[start_ns], self._rows[end_ns]) <= STANDING_M and (
-            _angle(self._rows[start_ns], self._rows[end_ns]) <= STANDING_RAD
-        )
+        start, end = self._rows[start_ns], self._rows[end_ns]
+        return _distance(start, end) <= STANDING_M and _angle(start, end) <= STANDING_RAD
 
     def _continues(self, stamp_ns: int, row: tuple[float, ...]) -> bool:
         assert self._limits is not None
