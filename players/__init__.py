@@ -5,6 +5,6 @@
 
 from players.opening import open_source
 from players.options import SourceOptions
-from players.source_note import note_of, open_noted
+from players.source_note import make_source_note, open_from_note
 
-__all__ = ["SourceOptions", "note_of", "open_noted", "open_source"]
+__all__ = ["SourceOptions", "make_source_note", "open_from_note", "open_source"]

@@ -30,7 +30,7 @@ _KINDS: dict[str, Any] = {
 }
 
 
-def note_of(
+def make_source_note(
     uris: Sequence[str | Path],
     options: SourceOptions,
     *,
@@ -40,7 +40,7 @@ def note_of(
     faults: str | None = None,
     fault_seed: int = 0,
 ) -> dict[str, Any]:
-    """Return the arguments of `open_noted` as JSON values; relative paths become absolute ones."""
+    """Return the arguments of `open_from_note` as JSON values; relative paths become absolute ones."""
     said = asdict(options)
     if options.pose_file is not None:
         said["pose_file"] = str(options.pose_file.absolute())
@@ -57,7 +57,7 @@ def note_of(
     }
 
 
-def open_noted(
+def open_from_note(
     note: Mapping[str, Any], clock: PlaybackClock | None = None, keyframes: KeyframeConfig | None = None
 ) -> Source:
     """Return the noted source, following a clock (None: as fast as possible) that steps by `keyframes`.

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 _told: list[Callable[[str], None]] = []
 
 
-def tell_when_compiling(listener: Callable[[str], None]) -> Callable[[], None]:
+def on_compile(listener: Callable[[str], None]) -> Callable[[], None]:
     """Call `listener`, from any thread, with the name of each kernel to be compiled; return a function that ends it."""
     _told.append(listener)
     return lambda: _told.remove(listener)

@@ -177,7 +177,7 @@ class Pacer:
             await asyncio.wait_for(stopped.wait(), due_s - now_s)
 
 
-class Stop:
+class StopRequest:
     """A request to end the run, from any task; waits end when the grace period after it is over."""
 
     def __init__(self) -> None:

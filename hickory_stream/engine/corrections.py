@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.engine.async_tools import on_thread
-from hickory_stream.engine.keyframe_places import KeyframePlaces
+from hickory_stream.engine.keyframe_places import RegistrationFilter
 from hickory_stream.errors import InputError
 from hickory_stream.events import KeyframeKeptOut, PoseJumped, PosesCorrected
 from hickory_stream.geometry.rigid import is_rigid
@@ -113,7 +113,7 @@ def checked_places(
     return {i: np.array(pose, dtype=np.float64) for i, pose in world_from_submap.items()}
 
 
-class Placing:
+class KeyframeRegistrar:
     """Registers keyframes on a thread, in their order; a series of rejected keyframes is logged once.
 
     `counts` and `timings_s` are of the run.
@@ -128,7 +128,7 @@ class Placing:
         counts: MutableMapping[str, int],
         timings_s: MutableMapping[str, float],
     ) -> None:
-        self._places = KeyframePlaces(config)
+        self._places = RegistrationFilter(config)
         self._effects = effects
         self._thread = thread
         self._counts = counts

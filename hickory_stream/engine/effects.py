@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import JournalConfig, RunConfig
-    from hickory_stream.engine.async_tools import Stop
+    from hickory_stream.engine.async_tools import StopRequest
     from hickory_stream.engine.loop_closing import LoopCloser
     from hickory_stream.engine.modes import Mode
     from hickory_stream.engine.shape_jobs.queue import ShapeQueue
@@ -77,7 +77,7 @@ def color_of(raw: RawFrame, frame: Frame, config: JournalConfig) -> bytes | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class AtHand:
+class CurrentKeyframe:
     """The keyframe of an event: pixels and observations, which some effects need."""
 
     frame: Frame
@@ -114,20 +114,20 @@ class EffectRunner:
     """Owns the core; every event goes through `handle`, on the mapping thread."""
 
     def __init__(
-        self, core: MapperCore, targets: EffectTargets, thinker: ThreadPoolExecutor, config: RunConfig
+        self, core: MapperCore, targets: EffectTargets, mapping_thread: ThreadPoolExecutor, config: RunConfig
     ) -> None:
         self.core = core
         self._to = targets
-        self._thinker = thinker
+        self._mapping_thread = mapping_thread
         self._config = config
 
-    async def handle(self, event: Event, at_hand: AtHand | None = None) -> Handled:
+    async def handle(self, event: Event, current: CurrentKeyframe | None = None) -> Handled:
         """Send an event to the core, and carry out its effects and those that follow from them."""
-        handled = await self.decide(event, at_hand)
+        handled = await self.decide(event, current)
         await self.carry_out(handled.effects)
         return handled
 
-    async def decide(self, event: Event, at_hand: AtHand | None = None) -> Handled:
+    async def decide(self, event: Event, current: CurrentKeyframe | None = None) -> Handled:
         """Send an event to the core, and publish the map; the remaining effects are for `carry_out`."""
         published: Publish | None = None
         patches: NDArray[np.float32] | None = None
@@ -135,13 +135,13 @@ class EffectRunner:
         asked: Event | None = event
         while asked is not None:
             self._to.steps.add_event(asked)
-            effects = await on_thread(self._thinker, self.core.handle, asked)
+            effects = await on_thread(self._mapping_thread, self.core.handle, asked)
             asked = None
             # Pixels first: a job may need them.
-            await self._keep_views([effect for effect in effects if isinstance(effect, KeepView)], at_hand)
+            await self._keep_views([effect for effect in effects if isinstance(effect, KeepView)], current)
             for effect in effects:
                 if isinstance(effect, ComputeFeatures):
-                    asked, patches = await self._features(effect, at_hand)
+                    asked, patches = await self._features(effect, current)
                 elif isinstance(effect, Publish):
                     published = effect
                 else:
@@ -174,25 +174,25 @@ class EffectRunner:
                 assert_never(effect)
 
     async def _features(
-        self, effect: ComputeFeatures, at_hand: AtHand | None
+        self, effect: ComputeFeatures, current: CurrentKeyframe | None
     ) -> tuple[FeaturesReady, NDArray[np.float32]]:
-        assert at_hand is not None, "features are asked for while the frame is at hand"
+        assert current is not None, "features are asked for while the frame is at hand"
         features, patches = await on_thread(
-            self._thinker,
+            self._mapping_thread,
             features_of,
-            at_hand.frame,
-            at_hand.observations,
+            current.frame,
+            current.observations,
             effect.observation_indices,
             self._to.extractor,
-            at_hand.patches,
+            current.patches,
         )
         return FeaturesReady(frame_index=effect.frame_index, features=features), patches
 
-    async def _keep_views(self, keeps: Sequence[KeepView], at_hand: AtHand | None) -> None:
+    async def _keep_views(self, keeps: Sequence[KeepView], current: CurrentKeyframe | None) -> None:
         if not keeps:
             return
-        assert at_hand is not None, "views are kept while the frame is at hand"
-        frame, observations, views = at_hand.frame, at_hand.observations, self._to.folder.views
+        assert current is not None, "views are kept while the frame is at hand"
+        frame, observations, views = current.frame, current.observations, self._to.folder.views
 
         def write() -> None:
             for keep in keeps:
@@ -202,7 +202,7 @@ class EffectRunner:
         await self._to.recorder.write_views(write)
 
 
-class OutOfPatienceError(Exception):
+class GraceExpired(Exception):
     """The grace period of a stopped run is over."""
 
 
@@ -218,7 +218,7 @@ class DueShapes:
         effects: EffectRunner,
         steps: StepWriter,
         folder: MapFolder,
-        stop: Stop,
+        stop: StopRequest,
         *,
         mode: Mode,
         grace_s: float,
@@ -234,12 +234,12 @@ class DueShapes:
     async def commit(self, stamp_ns: int | None) -> None:
         """Send shapes that are due at a stamp to the core, None: all open ones.
 
-        Raises `OutOfPatienceError`: the run was stopped while one was missing: what follows would not be reproducible.
+        Raises `GraceExpired`: the run was stopped while one was missing: what follows would not be reproducible.
         """
         while (event := await self._next(stamp_ns)) is not None:
             await self._ended(event)
         if self._mode == "playback" and self._shapes.has_due(stamp_ns):
-            raise OutOfPatienceError
+            raise GraceExpired
 
     async def commit_last(self, kind: StepKind, stamp_ns: int, tell: Callable[[], None]) -> None:
         """Send open shapes to the core, or those that arrive within the grace of a stop; each is a step."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from hickory_stream.engine.modes import Mode
-    from hickory_stream.engine.reading import Read
+    from hickory_stream.engine.reading import QueuedFrame
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.map_folder.history.resume import ResumePoint
     from hickory_stream.mapping.rules.keyframes import KeyframeConfig
@@ -47,7 +47,7 @@ class RunClock:
         self.num_frames, self.num_keyframes = step.num_frames, step.num_keyframes
         self.counts.update(step.counts)
 
-    def jump_before(self, read: Read) -> TimeJumped | None:
+    def jump_before(self, read: QueuedFrame) -> TimeJumped | None:
         """Return the jump of time before a frame, None if its stamp follows the one before."""
         if self.last is None or self.first_ns is None:
             return None
@@ -58,7 +58,7 @@ class RunClock:
             return None
         return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="restart" if to_ns < self.first_ns else "seek")
 
-    def advance(self, read: Read) -> FramePose:
+    def advance(self, read: QueuedFrame) -> FramePose:
         """Advance to a frame, and return its pose."""
         raw = read.raw
         self.num_frames += 1
@@ -91,14 +91,14 @@ class KeyframeChoice:
         self._config = config
         self._mapped: Keyframe | None = None
 
-    def outcomes(self, reads: Sequence[Read]) -> list[FrameOutcome]:
+    def outcomes(self, reads: Sequence[QueuedFrame]) -> list[FrameOutcome]:
         """Return the outcome of each frame, as far as it is known before decoding."""
         if self._mode == "playback":
             return [
                 FrameOutcome.MAPPED
                 if r.is_candidate
                 else FrameOutcome.UNDECODABLE
-                if r.is_torn
+                if r.is_corrupt
                 else FrameOutcome.BETWEEN
                 for r in reads
             ]
@@ -115,5 +115,5 @@ class KeyframeChoice:
             outcomes[chosen] = FrameOutcome.MAPPED
         return outcomes
 
-    def _makes_keyframe(self, read: Read) -> bool:
+    def _makes_keyframe(self, read: QueuedFrame) -> bool:
         return is_keyframe(self._mapped, read.raw.stamp_ns, read.raw.world_from_camera, self._config)

@@ -31,7 +31,7 @@ class PlacedFrame:
     event: KeyframeRegistered
 
 
-class KeyframePlaces:
+class RegistrationFilter:
     """Registers keyframes one after the other; frames between them get the last correction."""
 
     def __init__(self, config: RegistrationConfig) -> None:

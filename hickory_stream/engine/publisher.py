@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 
-class Announcer:
+class ReportPublisher:
     """Publishes the newest `snapshot`, by which it corrects the poses of reports; `waits`: for full sinks."""
 
     def __init__(

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.async_tools import Stop
+    from hickory_stream.engine.async_tools import StopRequest
     from hickory_stream.engine.modes import Mode
     from hickory_stream.geometry.depth_sensor import SensorConfig
     from hickory_stream.map_folder.history.resume import Position
@@ -41,7 +41,7 @@ _LIVE_FRAMES = 32
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Ahead:
+class Prefetched:
     """Parts of a keyframe that need no map, computed while earlier keyframes are mapped; None if not computed.
 
     `patches` (h, w, D) are features. `prepared` (of the segmenter) and `free_keys` are valid for the pose as read only.
@@ -54,7 +54,7 @@ class Ahead:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Read:
+class QueuedFrame:
     """A queued frame."""
 
     raw: RawFrame
@@ -64,8 +64,8 @@ class Read:
     is_candidate: bool
     #: Decoded, for a candidate of a playback.
     frame: Frame | None = None
-    ahead: Ahead = field(default_factory=Ahead)
-    is_torn: bool = False
+    ahead: Prefetched = field(default_factory=Prefetched)
+    is_corrupt: bool = False
     #: Losses since the frame before.
     counts: Mapping[str, int] = field(default_factory=dict)
     #: Monotonic time of arrival.
@@ -79,14 +79,14 @@ class Reader:
     """
 
     def __init__(
-        self, config: MapperConfig, segmenter: Segmenter, extractor: FeatureExtractor, stop: Stop, *, mode: Mode
+        self, config: MapperConfig, segmenter: Segmenter, extractor: FeatureExtractor, stop: StopRequest, *, mode: Mode
     ) -> None:
         self._config = config
         self._segmenter = segmenter
         self._extractor = extractor
         self._stop = stop
         self._mode = mode
-        self._channel: Channel[Read] = (
+        self._channel: Channel[QueuedFrame] = (
             Channel(_LIVE_FRAMES, "drop_oldest") if mode == "live" else Channel(_FRAMES_AHEAD)
         )
         self._room = asyncio.Semaphore(_DECODED_AHEAD)
@@ -109,7 +109,7 @@ class Reader:
         else:
             await self._play(source, Pacer(rate), loops, start)
 
-    async def take(self) -> list[Read] | None:
+    async def take(self) -> list[QueuedFrame] | None:
         """Return queued frames, one in a playback, waiting for the first; None at the end."""
         try:
             if self._mode == "live":
@@ -150,24 +150,24 @@ class Reader:
                         continue
                     last_ns = raw.stamp_ns
                     await pacer.wait(raw.stamp_ns, self._stop.event)
-                    frame, ahead, is_torn = None, Ahead(), False
+                    frame, ahead, is_corrupt = None, Prefetched(), False
                     if is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
                         await self._room.acquire()
                         frame = await self._decoded(raw, index)
-                        is_torn = frame is None
-                        if is_torn:
+                        is_corrupt = frame is None
+                        if is_corrupt:
                             self._room.release()
                     if frame is not None:
                         keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
                         ahead = await self._ahead(frame)
-                    read = Read(
+                    read = QueuedFrame(
                         raw=replace(raw, index=index),
                         round_index=round_index,
                         first_index=offset,
                         is_candidate=frame is not None,
                         frame=frame,
                         ahead=ahead,
-                        is_torn=is_torn,
+                        is_corrupt=is_corrupt,
                         counts=dict(lost),
                         arrived_s=time.monotonic(),
                     )
@@ -198,7 +198,7 @@ class Reader:
                     wanted = is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes)
                     if wanted:
                         keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-                    read = Read(
+                    read = QueuedFrame(
                         raw=replace(raw, index=index),
                         round_index=round_index,
                         first_index=offset,
@@ -222,13 +222,13 @@ class Reader:
         # Older than the frame before, but by less than a jump of the clock.
         return last_ns is not None and 0 < last_ns - stamp_ns <= self._config.run.late_s * 1e9
 
-    async def _ahead(self, frame: Frame) -> Ahead:
+    async def _ahead(self, frame: Frame) -> Prefetched:
         config = self._config
         registration, space, lattice = config.registration, config.perception.space, config.mapping.lattice
         surface: SurfaceImage | None = None
         if registration.enabled:
             surface = await on_thread(self._thread, keyframe_surface, frame, registration)
-        return Ahead(
+        return Prefetched(
             prepared=await on_thread(self._thread, self._segmenter.prepare, frame),
             patches=await on_thread(self._thread, self._extractor.extract, np.asarray(frame.rgb)),
             surface=surface,

@@ -1,6 +1,6 @@
 """One run: the asyncio event loop of the system, composed of parts that each do one thing.
 
-    Reader ──frames──> Run ──reports──> Announcer ──> sinks (a thread each)
+    Reader ──frames──> Run ──reports──> ReportPublisher ──> sinks (a thread each)
                         │ events
                         v
                   EffectRunner ──jobs──> ShapeQueue ──> shape workers (child processes)
@@ -28,14 +28,21 @@ import numpy as np
 
 from hickory_stream.base.caches import cache_folder
 from hickory_stream.engine.accounting import engine_metrics, run_ledger, run_timings
-from hickory_stream.engine.async_tools import LoopDelay, Stop, on_thread
-from hickory_stream.engine.corrections import Corrections, Placing
-from hickory_stream.engine.effects import AtHand, DueShapes, EffectRunner, EffectTargets, OutOfPatienceError, color_of
+from hickory_stream.engine.async_tools import LoopDelay, StopRequest, on_thread
+from hickory_stream.engine.corrections import Corrections, KeyframeRegistrar
+from hickory_stream.engine.effects import (
+    CurrentKeyframe,
+    DueShapes,
+    EffectRunner,
+    EffectTargets,
+    GraceExpired,
+    color_of,
+)
 from hickory_stream.engine.first_run import compile_kernels
 from hickory_stream.engine.frame_accounting import FrameOutcome, KeyframeChoice, RunClock
 from hickory_stream.engine.loop_closing import LoopCloser
-from hickory_stream.engine.publisher import Announcer
-from hickory_stream.engine.reading import Ahead, Read, Reader, sensed
+from hickory_stream.engine.publisher import ReportPublisher
+from hickory_stream.engine.reading import Prefetched, QueuedFrame, Reader, sensed
 from hickory_stream.engine.shape_jobs.cache import ShapeCache
 from hickory_stream.engine.shape_jobs.generators.choose import generator_key
 from hickory_stream.engine.shape_jobs.queue import ShapeQueue
@@ -77,7 +84,7 @@ class Run:
     def __init__(self, parts: RunParts) -> None:
         config, folder = parts.config, parts.folder
         self._parts = parts
-        self._stop = Stop()
+        self._stop = StopRequest()
         self._clock = RunClock(config.run.time_jump_s)
         self._reader = Reader(config, parts.segmenter, parts.extractor, self._stop, mode=parts.mode)
         self._choice = KeyframeChoice(parts.mode, config.keyframes)
@@ -92,10 +99,10 @@ class Run:
             lambda: self._effects.core.snapshot(),
             checkpoint_keyframes=config.journal.checkpoint_keyframes,
         )
-        self._announcer = Announcer(parts.sinks, parts.publish, parts.progress, waits=parts.mode == "playback")
+        self._publisher = ReportPublisher(parts.sinks, parts.publish, parts.progress, waits=parts.mode == "playback")
         self._loops = LoopCloser(config.loops, config.graph, extractor=parts.extractor.name, mode=parts.mode)
         # One thread reads ahead, one perceives and decides: what must come in order stays in order.
-        self._thinker = ThreadPoolExecutor(1, "think")
+        self._mapping_thread = ThreadPoolExecutor(1, "think")
         targets = EffectTargets(
             folder=folder,
             recorder=self._recorder,
@@ -103,11 +110,11 @@ class Run:
             shapes=self._shapes,
             loops=self._loops,
             extractor=parts.extractor,
-            publish=self._announcer.publish,
+            publish=self._publisher.publish,
         )
         self._far = FarArrays(folder.path)
         parts.core.keep_far_arrays(self._far.keep)
-        self._effects = EffectRunner(parts.core, targets, self._thinker, config.run)
+        self._effects = EffectRunner(parts.core, targets, self._mapping_thread, config.run)
         self._due = DueShapes(
             self._shapes,
             self._effects,
@@ -117,20 +124,20 @@ class Run:
             mode=parts.mode,
             grace_s=config.run.grace_s,
         )
-        self._corrections = Corrections(self._effects, self._loops, self._thinker, self._clock.counts)
+        self._corrections = Corrections(self._effects, self._loops, self._mapping_thread, self._clock.counts)
         self._loop_delay = LoopDelay()
         self.timings_s: defaultdict[str, float] = defaultdict(float)
-        self._placing = Placing(
+        self._registrar = KeyframeRegistrar(
             config.registration,
             self._effects,
-            self._thinker,
+            self._mapping_thread,
             counts=self._clock.counts,
             timings_s=self.timings_s,
         )
         if parts.resumes is not None:
             self._clock.resume(parts.resumes)
-            self._placing.restore(parts.resumes.registration)
-            self._announcer.snapshot = parts.core.snapshot()
+            self._registrar.restore(parts.resumes.registration)
+            self._publisher.snapshot = parts.core.snapshot()
             for name in parts.resumes.mesh_names:
                 folder.keep_shape(name)
 
@@ -163,7 +170,7 @@ class Run:
             num_keyframes=self._clock.num_keyframes,
             counts=self.counts,
             shapes=self._shapes.total_counts(),
-            num_not_shown=self._announcer.num_not_shown,
+            num_not_shown=self._publisher.num_not_shown,
         )
 
     def timings(self) -> dict[str, float]:
@@ -181,7 +188,7 @@ class Run:
         Raises `InputError`: there is no such submap, a transform is not rigid, or the map is finished; nothing is
         moved.
         """
-        snapshot = self._announcer.snapshot
+        snapshot = self._publisher.snapshot
         self._corrections.give(world_from_submap, [submap.id for submap in snapshot.submaps] if snapshot else [])
 
     async def run(self, *, rate: float | None, loops: int) -> None:
@@ -191,10 +198,10 @@ class Run:
         """
         source, resumes = self._parts.source, self._parts.resumes
         total = source.info.num_frames
-        self._announcer.total = total * loops if total is not None else None
+        self._publisher.total = total * loops if total is not None else None
         await self._stop.within_grace(compile_kernels(self._tell_compiling), "compile")
         if self._parts.rehearse is not None and not self._stop.is_requested:
-            await on_thread(self._thinker, self._parts.rehearse)
+            await on_thread(self._mapping_thread, self._parts.rehearse)
         try:
             async with asyncio.TaskGroup() as group:
                 watching = group.create_task(self._loop_delay.watch(), name="loop-delay")
@@ -218,7 +225,7 @@ class Run:
         finally:
             self._reader.close()
             self._loops.close()
-            self._thinker.shutdown(wait=True)
+            self._mapping_thread.shutdown(wait=True)
             self._recorder.close()
 
     @property
@@ -233,17 +240,17 @@ class Run:
                     became = await self._map_keyframe(read) if outcome is FrameOutcome.MAPPED else outcome
                     if became is not FrameOutcome.MAPPED:
                         self._clock.counts[became.value] += 1
-                        await self._announcer.show(
-                            plain_report(read.raw, self._placing.where(read.raw.world_from_camera))
+                        await self._publisher.show(
+                            plain_report(read.raw, self._registrar.where(read.raw.world_from_camera))
                         )
                     self._tell("mapping")
-            except OutOfPatienceError:
+            except GraceExpired:
                 await self._reader.end()
                 break
         if self._clock.last is not None:
             await self._end(self._clock.last)
 
-    async def _arrive(self, read: Read) -> None:
+    async def _arrive(self, read: QueuedFrame) -> None:
         raw, counts = read.raw, self._clock.counts
         await self._corrections.apply(raw.stamp_ns)
         counts.update(read.counts)
@@ -255,11 +262,11 @@ class Run:
             counts["time_jumps"] += 1
             if self._parts.mode == "playback":
                 await self._due.commit(None)
-            self._placing.jumped(is_loop=jump.kind == "loop")
+            self._registrar.jumped(is_loop=jump.kind == "loop")
             await self._effects.handle(jump)
         elif raw.after_from_before is not None:
             counts["pose_jumps"] += 1
-            self._placing.jumped()
+            self._registrar.jumped()
             await self._effects.handle(PoseJumped(stamp_ns=raw.stamp_ns, after_from_before=raw.after_from_before))
         self._steps.add_frame(self._clock.advance(read))
 
@@ -267,48 +274,48 @@ class Run:
         self._clock.counts["rewinds"] += 1
         await self._recorder.written()
         folder, config, now = self._parts.folder, self._parts.config, self._effects.core
-        rewound = await on_thread(self._thinker, rewound_to, folder, config, stamp_ns, now)
+        rewound = await on_thread(self._mapping_thread, rewound_to, folder, config, stamp_ns, now)
         self._effects.core = rewound.core
         rewound.core.keep_far_arrays(self._far.keep)
-        self._placing.restore(rewound.registration)
+        self._registrar.restore(rewound.registration)
         self._steps.rewind(rewound, self._shapes.rewind(rewound.open_jobs, rewound.answers))
         self._loops.restart(rewound.core.searches)
         self._corrections.forget()
-        self._announcer.publish(await on_thread(self._thinker, rewound.core.snapshot))
+        self._publisher.publish(await on_thread(self._mapping_thread, rewound.core.snapshot))
 
-    async def _map_keyframe(self, read: Read) -> FrameOutcome:
+    async def _map_keyframe(self, read: QueuedFrame) -> FrameOutcome:
         # A live run decodes the keyframe only now: its images may be torn.
         frame, ahead = read.frame, read.ahead
         if frame is None:
             try:
-                decoded = await on_thread(self._thinker, read.raw.decode)
+                decoded = await on_thread(self._mapping_thread, read.raw.decode)
             except RecordingError as error:
                 logger.warning("frame %d cannot be decoded: %s", read.raw.index, error)
                 return FrameOutcome.UNDECODABLE
             frame = sensed(decoded, read.raw.index, self._parts.config.sensor)
-        placed = await self._placing.place(frame, ahead.surface)
+        placed = await self._registrar.place(frame, ahead.surface)
         if placed is None:
             return FrameOutcome.KEPT_OUT
         if read.frame is None:
-            ahead = Ahead(prepared=await on_thread(self._thinker, self._parts.segmenter.prepare, placed))
+            ahead = Prefetched(prepared=await on_thread(self._mapping_thread, self._parts.segmenter.prepare, placed))
         elif placed is not frame:
             prepared = prepared_at(self._parts.segmenter, ahead.prepared, placed.world_from_camera)
             ahead = replace(ahead, prepared=prepared, free_keys=None)
         await self._keyframe(read, placed, ahead)
         return FrameOutcome.MAPPED
 
-    async def _keyframe(self, read: Read, frame: Frame, ahead: Ahead) -> None:
+    async def _keyframe(self, read: QueuedFrame, frame: Frame, ahead: Prefetched) -> None:
         self._clock.num_keyframes += 1
         started = time.perf_counter()
         await self._due.commit(frame.stamp_ns)
         await self._corrections.close_loops(frame.stamp_ns)
         waited = time.perf_counter()
-        perceived = await on_thread(self._thinker, self._perceived, frame, ahead)
+        perceived = await on_thread(self._mapping_thread, self._perceived, frame, ahead)
         if not np.isfinite(frame.depth_m).any():
             self._clock.counts["keyframes_without_depth"] += 1
         seen = time.perf_counter()
-        at_hand = AtHand(frame=frame, observations=perceived.observations, patches=ahead.patches)
-        decided = await self._effects.decide(perceived.event(frame), at_hand)
+        current = CurrentKeyframe(frame=frame, observations=perceived.observations, patches=ahead.patches)
+        decided = await self._effects.decide(perceived.event(frame), current)
         ended = time.perf_counter()
         times = {"wait_for_shapes": waited - started, "perceive": seen - waited, "decide": ended - seen}
         for stage, seconds in times.items():
@@ -317,7 +324,7 @@ class Run:
         if decided.published is not None:
             # A sink may save a map that names views: they are there by then.
             await self._recorder.written()
-            await self._announcer.show(
+            await self._publisher.show(
                 keyframe_report(
                     read.raw,
                     frame,
@@ -338,7 +345,7 @@ class Run:
             core=self._effects.core,
         )
 
-    def _perceived(self, frame: Frame, ahead: Ahead) -> Perceived:
+    def _perceived(self, frame: Frame, ahead: Prefetched) -> Perceived:
         config, prior = self._parts.config, self._effects.core.prior()
         return perceive(
             frame,
@@ -367,15 +374,15 @@ class Run:
             await self._steps.commit(kind, last.stamp_ns)
         self._corrections.close()
         await self._recorder.written()
-        snapshot = await on_thread(self._thinker, self._effects.core.snapshot)
-        self._announcer.publish(snapshot)
+        snapshot = await on_thread(self._mapping_thread, self._effects.core.snapshot)
+        self._publisher.publish(snapshot)
         self._tell("saving")
         assert self._clock.camera is not None
         index = self._clock.num_keyframes
-        await self._announcer.show(
+        await self._publisher.show(
             final_report(
                 last,
-                self._placing.where(last.world_from_camera),
+                self._registrar.where(last.world_from_camera),
                 self._clock.camera,
                 snapshot,
                 keyframe_index=index,
@@ -384,7 +391,7 @@ class Run:
         )
 
     def _metrics(self, times_s: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
-        backlogs = {f"sink-{i}": length for i, length in enumerate(self._announcer.backlogs)}
+        backlogs = {f"sink-{i}": length for i, length in enumerate(self._publisher.backlogs)}
         return engine_metrics(
             times_s,
             queues={"frames": self._reader.num_waiting, "shapes": self._shapes.num_open, **backlogs},
@@ -395,10 +402,10 @@ class Run:
         )
 
     def _tell(self, phase: str) -> None:
-        self._announcer.progress(phase, self._clock, self._shapes)
+        self._publisher.progress(phase, self._clock, self._shapes)
 
     def _tell_compiling(self, num_compiled: int, num_kernels: int) -> None:
-        self._announcer.progress(
+        self._publisher.progress(
             "compiling", self._clock, self._shapes, num_compiled=num_compiled, num_kernels=num_kernels
         )
 

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.base.compiled import kernels_folder
-from hickory_stream.base.compiling import tell_when_compiling
+from hickory_stream.base.compiling import on_compile
 from hickory_stream.base.json_text import dumps
 from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, SceneBox, SceneSource, cast_scene, scene_pose
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.keyframe_places import KeyframePlaces
+from hickory_stream.engine.keyframe_places import RegistrationFilter
 from hickory_stream.events import ComputeFeatures, FeaturesReady
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
@@ -84,7 +84,7 @@ def rehearse(
 
     Otherwise the first keyframe of a process takes a second longer.
     """
-    core, places = MapperCore(config.mapping), KeyframePlaces(config.registration)
+    core, places = MapperCore(config.mapping), RegistrationFilter(config.registration)
     for raw in SceneSource(num_frames, (*SCENE_BOXES, _WALL)).frames():
         frame = _in_millimetres(raw.decode())
         places.place(frame)
@@ -113,7 +113,7 @@ PARTS: dict[str, Callable[[], None]] = {"mapping": warm_up_mapping, "shapes": wa
 
 def main(part: str) -> None:
     """Compile and report the kernels of a part."""
-    tell_when_compiling(_say)
+    on_compile(_say)
     PARTS[part]()
 
 

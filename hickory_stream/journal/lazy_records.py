@@ -37,7 +37,7 @@ _ARRAYS: Mapping[type, tuple[str, ...]] = {
 }
 
 
-class UnreadRecords:
+class LazyRecords:
     """Makes records with unread arrays; `read` returns an array of the journal by its place."""
 
     def __init__(self, read: Callable[[PartPlace], NDArray[Any]], journal: Path) -> None:

@@ -38,7 +38,7 @@ from hickory_stream.journal.format import (
     STEP,
     TOLD,
 )
-from hickory_stream.journal.lazy_records import UnreadRecords, as_array
+from hickory_stream.journal.lazy_records import LazyRecords, as_array
 from hickory_stream.journal.packed_frames import PackedFrame, unpacked_frame
 from hickory_stream.journal.record_codec import PartPlace, decode, part_references
 from hickory_stream.journal.step import Checkpoint, JournalEntry, Step, StepKind
@@ -453,7 +453,7 @@ class Journal:
             except (ValueError, IndexError) as error:
                 raise MapFolderError(f"{chunks.path} is damaged or of another version: {error}") from error
 
-        later = UnreadRecords(array, self.path) if reads_later else None
+        later = LazyRecords(array, self.path) if reads_later else None
         try:
             stored, references = self._with_parts(chunk, later)
             checkpoint: Checkpoint = self._decoded(stored[chunk, 0], "Checkpoint", part, later)
@@ -466,7 +466,7 @@ class Journal:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
 
     def _with_parts(
-        self, chunk: int, later: UnreadRecords | None
+        self, chunk: int, later: LazyRecords | None
     ) -> tuple[dict[_Place, bytes], dict[_Place, list[_Place]]]:
         # The parts of a large map lie in hundreds of chunks. No part refers to a later chunk than its own: each is
         # unpacked once, the latest first, and only needed parts are kept, without the arrays that `later` leaves.
@@ -499,7 +499,7 @@ class Journal:
         data: bytes,
         kind: str,
         part: Callable[[int, int], Any] | None = None,
-        later: UnreadRecords | None = None,
+        later: LazyRecords | None = None,
         *,
         has_points: bool = True,
     ) -> Any:

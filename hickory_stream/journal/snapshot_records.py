@@ -56,7 +56,7 @@ def submap_without_space(submap: Submap) -> Submap:
     return replace(submap, observed_space=replace(submap.observed_space, free=_NO_KEYS, structure=_NO_KEYS))
 
 
-class KnownRecords:
+class SnapshotRecords:
     """Makes the messages of consecutive maps; unchanged records are found by identity."""
 
     def __init__(self) -> None:

@@ -33,7 +33,7 @@ from hickory_stream.journal.mcap_file import (
 from hickory_stream.journal.packed_frames import packed_frame
 from hickory_stream.journal.reader import packed_array
 from hickory_stream.journal.record_codec import encode
-from hickory_stream.journal.snapshot_records import KnownRecords
+from hickory_stream.journal.snapshot_records import SnapshotRecords
 from hickory_stream.mapping.entities.track import Track
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class JournalWriter:
         parts = [] if continued is None else continued.parts
         self._parts = _Parts(parts)
         self._packer = Packer(part.part for part in parts if isinstance(part.part, Track))
-        self._known = KnownRecords()
+        self._known = SnapshotRecords()
         self._num_chunks = 0
         self._messages: list[FileMessage] = []
         self._synced_s = time.monotonic()

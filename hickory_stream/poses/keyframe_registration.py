@@ -58,7 +58,7 @@ _STRONG_COSINE, _LEAST_STRONG = 0.6, 30.0
 """Of every sixteenth cell, at least so many must face a direction: a hundredth of a wall that fills the image."""
 _EVERY_DIRECTION, _NO_DIRECTION = np.eye(6), no_directions()
 
-Placing = Literal["first", "fits", "new ground", "begun anew"]
+KeyframeRegistrar = Literal["first", "fits", "new ground", "begun anew"]
 """How the pose of a keyframe was found: it fits the surface; or there is none to compare it with."""
 
 
@@ -87,7 +87,7 @@ class Placed:
     the surface said nothing.
     """
 
-    how: Placing
+    how: KeyframeRegistrar
     map_from_camera: NDArray[np.float64]
     belief: Belief
     fit: float | None
@@ -290,7 +290,7 @@ class KeyframeRegistration:
 
     def _accepted(
         self,
-        how: Placing,
+        how: KeyframeRegistrar,
         image: SurfaceImage,
         belief: Belief,
         fit: float | None,

@@ -33,7 +33,7 @@ _COARSEST_M = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ColorAgreement:
+class ColorAlignment:
     """The best position of the colour camera."""
 
     #: (x, y) from the calibrated position, in the camera's own frame.
@@ -82,7 +82,7 @@ def border_scores(frame: Frame) -> BorderScores | None:
     return BorderScores(change=scores, depth_m=float(np.median(z)), focal_px=float(frame.camera.fx))
 
 
-def color_agreement(frames: Sequence[BorderScores]) -> ColorAgreement | None:
+def color_alignment(frames: Sequence[BorderScores]) -> ColorAlignment | None:
     """Return the registration of colour and depth, None for too few frames, coarse pixels, or images without edges."""
     if len(frames) < _MIN_FRAMES:
         return None
@@ -95,7 +95,7 @@ def color_agreement(frames: Sequence[BorderScores]) -> ColorAgreement | None:
         return None
     row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
     offset_m = (round(float(_STEPS_M[column]), 4), round(float(_STEPS_M[row]), 4))
-    return ColorAgreement(
+    return ColorAlignment(
         offset_m=offset_m,
         offset_px=round(float(np.hypot(*offset_m)) * pixels_per_m, 2),
         gain=round(float(total[row, column] / at_rest.sum()), 3),

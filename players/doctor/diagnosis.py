@@ -17,10 +17,10 @@ from hickory_stream.errors import InputError, NoPosesError, RecordingError
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe, motion
 from hickory_stream.poses.hand_eye import NoHandEye
-from players.doctor.depth_color_alignment import BorderScores, border_scores, color_agreement
+from players.doctor.depth_color_alignment import BorderScores, border_scores, color_alignment
 from players.doctor.depth_noise import FlatPatches, depth_bias, depth_noise, flat_patches
 from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
-from players.doctor.image_brightness import Light, light_of, light_of_all
+from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
 from players.doctor.stream_stats import StreamStats, nearest_ms
 from players.logs.folder import FolderSource
 from players.logs.log_opening import open_log, read_opening
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.mapping.rules.keyframes import KeyframeConfig
     from hickory_stream.ports import Source
-    from players.doctor.depth_color_alignment import ColorAgreement
+    from players.doctor.depth_color_alignment import ColorAlignment
     from players.doctor.depth_noise import DepthBias, DepthNoise
     from players.logs.containers import Log
     from players.logs.log_damage import Flaws
@@ -200,7 +200,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     invalid: list[float] = []
     borders: list[BorderScores] = []
     patches: list[FlatPatches] = []
-    lights: list[Light] = []
+    lights: list[Brightness] = []
     floors: list[SeenFloor] = []
     sensor = DepthSensor()
     started_s = time.perf_counter()
@@ -220,7 +220,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
                 invalid.append(float(1.0 - np.isfinite(frame.depth_m).mean()))
                 sensor = config.sensor.over(frame.sensor)
                 patches.append(flat_patches(frame))
-                lights.append(light_of(frame.rgb))
+                lights.append(brightness_of(frame.rgb))
                 if invalid[-1] < _NO_DEPTH:
                     floors.append(floor_in(frame))
                 if (scores := border_scores(frame)) is not None:
@@ -231,8 +231,8 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     source.close()
     ledger, played = dict(source.ledger()), source.played if isinstance(source, OdometrySource) else source
     camera = source.info.camera
-    agreement = color_agreement(borders)
-    noise, bias, light = depth_noise(patches), depth_bias(patches), light_of_all(lights)
+    agreement = color_alignment(borders)
+    noise, bias, light = depth_noise(patches), depth_bias(patches), median_brightness(lights)
     found.frames = {
         "frames": num_frames,
         "keyframes": num_keyframes,
@@ -257,7 +257,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
     judge_color(found, agreement)
     judge_depth(found, noise, bias, sensor)
-    judge_light(found, light)
+    judge_brightness(found, light)
     found.notes += gravity_notes(floors)
     if isinstance(played, LogSource):
         setup = played.setup
@@ -309,7 +309,7 @@ def judge_ends(found: Diagnosis, color_ns: NDArray[np.int64], depth_ns: NDArray[
         )
 
 
-def judge_color(found: Diagnosis, agreement: ColorAgreement | None) -> None:
+def judge_color(found: Diagnosis, agreement: ColorAlignment | None) -> None:
     """Report a wrong registration of colour and depth."""
     if agreement is None or not agreement.is_off:
         return
@@ -356,7 +356,7 @@ def judge_extrinsics(found: Diagnosis, source: LogSource) -> None:
         )
 
 
-def judge_light(found: Diagnosis, light: Light | None) -> None:
+def judge_brightness(found: Diagnosis, light: Brightness | None) -> None:
     """Report images that are dark or without colour."""
     if light is not None and light.is_dark:
         found.problems.append(

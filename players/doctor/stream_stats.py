@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,7 +31,7 @@ class StreamStats:
         """Count a message."""
         self.num_bytes += len(message.data)
         self.log_ns.append(message.log_ns)
-        stamp_ns = peek_stamp_ns(self.topic, message.data)
+        stamp_ns = serialized_stamp_ns(self.topic, message.data)
         if stamp_ns is not None:
             self.header_ns.append(stamp_ns)
 

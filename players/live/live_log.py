@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from players.live.clock_offset import ClockOffset
 from players.logs.log_damage import Flaws
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ class LiveLog:
     def _note(self, message: LogMessage) -> Topic:
         topic = self.inbox.topic(message.topic)
         if topic.type_name in _IMAGES and not topic.foreign_type:
-            stamp_ns = peek_stamp_ns(topic, message.data)
+            stamp_ns = serialized_stamp_ns(topic, message.data)
             if stamp_ns is not None:
                 self.clock_offset.add(message.log_ns, stamp_ns)
         return topic

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from players.logs.containers import merged_topics
 from players.logs.log_damage import Flaws
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -83,5 +83,5 @@ class JoinedLog:
         if message is None:
             return None
         # Static transforms may have any stamp, and stamps may be unset: neither changes the log's position in time.
-        stamp_ns = peek_stamp_ns(self._topic_of[i][message.topic], message.data) or 0
+        stamp_ns = serialized_stamp_ns(self._topic_of[i][message.topic], message.data) or 0
         return _Head(message, rest, max(stamp_ns, before_ns or 0))

@@ -23,7 +23,7 @@ from players.messages.depth_registration import Registration
 from players.messages.images import LogImage, Probe, check_color_encoding, check_depth_encoding, image_of
 from players.messages.records import TF
 from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC
-from players.poses.camera_poses import UNPOSED, PosePlan, PoseStream, RigReader, plan_poses
+from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader, PoseStream, plan_poses
 from players.poses.pose_file import read_pose_file
 from players.poses.tf import FrameTree
 from players.profile import Profile, guess_profile, load_profile, profiles_with_robots, robots_in
@@ -54,7 +54,7 @@ class Opening:
     topics: discovery.ImageTopics
     color: Probe
     depth: Probe
-    reader: RigReader
+    reader: PoseReader
     infos: tuple[str | None, str | None]
     plan: PosePlan | None
     is_pose_named: bool
@@ -183,7 +183,7 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
     is_named = is_named and not all(topic.type_name in TF for topic in poses)
     wanted = [*poses, *discovery.tf_topics(log.topics), *discovery.camera_infos(log.topics)]
     max_gap_ns = options.max_pose_gap_ns or profile.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS
-    reader = RigReader(wanted, max_gap_ns, profile.jump_limits, uses_log_time=options.clock == "log")
+    reader = PoseReader(wanted, max_gap_ns, profile.jump_limits, uses_log_time=options.clock == "log")
     pose_file = None
     if options.pose_file is not None:
         pose_file = read_pose_file(options.pose_file, profile.pose_file)
@@ -270,7 +270,7 @@ def _infos(opening: Opening) -> tuple[str | None, str | None]:
     return found[0], found[1]
 
 
-def _find_info(reader: RigReader, probe: Probe, name: str | None, listed: Sequence[str]) -> str | None:
+def _find_info(reader: PoseReader, probe: Probe, name: str | None, listed: Sequence[str]) -> str | None:
     assert probe.first is not None
     if name is not None:
         return name if name in reader.infos else None
@@ -325,7 +325,7 @@ def _info_topic(opening: Opening, topic: Topic, image: LogImage, found: str | No
     return found
 
 
-def _lens(reader: RigReader, info: str, topic: Topic, image: LogImage) -> Lens:
+def _lens(reader: PoseReader, info: str, topic: Topic, image: LogImage) -> Lens:
     return lens_of(reader.infos[info], topic=info, image_size=image.size, is_rectified=discovery.is_rectified(topic))
 
 
@@ -367,7 +367,7 @@ def _color_from_depth(opening: Opening, color_frame: str, depth_frame: str) -> t
     )
 
 
-def _span(reader: RigReader, plan: PosePlan) -> tuple[int, int] | None:
+def _span(reader: PoseReader, plan: PosePlan) -> tuple[int, int] | None:
     tracks = [track for key in plan.keys if (track := reader.track(key, 0)) is not None and track.num_added]
     spans = [(track.first_ns or 0, track.newest_ns or 0) for track in tracks]
     return (max(start for start, _ in spans), min(end for _, end in spans)) if spans else None

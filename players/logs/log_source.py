@@ -22,11 +22,11 @@ from players.logs.message_account import Ledger, account_of
 from players.logs.synchronizer import Leftover, Pair, Stamped, pair_epochs
 from players.logs.timeline import Order, Timeline
 from players.messages.depth_registration import Registration, register_depth, with_motion
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 from players.messages.images import LogImage, color_of, depth_of, image_of
 from players.messages.point_clouds import scan_of
 from players.messages.records import POINT_CLOUD
-from players.poses.camera_poses import UNPOSED, RigReader
+from players.poses.camera_poses import UNPOSED, PoseReader
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -96,7 +96,7 @@ class LogSource:
         """Yield the frames in the order of their stamps, which begin again after a jump back in time (a looped log)."""
         ledger = self._ledger = Ledger()
         setup = self.setup
-        reader = RigReader(setup.small_topics, setup.max_gap_ns, setup.jump_limits, uses_log_time=setup.uses_log_time)
+        reader = PoseReader(setup.small_topics, setup.max_gap_ns, setup.jump_limits, uses_log_time=setup.uses_log_time)
         if setup.pose_file is not None and setup.plan.stream is not None:
             reader.load(setup.plan.stream, *setup.pose_file)
         waiting: deque[tuple[int, Pair]] = deque()
@@ -163,7 +163,7 @@ class LogSource:
         """Do nothing: each pass over the log opens and closes its own files."""
 
     def _images(
-        self, ledger: Ledger, reader: RigReader, newest: dict[int, int]
+        self, ledger: Ledger, reader: PoseReader, newest: dict[int, int]
     ) -> Iterator[tuple[int, Stamped | None]]:
         # For a live log, None stands for other messages.
         topics = self.setup.topics
@@ -181,7 +181,7 @@ class LogSource:
                     yield 0, None
                 continue
             stream, topic = roles[message.topic]
-            stamp_ns = message.log_ns if self.setup.uses_log_time else peek_stamp_ns(topic, message.data)
+            stamp_ns = message.log_ns if self.setup.uses_log_time else serialized_stamp_ns(topic, message.data)
             if stamp_ns is None:
                 stamp_ns = message.log_ns  # Too short for a header, hence unreadable.
             for placed in timelines[message.topic].add(stamp_ns, message):
@@ -207,7 +207,7 @@ class LogSource:
             ledger.unreadable[topic.name] += 1
             return None
 
-    def _is_settled(self, epoch: int, pair: Pair, reader: RigReader, newest: dict[int, int]) -> bool:
+    def _is_settled(self, epoch: int, pair: Pair, reader: PoseReader, newest: dict[int, int]) -> bool:
         needed_ns = max(pair.stamp_ns, pair.depth_stamp_ns) if self._moves_depth(pair) else pair.stamp_ns
         if self.setup.plan.reaches(needed_ns, epoch, reader) or max(newest) > epoch:
             return True
@@ -219,14 +219,14 @@ class LogSource:
         return is_apart and not self.setup.uses_log_time and not self.setup.registration.is_identity
 
     def _registration(
-        self, pair: Pair, world_from_camera: NDArray[np.float64], epoch: int, reader: RigReader
+        self, pair: Pair, world_from_camera: NDArray[np.float64], epoch: int, reader: PoseReader
     ) -> Registration:
         registration = self.setup.registration
         then = self.setup.plan.at(pair.depth_stamp_ns, epoch, reader) if self._moves_depth(pair) else None
         return registration if then is None else with_motion(registration, compose(invert(world_from_camera), then))
 
     def _frame(
-        self, index: int, pair: Pair, epoch: int, last_ns: int | None, ledger: Ledger, reader: RigReader
+        self, index: int, pair: Pair, epoch: int, last_ns: int | None, ledger: Ledger, reader: PoseReader
     ) -> RawFrame | None:
         registration = self.setup.registration
         if not (_has_size(pair.color, self.setup.color_lens) and _has_size(pair.depth, self.setup.depth_lens)):
@@ -285,7 +285,9 @@ class LogSource:
 
     def _stamps(self, topic: Topic) -> tuple[int, int]:
         uses_log = self.setup.uses_log_time
-        stamps = [m.log_ns if uses_log else peek_stamp_ns(topic, m.data) or 0 for m in self._log.messages([topic.name])]
+        stamps = [
+            m.log_ns if uses_log else serialized_stamp_ns(topic, m.data) or 0 for m in self._log.messages([topic.name])
+        ]
         return (min(stamps), max(stamps)) if stamps else (0, 0)
 
 

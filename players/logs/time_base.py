@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from players.messages.images import Probe
     from players.options import Clock
-    from players.poses.camera_poses import PosePlan, RigReader
+    from players.poses.camera_poses import PosePlan, PoseReader
 
 _APART_NS = 60_000_000_000
 """Streams whose first header stamps differ by more than this, but whose log times do not, have different clocks."""
 
 
 def choose_clock(
-    asked: Clock, color: Probe, depth: Probe, reader: RigReader, plan: PosePlan
+    asked: Clock, color: Probe, depth: Probe, reader: PoseReader, plan: PosePlan
 ) -> tuple[Literal["header", "log"], str]:
     """Return which clock is used, and the reason in words."""
     if asked == "log":

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _LITTLE, _BIG = struct.Struct("<II"), struct.Struct(">II")
 
 
-def peek_stamp_ns(topic: Topic, data: Any) -> int | None:
+def serialized_stamp_ns(topic: Topic, data: Any) -> int | None:
     """Return the stamp of a message whose type begins with a header, or of its first transform; None for others."""
     if topic.foreign_type:
         return _foreign_stamp_ns(topic, data)

@@ -1,7 +1,7 @@
 """Camera poses of a log: from pose messages and TF to poses of the colour camera's optical frame.
 
 An odometry topic with static TF (or profile) links to the camera comes first, then a TF chain from a fixed frame.
-An unknown link is an error that names both ends. `RigReader` collects messages; a `PosePlan` combines them.
+An unknown link is an error that names both ends. `PoseReader` collects messages; a `PosePlan` combines them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from hickory_stream.errors import CalibrationError, NoPosesError
 from hickory_stream.geometry.rigid import compose, invert
 from players.logs.containers import UnreadableMessageError, deserialize
 from players.logs.timeline import Order, Timeline
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 from players.messages.records import CAMERA_INFO, TF, CameraInfo, StampedPose, camera_info_of, poses_of
 from players.poses.interpolation import is_pose_row, pose_of_row
 from players.poses.tf import Edge, FrameTree
@@ -83,7 +83,7 @@ class PosePlan:
         moving = tuple(link.key for link in self.links if link.key is not None)
         return moving if self.stream is None else (self.stream.key, *moving)
 
-    def at(self, stamp_ns: int, epoch: int, reader: RigReader) -> NDArray[np.float64] | None:
+    def at(self, stamp_ns: int, epoch: int, reader: PoseReader) -> NDArray[np.float64] | None:
         """Return the pose (4, 4) at a stamp, or None where there is none."""
         world_from_camera = np.eye(4)
         if self.stream is not None:
@@ -99,7 +99,7 @@ class PosePlan:
             world_from_camera = compose(world_from_camera, invert(pose) if link.is_inverted else pose)
         return world_from_camera
 
-    def reaches(self, stamp_ns: int, epoch: int, reader: RigReader) -> bool:
+    def reaches(self, stamp_ns: int, epoch: int, reader: PoseReader) -> bool:
         """Return whether the pose at a stamp is final: no later message can change it."""
         for key in self.keys:
             if reader.epoch_of(key) > epoch:
@@ -109,7 +109,7 @@ class PosePlan:
                 return False
         return True
 
-    def jump_between(self, start_ns: int, end_ns: int, epoch: int, reader: RigReader) -> Jump | None:
+    def jump_between(self, start_ns: int, end_ns: int, epoch: int, reader: PoseReader) -> Jump | None:
         """Return the last jump of a link between two stamps."""
         for key in self.keys:
             track = reader.track(key, epoch)
@@ -123,7 +123,7 @@ UNPOSED = PosePlan(stream=None, links=(), is_static=True, source="none", path="n
 """The plan of a log without poses: each frame has the identity as its pose until odometry estimates one."""
 
 
-def _moving(link: _Link, stamp_ns: int, epoch: int, reader: RigReader) -> NDArray[np.float64] | None:
+def _moving(link: _Link, stamp_ns: int, epoch: int, reader: PoseReader) -> NDArray[np.float64] | None:
     # A link that never changed is valid at any time, like static links on /tf in ROS 1.
     assert link.key is not None
     track = reader.track(link.key, epoch)
@@ -132,7 +132,7 @@ def _moving(link: _Link, stamp_ns: int, epoch: int, reader: RigReader) -> NDArra
     return track.any_pose() if track.is_constant else track.at(stamp_ns)
 
 
-class RigReader:
+class PoseReader:
     """Takes pose, TF and calibration messages as they stream by."""
 
     def __init__(
@@ -160,7 +160,7 @@ class RigReader:
         if topic.type_name == CAMERA_INFO:
             self._add_info(topic, message)
             return
-        stamp_ns = None if self._uses_log_time else peek_stamp_ns(topic, message.data)
+        stamp_ns = None if self._uses_log_time else serialized_stamp_ns(topic, message.data)
         if topic.name.endswith("tf_static") or stamp_ns is None:
             self._add_poses(topic, message, 0 if topic.name.endswith("tf_static") else None)
             return
@@ -300,7 +300,7 @@ def body_from_camera_of(plan: PosePlan) -> NDArray[np.float64]:
 
 def plan_poses(
     path: object,
-    reader: RigReader,
+    reader: PoseReader,
     camera_frame: str,
     *,
     pose_frame: str | None,

@@ -17,7 +17,7 @@ import numpy as np
 
 from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.keyframe_places import KeyframePlaces, PlacedFrame
+from hickory_stream.engine.keyframe_places import PlacedFrame, RegistrationFilter
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.trajectory_error import best_alignment, trajectory_error
@@ -125,7 +125,7 @@ def registration_figures(log: Path) -> list[Figure]:
     true = np.array([frame.world_from_camera for frame in frames])
     found, ms = [], []
     for factor in FACTORS:
-        places = KeyframePlaces(RegistrationConfig())
+        places = RegistrationFilter(RegistrationConfig())
         poses = []
         drifting = _with_drift(true, factor)
         for frame, pose in zip(frames, drifting, strict=True):

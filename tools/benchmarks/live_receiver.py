@@ -18,7 +18,7 @@ from hickory_stream.ports import SourceAround
 from players.live import open_live
 from players.live.inbox import Inbox
 from players.live.recorder import Recorder
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -77,7 +77,7 @@ def main() -> None:
 
     def tap(topic: Topic, message: LogMessage) -> None:
         if topic.type_name.endswith("Image"):
-            arrivals[peek_stamp_ns(topic, message.data) or 0] = message.log_ns
+            arrivals[serialized_stamp_ns(topic, message.data) or 0] = message.log_ns
             if len(arrivals) > 10_000:
                 arrivals.clear()
         if recorder is not None:

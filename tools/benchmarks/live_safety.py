@@ -21,7 +21,7 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import implicit_value, volumes_m3, world_bounds
 from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_points, sorted_unique, union
 from hickory_stream.navigation.stand_ins import SeenSurface, early_obstacles
-from players import note_of, open_noted
+from players import make_source_note, open_from_note
 from players.options import SourceOptions
 from players.playback import PlaybackClock
 
@@ -153,8 +153,8 @@ def early_safety(log: Path, out: Path, *, seconds: float, has_shapes: bool = Tru
     if not has_shapes:
         requests = replace(config.mapping.requests, max_failures=0)
         config = replace(config, mapping=replace(config.mapping, requests=requests))
-    note = note_of([str(log)], SourceOptions(), end_s=seconds)
-    source = open_noted(note, PlaybackClock(1.0), config.keyframes)
+    note = make_source_note([str(log)], SourceOptions(), end_s=seconds)
+    source = open_from_note(note, PlaybackClock(1.0), config.keyframes)
 
     async def run() -> None:
         async with Mapper(config, out=out, overwrite=True) as mapper:

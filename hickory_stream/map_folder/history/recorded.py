@@ -16,7 +16,7 @@ from hickory_stream.geometry.rigid import invert
 from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.step import StepKind, Told
 from hickory_stream.map_folder.history.core_replay import Replay
-from hickory_stream.map_folder.history.recorded_config import told_config
+from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.saved_map import open_map
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
     """
     places = {submap.id: submap.world_from_submap for submap in final.submaps}
     with Journal(path) as journal:
-        for entry, told in _told(journal, told_config(path).mapping):
+        for entry, told in _told(journal, known_config(path).mapping):
             observed = next((event for event in entry.events if isinstance(event, FrameObserved)), None)
             keyframe: RecordedKeyframe | None = None
             if observed is not None and entry.step.kind is StepKind.KEYFRAME:
@@ -89,7 +89,7 @@ def final_snapshot(path: Path) -> MapSnapshot:
     with Journal(path) as journal:
         if len(journal) == 0:
             return saved.snapshot
-        replay = Replay(journal, told_config(path).mapping)
+        replay = Replay(journal, known_config(path).mapping)
         replay.seek(len(journal) - 1)
         return replay.snapshot()
 

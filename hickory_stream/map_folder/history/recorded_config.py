@@ -50,7 +50,7 @@ def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False
     return replace(recorded, run=replace(recorded.run, **machine))
 
 
-def told_config(path: Path) -> MapperConfig:
+def known_config(path: Path) -> MapperConfig:
     """Return the configuration of a map as far as this version knows it, for reports.
 
     Raises `MapFolderError`: there is no map.

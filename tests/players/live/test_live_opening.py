@@ -12,7 +12,7 @@ from hickory_stream.errors import CalibrationError, RecordingError
 from players.live import open_live
 from players.live.transport import Health
 from players.opening import open_source
-from players.poses.camera_poses import RigReader
+from players.poses.camera_poses import PoseReader
 from tests.player_scenes import OPTICAL, Messages, make_scene, png_bytes, png_images, scene_messages, write_mcap
 from tests.players.live.live_fixtures import Packet, ScriptedRoute, scene_packets
 from tools.robot.stamps import restamped
@@ -190,9 +190,9 @@ def test_poses_without_images_do_not_fill_the_memory(monkeypatch: pytest.MonkeyP
     source = opened(route)
     frames = source.frames()
     next(frames)
-    readers: list[RigReader] = []
-    forget = RigReader.forget_older
-    monkeypatch.setattr(RigReader, "forget_older", lambda self, kept: (readers.append(self), forget(self, kept))[1])
+    readers: list[PoseReader] = []
+    forget = PoseReader.forget_older
+    monkeypatch.setattr(PoseReader, "forget_older", lambda self, kept: (readers.append(self), forget(self, kept))[1])
     route.send(
         replace(odometry, data=restamped(odometry.topic, odometry.data, i * 20_000_000)) for i in range(100, 10_000)
     )
