@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_told: list[Callable[[str], None]] = []
+_listeners: list[Callable[[str], None]] = []
 
 
 def on_compile(listener: Callable[[str], None]) -> Callable[[], None]:
     """Call `listener`, from any thread, with the name of each kernel to be compiled; return a function that ends it."""
-    _told.append(listener)
-    return lambda: _told.remove(listener)
+    _listeners.append(listener)
+    return lambda: _listeners.remove(listener)
 
 
 def compile_begins(kernel: str) -> None:
     """Notify the listeners."""
-    for listener in tuple(_told):
+    for listener in tuple(_listeners):
         listener(kernel)

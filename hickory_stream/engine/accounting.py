@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.ports import Source
 
-
+_PROCESS = psutil.Process()
 _IMAGES_PER_FRAME = 2
 
 
@@ -35,7 +35,7 @@ def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
     if frames.get("read", 0) != found - dropped + doubled:
         return account
     torn = frames.get("frames_undecodable", 0)
-    # What was kept out of the map was looked at.
+    # Rejected keyframes were decoded too.
     needed = frames.get("keyframes", 0) + frames.get("keyframes_kept_out", 0)
     skipped = _IMAGES_PER_FRAME * max(0, found - needed - torn)
     account["not_keyframe"] = skipped
@@ -43,9 +43,6 @@ def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
     account["unreadable"] += _IMAGES_PER_FRAME * torn
     account["used"] -= skipped + _IMAGES_PER_FRAME * torn
     return account
-
-
-_PROCESS = psutil.Process()
 
 
 def run_ledger(
@@ -58,9 +55,9 @@ def run_ledger(
     num_not_shown: int,
 ) -> dict[str, dict[str, Any]]:
     """Return the use of every message, frame and job; `counts` are frames by outcome."""
-    told = {name: count for name, count in counts.items() if count}
-    read = told.pop("read", num_frames + told.get("frames_late", 0))
-    frames = {"read": read, "keyframes": num_keyframes, **told}
+    outcomes = {name: count for name, count in counts.items() if count}
+    read = outcomes.pop("read", num_frames + outcomes.get("frames_late", 0))
+    frames = {"read": read, "keyframes": num_keyframes, **outcomes}
     if num_not_shown:
         frames["reports_not_shown"] = num_not_shown
     kept = {"source": dict(source.ledger()), "frames": frames, "shapes": shapes}

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
     from concurrent.futures import ThreadPoolExecutor
 
-
 T = TypeVar("T")
 
 
@@ -95,9 +94,8 @@ class Channel(Generic[T]):
 
     def statistics(self) -> ChannelStatistics:
         """Return current and largest number of items."""
-        return ChannelStatistics(
-            length=len(self._items), capacity=self._capacity, peak=self._peak, dropped=self._dropped
-        )
+        length = len(self._items)
+        return ChannelStatistics(length=length, capacity=self._capacity, peak=self._peak, dropped=self._dropped)
 
     async def _wait_for_items(self) -> None:
         await self._changed.wait_for(lambda: self._items or self._is_closed)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import deque
+from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ from hickory_stream.events import KeyframeKeptOut, PoseJumped, PosesCorrected
 from hickory_stream.geometry.rigid import is_rigid
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, MutableMapping, Sequence
+    from collections.abc import Mapping, Sequence
     from concurrent.futures import ThreadPoolExecutor
 
     from numpy.typing import NDArray
@@ -31,20 +31,17 @@ if TYPE_CHECKING:
     from hickory_stream.poses.surface_image import SurfaceImage
     from hickory_stream.records import Frame
 
-
 logger = logging.getLogger(__name__)
 
 
 class Corrections:
-    """Pending corrections in the order of their arrival; `counts` are of the run."""
+    """Pending corrections in the order of their arrival; `counts` are applied ones."""
 
-    def __init__(
-        self, effects: EffectRunner, loops: LoopCloser, thread: ThreadPoolExecutor, counts: MutableMapping[str, int]
-    ) -> None:
+    def __init__(self, effects: EffectRunner, loops: LoopCloser, thread: ThreadPoolExecutor) -> None:
         self._effects = effects
         self._loops = loops
         self._thread = thread
-        self._counts = counts
+        self.counts: Counter[str] = Counter()
         self._waiting: deque[dict[int, NDArray[np.float64]]] = deque()
         self._is_closed = False
 
@@ -62,25 +59,21 @@ class Corrections:
         """Send pending corrections to the core."""
         while self._waiting:
             places = self._waiting.popleft()
-            self._counts["pose_corrections"] += 1
-            await self._effects.handle(
-                PosesCorrected(
-                    stamp_ns=stamp_ns,
-                    submap_ids=tuple(places),
-                    world_from_submap=np.array(list(places.values())).reshape(-1, 4, 4),
-                )
-            )
+            self.counts["pose_corrections"] += 1
+            poses = np.array(list(places.values())).reshape(-1, 4, 4)
+            event = PosesCorrected(stamp_ns=stamp_ns, submap_ids=tuple(places), world_from_submap=poses)
+            await self._effects.handle(event)
 
     async def close_loops(self, stamp_ns: int, *, all_of_them: bool = False) -> None:
         """Send loops that are due at a stamp to the core, then the poses of submaps that the graph's solution moves."""
         while (event := await self._loops.next_due(None if all_of_them else stamp_ns)) is not None:
             await self._effects.handle(event)
-            self._counts["loops"] += sum(loop.reason is None for loop in event.loops)
+            self.counts["loops"] += sum(loop.reason is None for loop in event.loops)
             corrected = None
             if event.loops:
                 corrected = await on_thread(self._thread, self._loops.correction, self._effects.core, stamp_ns)
             if corrected is not None:
-                self._counts["loop_corrections"] += len(corrected.submap_ids) > 0
+                self.counts["loop_corrections"] += len(corrected.submap_ids) > 0
                 await self._effects.handle(corrected)
 
     def __len__(self) -> int:
@@ -89,7 +82,7 @@ class Corrections:
     def forget(self) -> None:
         """Drop pending corrections after a seek back: their submaps may not exist yet."""
         if self._waiting:
-            logger.warning("%d corrections of poses were for what somebody went back from", len(self._waiting))
+            logger.warning("%d corrections of poses are dropped after a seek back", len(self._waiting))
             self._waiting.clear()
 
     def close(self) -> None:
@@ -114,25 +107,14 @@ def checked_places(
 
 
 class KeyframeRegistrar:
-    """Registers keyframes on a thread, in their order; a series of rejected keyframes is logged once.
+    """Registers keyframes on a thread, in their order; a series of rejected keyframes is logged once."""
 
-    `counts` and `timings_s` are of the run.
-    """
-
-    def __init__(
-        self,
-        config: RegistrationConfig,
-        effects: EffectRunner,
-        thread: ThreadPoolExecutor,
-        *,
-        counts: MutableMapping[str, int],
-        timings_s: MutableMapping[str, float],
-    ) -> None:
+    def __init__(self, config: RegistrationConfig, effects: EffectRunner, thread: ThreadPoolExecutor) -> None:
         self._places = RegistrationFilter(config)
         self._effects = effects
         self._thread = thread
-        self._counts = counts
-        self._timings_s = timings_s
+        self.counts: Counter[str] = Counter()
+        self.seconds = 0.0
         self._is_keeping_out = False
 
     def where(self, odometry_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -154,26 +136,26 @@ class KeyframeRegistrar:
         """
         started = time.perf_counter()
         found = await on_thread(self._thread, self._places.place, frame, surface)
-        self._timings_s["register"] += time.perf_counter() - started
+        self.seconds += time.perf_counter() - started
         if found is None:
             return frame
         if isinstance(found, KeyframeKeptOut):
             if not self._is_keeping_out:
-                logger.warning("frame %d and what follows is kept out of the map: %s", frame.index, found.reason)
+                logger.warning("frame %d and following ones are kept out of the map: %s", frame.index, found.reason)
             self._is_keeping_out = True
             await self._effects.handle(found)
             return None
         if found.event.how == "begun anew":
             logger.warning(
-                "frame %d does not fit the map, nor do those before it: the robot is somewhere else than its odometry "
-                "says, and a new submap begins",
+                "frame %d does not fit the map, nor do the frames before it: the robot is not where its odometry says, "
+                "and a new submap begins",
                 frame.index,
             )
-            self._counts["carried_away"] += 1
+            self.counts["carried_away"] += 1
             await self._effects.handle(PoseJumped(stamp_ns=frame.stamp_ns, after_from_before=np.eye(4)))
         elif self._is_keeping_out:
             logger.warning("frame %d fits the map again", frame.index)
         self._is_keeping_out = False
-        self._counts["keyframes_corrected"] += found.event.corrects
+        self.counts["keyframes_corrected"] += found.event.corrects
         await self._effects.handle(found.event)
         return found.frame

@@ -26,7 +26,7 @@ from hickory_stream.perception.perceive import features_of
 from hickory_stream.ports import Crop
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Awaitable, Callable, Sequence
     from concurrent.futures import ThreadPoolExecutor
 
     from numpy.typing import NDArray
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from hickory_stream.engine.shape_jobs.queue import ShapeQueue
     from hickory_stream.engine.step_writer import Recorder, StepWriter
     from hickory_stream.events import ShapeFailed
-    from hickory_stream.journal.step import StepKind
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.mapping.core import MapperCore
     from hickory_stream.ports import FeatureExtractor
@@ -154,44 +153,34 @@ class EffectRunner:
     async def carry_out(self, effects: Sequence[Effect]) -> None:
         """Carry out the remaining effects of an event, in order."""
         for effect in effects:
-            await self._carry_out(effect)
-
-    async def _carry_out(self, effect: Effect) -> None:
-        match effect:
-            case KeepView() | ComputeFeatures() | Publish():
-                return
-            case DropView():
-                self._to.steps.drop_view(effect.name)
-            case RequestShape():
-                await self._to.recorder.written()
-                await self._to.shapes.request(effect)
-            case SearchLoops():
-                self._to.loops.request(effect)
-            case CancelShape():
-                self._to.shapes.cancel(effect.ticket)
-                self._to.steps.end_job(effect.ticket)
-            case _:
-                assert_never(effect)
+            match effect:
+                case KeepView() | ComputeFeatures() | Publish():
+                    pass
+                case DropView():
+                    self._to.steps.drop_view(effect.name)
+                case RequestShape():
+                    await self._to.recorder.written()
+                    await self._to.shapes.request(effect)
+                case SearchLoops():
+                    self._to.loops.request(effect)
+                case CancelShape():
+                    self._to.shapes.cancel(effect.ticket)
+                    self._to.steps.end_job(effect.ticket)
+                case _:
+                    assert_never(effect)
 
     async def _features(
         self, effect: ComputeFeatures, current: CurrentKeyframe | None
     ) -> tuple[FeaturesReady, NDArray[np.float32]]:
-        assert current is not None, "features are asked for while the frame is at hand"
-        features, patches = await on_thread(
-            self._mapping_thread,
-            features_of,
-            current.frame,
-            current.observations,
-            effect.observation_indices,
-            self._to.extractor,
-            current.patches,
-        )
+        assert current is not None, "features are requested for the current frame"
+        asked = (current.frame, current.observations, effect.observation_indices, self._to.extractor, current.patches)
+        features, patches = await on_thread(self._mapping_thread, features_of, *asked)
         return FeaturesReady(frame_index=effect.frame_index, features=features), patches
 
     async def _keep_views(self, keeps: Sequence[KeepView], current: CurrentKeyframe | None) -> None:
         if not keeps:
             return
-        assert current is not None, "views are kept while the frame is at hand"
+        assert current is not None, "views are kept of the current frame"
         frame, observations, views = current.frame, current.observations, self._to.folder.views
 
         def write() -> None:
@@ -213,20 +202,10 @@ class DueShapes:
     """
 
     def __init__(
-        self,
-        shapes: ShapeQueue,
-        effects: EffectRunner,
-        steps: StepWriter,
-        folder: MapFolder,
-        stop: StopRequest,
-        *,
-        mode: Mode,
-        grace_s: float,
+        self, effects: EffectRunner, targets: EffectTargets, stop: StopRequest, *, mode: Mode, grace_s: float
     ) -> None:
-        self._shapes = shapes
         self._effects = effects
-        self._steps = steps
-        self._folder = folder
+        self._to = targets
         self._stop = stop
         self._mode = mode
         self._grace_s = grace_s
@@ -238,24 +217,23 @@ class DueShapes:
         """
         while (event := await self._next(stamp_ns)) is not None:
             await self._ended(event)
-        if self._mode == "playback" and self._shapes.has_due(stamp_ns):
+        if self._mode == "playback" and self._to.shapes.has_due(stamp_ns):
             raise GraceExpired
 
-    async def commit_last(self, kind: StepKind, stamp_ns: int, tell: Callable[[], None]) -> None:
-        """Send open shapes to the core, or those that arrive within the grace of a stop; each is a step."""
+    async def commit_last(self, commit: Callable[[], Awaitable[None]]) -> None:
+        """Send open shapes to the core, or those that arrive within the grace of a stop; `commit` a step after each."""
         while (event := await self._next(None)) is not None:
             await self._ended(event)
-            await self._steps.commit(kind, stamp_ns)
-            tell()
+            await commit()
 
     async def _ended(self, event: ShapeReady | ShapeFailed) -> None:
         await self._effects.handle(event)
-        self._steps.end_job(event.ticket)
+        self._to.steps.end_job(event.ticket)
         if isinstance(event, ShapeReady):
-            self._folder.keep_shape(event.shape.mesh_name)
+            self._to.folder.keep_shape(event.shape.mesh_name)
 
     async def _next(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
         # None also where a stop leaves no time for the next shape.
         if self._mode == "live" and stamp_ns is not None:
-            return await self._shapes.next_arrived(stamp_ns)
-        return await self._stop.within_grace(self._shapes.next_due(stamp_ns), "next-shape", self._grace_s)
+            return await self._to.shapes.next_arrived(stamp_ns)
+        return await self._stop.within_grace(self._to.shapes.next_due(stamp_ns), "next-shape", self._grace_s)

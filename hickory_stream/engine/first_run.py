@@ -29,15 +29,15 @@ logger = logging.getLogger(__name__)
 _ROOT = Path(__file__).resolve().parents[1]
 _PACKAGES = ("geometry", "perception", "mapping", "shapes")
 _LEFT_OUT = "models"  # networks have kernels that few runs need
-_TELL_EVERY_S = 1.0
+_REPORT_EVERY_S = 1.0
 _DECORATOR = "\n@kernel"
 
 
-async def compile_kernels(tell: Callable[[int, int], None]) -> None:
-    """Compile missing kernels of a run into the cache; `tell` receives the numbers compiled and estimated."""
+async def compile_kernels(report: Callable[[int, int], None]) -> None:
+    """Compile missing kernels of a run into the cache; `report` receives the numbers compiled and estimated."""
     if await asyncio.to_thread(are_compiled):
         return
-    # What it imports is needed this once.
+    # Its imports are needed only here.
     from hickory_stream.engine.warm_up import PARTS
 
     total = sum(text.count(_DECORATOR) for text in (file.read_text(encoding="utf-8") for file in _files()))
@@ -45,19 +45,19 @@ async def compile_kernels(tell: Callable[[int, int], None]) -> None:
 
     def add(kernel: str) -> None:
         known.add(kernel)
-        tell(min(len(known), total), total)
+        report(min(len(known), total), total)
 
-    async def keep_telling() -> None:
+    async def keep_reporting() -> None:
         while True:
-            tell(min(len(known), total), total)
-            await asyncio.sleep(_TELL_EVERY_S)
+            report(min(len(known), total), total)
+            await asyncio.sleep(_REPORT_EVERY_S)
 
-    # A kernel takes seconds, and another process may be at them: time goes by all the same.
-    telling = asyncio.create_task(keep_telling(), name="tell")
+    # A kernel takes seconds, and another process may compile it.
+    reporting = asyncio.create_task(keep_reporting(), name="report-kernels")
     try:
         done = await asyncio.gather(*(_compile_part(part, add) for part in PARTS))
     finally:
-        telling.cancel()
+        reporting.cancel()
     if all(done):
         await asyncio.to_thread(_note_compiled)
 
@@ -72,10 +72,7 @@ def are_compiled() -> bool:
 async def _compile_part(part: str, add: Callable[[str], None]) -> bool:
     try:
         process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "hickory_stream.engine.warm_up",
-            part,
+            *(sys.executable, "-m", "hickory_stream.engine.warm_up", part),
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.DEVNULL,
@@ -108,13 +105,8 @@ def _note_compiled() -> None:
 @cache
 def _mark() -> str:
     # An empty file of this name says that all kernels of this code and processor are compiled.
-    binding = llvmlite.binding
-    processor = (
-        binding.get_host_cpu_name(),
-        sorted(binding.get_host_cpu_features().items()),
-        numba.config.CPU_NAME,
-        numba.config.CPU_FEATURES,
-    )
+    host = (llvmlite.binding.get_host_cpu_name(), sorted(llvmlite.binding.get_host_cpu_features().items()))
+    processor = (*host, numba.config.CPU_NAME, numba.config.CPU_FEATURES)
     digest = hashlib.sha256(repr(processor).encode())
     for file in _files():
         module = ".".join(("hickory_stream", *file.relative_to(_ROOT).with_suffix("").parts))

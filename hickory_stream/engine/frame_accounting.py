@@ -40,9 +40,7 @@ class RunClock:
     def resume(self, point: ResumePoint) -> None:
         """Continue from an interrupted run."""
         step = point.step
-        self.last = point.last_frame
-        self.camera = step.camera
-        self.first_ns = step.first_ns
+        self.last, self.camera, self.first_ns = point.last_frame, step.camera, step.first_ns
         self.round_index, self.first_index = step.round_index, step.first_index
         self.num_frames, self.num_keyframes = step.num_frames, step.num_keyframes
         self.counts.update(step.counts)
@@ -94,26 +92,19 @@ class KeyframeChoice:
     def outcomes(self, reads: Sequence[QueuedFrame]) -> list[FrameOutcome]:
         """Return the outcome of each frame, as far as it is known before decoding."""
         if self._mode == "playback":
-            return [
-                FrameOutcome.MAPPED
-                if r.is_candidate
-                else FrameOutcome.UNDECODABLE
-                if r.is_corrupt
-                else FrameOutcome.BETWEEN
-                for r in reads
-            ]
-        chosen = next((i for i in range(len(reads) - 1, -1, -1) if self._makes_keyframe(reads[i])), None)
+            between = {True: FrameOutcome.UNDECODABLE, False: FrameOutcome.BETWEEN}
+            return [FrameOutcome.MAPPED if r.is_candidate else between[r.is_corrupt] for r in reads]
+        poses = [(read.raw.stamp_ns, read.raw.world_from_camera) for read in reads]
+        keyframes = [i for i, pose in enumerate(poses) if is_keyframe(self._mapped, *pose, self._config)]
+        chosen = keyframes[-1] if keyframes else None
         dropped = [i for i, read in enumerate(reads) if read.is_candidate and i != chosen]
         if chosen is not None:
             raw = reads[chosen].raw
             self._mapped = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
             if not reads[chosen].is_candidate:
-                # It is mapped in the place of a candidate, the newest.
+                # It replaces the newest candidate.
                 dropped = dropped[:-1]
         outcomes = [FrameOutcome.DROPPED if i in dropped else FrameOutcome.BETWEEN for i in range(len(reads))]
         if chosen is not None:
             outcomes[chosen] = FrameOutcome.MAPPED
         return outcomes
-
-    def _makes_keyframe(self, read: QueuedFrame) -> bool:
-        return is_keyframe(self._mapped, read.raw.stamp_ns, read.raw.world_from_camera, self._config)

@@ -57,7 +57,6 @@ class RegistrationFilter:
         if not self._config.enabled:
             return None
         odometry_from_camera = frame.world_from_camera
-        spread_per_m = frame.sensor.spread_per_m
         image = keyframe_surface(frame, self._config) if surface is None else surface
         found = self._registration.place(image, odometry_from_camera, frame.degenerate)
         if isinstance(found, KeptOut):
@@ -76,7 +75,7 @@ class RegistrationFilter:
                 corrects=found.belief.corrects,
                 num_against=found.belief.num_against,
                 is_anchor=found.is_anchor,
-                spread_per_m=spread_per_m,
+                spread_per_m=frame.sensor.spread_per_m,
                 fit=found.fit,
                 degenerate=found.degenerate,
             ),
@@ -119,9 +118,6 @@ def keyframe_surface(frame: Frame, config: RegistrationConfig) -> SurfaceImage:
     return _image(coarse_depth(frame.depth_m), frame.camera, frame.sensor.spread_per_m, config)
 
 
-def _image(
-    depth_mm: NDArray[np.uint16], camera: Camera, spread_per_m: float, config: RegistrationConfig
-) -> SurfaceImage:
-    return surface_image(
-        depth_mm, coarse_camera(camera), spread_per_m=spread_per_m, max_sigma_m=config.max_depth_sigma_m
-    )
+def _image(depth: NDArray[np.uint16], camera: Camera, spread_per_m: float, config: RegistrationConfig) -> SurfaceImage:
+    max_sigma_m = config.max_depth_sigma_m
+    return surface_image(depth, coarse_camera(camera), spread_per_m=spread_per_m, max_sigma_m=max_sigma_m)

@@ -93,9 +93,8 @@ class LoopCloser:
         # A submap that was opened and has no keyframe yet goes on from the last one.
         ids = [submap.id for submap in core.submaps]
         places += [places[-1]] * (len(ids) - len(places))
-        return PosesCorrected(
-            stamp_ns=stamp_ns, submap_ids=tuple(ids), world_from_submap=np.array(places), graph=record
-        )
+        moved = np.array(places)
+        return PosesCorrected(stamp_ns=stamp_ns, submap_ids=tuple(ids), world_from_submap=moved, graph=record)
 
     def close(self) -> None:
         """Wait for the running search, and drop the others."""
@@ -112,16 +111,14 @@ class LoopCloser:
         if isinstance(predicted, NoSolution):
             logger.warning("loops of submap %d are not searched: %s", later_id, predicted.reason)
             return ()
-        return search_loops(
-            LoopQuery(
-                later_id=later_id,
-                surfaces=Surfaces(submaps),
-                predicted=predicted,
-                snapshot=search.snapshot,
-                extractor=self._extractor,
-            ),
-            self._loops,
+        query = LoopQuery(
+            later_id=later_id,
+            surfaces=Surfaces(submaps),
+            predicted=predicted,
+            snapshot=search.snapshot,
+            extractor=self._extractor,
         )
+        return search_loops(query, self._loops)
 
 
 def _accepted(core: MapperCore) -> list[int]:

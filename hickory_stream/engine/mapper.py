@@ -84,7 +84,7 @@ async def close_run(
     except MapFolderError as error:
         failed = failed or error
     if failed is None or not is_clean:
-        # Asked here: what the run counts belongs to the event loop.
+        # The run's counters belong to the event loop.
         ledger, timings, is_reproducible = run.ledger(), run.timings(), run.is_reproducible
         is_finished = is_clean and failed is None
         await asyncio.to_thread(_finish, folder, ledger, timings, is_clean=is_finished, is_reproducible=is_reproducible)
@@ -99,21 +99,16 @@ def why_empty(source: Source, run: Run) -> str | None:
     if not run.is_complete:
         return None
     if run.num_keyframes == 0:
-        told = ", ".join(f"{name} {count}" for name, count in sorted({**source.ledger(), **counts}.items()))
+        found = ", ".join(f"{name} {count}" for name, count in sorted({**source.ledger(), **counts}.items()))
         needed = "it must hold colour, depth and poses that overlap in time"
-        return f"{uri} gave no usable frame ({told or 'nothing'}); {needed}"
+        return f"{uri} gave no usable frame ({found or 'nothing'}); {needed}"
     if counts.get("keyframes_without_depth", 0) == run.num_keyframes:
         return f"{uri} has no depth in any of {run.num_keyframes} keyframes; mapping needs depth in metres above 0"
     return None
 
 
 def _finish(
-    folder: MapFolder,
-    ledger: Mapping[str, Any],
-    timings: Mapping[str, float],
-    *,
-    is_clean: bool,
-    is_reproducible: bool,
+    folder: MapFolder, ledger: Mapping[str, Any], timings: Mapping[str, float], *, is_clean: bool, is_reproducible: bool
 ) -> None:
     folder.write_json("ledger.json", ledger)
     folder.write_json("timings.json", timings)
@@ -165,21 +160,19 @@ class Mapper:
         self._is_own = segmenter is None and extractor is None
         # What a generator computes depends on the machine as perception of a caller's own does.
         is_shown = self._is_own and self.config.shapes.reconstructor != "external"
-        self._processor = processor_of_run(
-            self.config.perception, is_own=is_shown, has_lossy_views=self.config.run.view_colors != "png"
-        )
+        is_lossy = self.config.run.view_colors != "png"
+        self._processor = processor_of_run(self.config.perception, is_own=is_shown, has_lossy_views=is_lossy)
         self._core = core or MapperCore(self.config.mapping)
         self._workers = workers or make_workers(self.config)
         self._rehearsing = threading.Lock()
-        self._is_rehearsed = False
-        self._resumes = False
+        self._is_rehearsed = self._resumes = False
         self._temporary: Path | None = None
         self._threads: threadpool_limits | None = None
         self._run: Run | None = None
         self._task: asyncio.Task[None] | None = None
         self.folder: MapFolder | None = None
+        #: Why requested files beside the map are incomplete, at the end of the run.
         self.lost_outputs: tuple[str, ...] = ()
-        """Once the run has ended: why files that were asked for beside the map are not there to their end."""
 
     @classmethod
     def resuming(
@@ -296,7 +289,7 @@ class Mapper:
         folder, journal, continued = await asyncio.to_thread(self._open, source, asked)
         mode, loops = folder.manifest.run["mode"], folder.manifest.run["loops"]
         if mode == "live" and isinstance(self._workers, LocalWorkers):
-            # A robot waits for the keyframe, nobody for the shape.
+            # A robot waits for keyframes, not for shapes.
             self._workers.niceness = _LIVE_NICENESS
         if continued is not None:
             continue_from(source, continued.last_frame.stamp_ns, continued.last_frame.world_from_camera)
@@ -309,7 +302,6 @@ class Mapper:
 
         async def play() -> None:
             try:
-                threads = self._make_sinks(folder, sinks)
                 parts = RunParts(
                     config=self.config,
                     mode=mode,
@@ -320,14 +312,14 @@ class Mapper:
                     workers=self._workers,
                     folder=folder,
                     journal=journal,
-                    sinks=threads,
+                    sinks=self._make_sinks(folder, sinks),
                     publish=publish,
                     progress=progress,
                     resumes=continued,
                     rehearse=self.rehearse if mode == "live" else None,
                 )
                 run = self._run = Run(parts)
-                await self._play(run, source, folder, journal, threads, rate, loops)
+                await self._play(run, parts, rate, loops)
             finally:
                 journal.abandon()
                 folder.close()
@@ -349,28 +341,20 @@ class Mapper:
             await asyncio.gather(task, return_exceptions=True)
             raise
 
-    async def _play(
-        self,
-        run: Run,
-        source: Source,
-        folder: MapFolder,
-        journal: JournalWriter,
-        threads: list[SinkThread],
-        rate: float | None,
-        loops: int,
-    ) -> None:
+    async def _play(self, run: Run, parts: RunParts, rate: float | None, loops: int) -> None:
         is_clean = False
         try:
             await run.run(rate=rate, loops=loops)
             is_clean = run.is_complete
         finally:
             try:
-                await close_run(run, folder, journal, threads, is_clean=is_clean)
+                await close_run(run, parts.folder, parts.journal, parts.sinks, is_clean=is_clean)
             finally:
-                self.lost_outputs = tuple(thread.lost_output for thread in threads if thread.lost_output is not None)
-        reason = why_empty(source, run)
+                lost = (thread.lost_output for thread in parts.sinks)
+                self.lost_outputs = tuple(reason for reason in lost if reason is not None)
+        reason = why_empty(parts.source, run)
         if reason is not None:
-            await asyncio.to_thread(shutil.rmtree, folder.path, ignore_errors=True)
+            await asyncio.to_thread(shutil.rmtree, parts.folder.path, ignore_errors=True)
             raise RecordingError(reason)
 
     def _make_sinks(
@@ -385,16 +369,14 @@ class Mapper:
         return [SinkThread(sink, is_essential=essential) for sink, essential in made]
 
     def _open(self, source: Source, asked: Mapping[str, Any]) -> tuple[MapFolder, JournalWriter, ResumePoint | None]:
-        flush_s = self.config.journal.flush_s
-        caches.cap_mb()  # what it refuses is refused before anything is played
+        caches.cap_mb()  # an invalid value is refused before anything is played
         if self._resumes:
             assert self._out is not None
             self.folder, journal, continued = reopen(self._out, source.info, self.config, self.extractor_name)
             return self.folder, journal, continued
-        if self._out is None:
-            self._temporary = Path(tempfile.mkdtemp(prefix="hickory-"))
-        place = self._out if self._out is not None else self._temporary
-        assert place is not None
+        place = self._out
+        if place is None:
+            place = self._temporary = Path(tempfile.mkdtemp(prefix="hickory-"))
         self.folder = create_map_folder(
             place,
             config=dataclasses.asdict(self.config),
@@ -406,7 +388,7 @@ class Mapper:
             overwrite=self._overwrite,
         )
         try:
-            return self.folder, JournalWriter(place, flush_s=flush_s), None
+            return self.folder, JournalWriter(place, flush_s=self.config.journal.flush_s), None
         except MapFolderError:
             shutil.rmtree(place, ignore_errors=True)
             self.folder.close()

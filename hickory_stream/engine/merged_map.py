@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from hickory_stream.merging.layout import PairOutcome
     from hickory_stream.merging.merge_maps import Merged
     from hickory_stream.merging.objects import MergedObject
-    from hickory_stream.records import TrackedObject, View
+    from hickory_stream.records import TrackedObject
 
 _MERGED_REVISION = 1_000_000
 
@@ -54,14 +54,13 @@ def write_merged_map(
     Raises `MapFolderError`: the place is taken or cannot be written, or a file of an input is damaged.
     """
     used = [saved for i, saved in enumerate(inputs) if i not in merged.left_out]
-    # What ran on the machine where the first one was made is no part of this map.
+    # The machine of the first map is no part of this one.
     config = {name: section for name, section in used[0].manifest.config.items() if name != "run"}
     names = {saved.manifest.extractor for saved in used}
     folder = create_map_folder(
         out,
         config=config,
         source=_source(merged, inputs),
-        # Of several nothing is known.
         extractor=names.pop() if len(names) == 1 else "",
         processor=processor_kind(),
         overwrite=overwrite,
@@ -88,8 +87,8 @@ def outcome_text(pair: PairOutcome) -> str:
     """Return the outcome of a pair of maps in a few words."""
     if not isinstance(pair.answer, Alignment):
         return f"not aligned ({pair.answer.refusal.value}): {pair.answer.reason}"
-    told = f"{len(pair.answer.pairs)} pairs, chance 10^{pair.answer.log10_chance:.0f}"
-    return told if pair.is_believed else f"REJECTED, the other alignments contradict it: {told}"
+    text = f"{len(pair.answer.pairs)} pairs, chance 10^{pair.answer.log10_chance:.0f}"
+    return text if pair.is_believed else f"REJECTED, the other alignments contradict it: {text}"
 
 
 def _source(merged: Merged, inputs: Sequence[SavedMap]) -> dict[str, Any]:
@@ -116,24 +115,19 @@ def _source(merged: Merged, inputs: Sequence[SavedMap]) -> dict[str, Any]:
     }
 
 
-def _origin(view: View, merged: Merged) -> int:
-    known = [i for i, pose in enumerate(merged.world_from_map) if pose is not None]
-    return max(i for i in known if merged.first_frames[i] <= view.frame_index)
-
-
 def _copy_views(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: Sequence[SavedMap]) -> None:
+    known = [i for i, pose in enumerate(merged.world_from_map) if pose is not None]
     for view in item.views:
-        origin = _origin(view, merged)
+        origin = max(i for i in known if merged.first_frames[i] <= view.frame_index)
         old_name = replace(view, frame_index=view.frame_index - merged.first_frames[origin]).name
         *images, description = crop_files(inputs[origin].views, old_name)
         for image in images:
             new_name = f"{view.name}{image.name.removeprefix(old_name)}"
             _copied(inputs[origin].folder, f"views/{image.name}", folder.views / new_name)
-        told = read_json(inputs[origin].views, description.name) | {
-            "world_from_camera": view.world_from_camera.tolist()
-        }
+        described = read_json(inputs[origin].views, description.name)
+        described["world_from_camera"] = view.world_from_camera.tolist()
         with disk_errors(folder.path):
-            write_atomically(folder.views / f"{view.name}.json", dumps_exactly(told).encode(), sync=False)
+            write_atomically(folder.views / f"{view.name}.json", dumps_exactly(described).encode(), sync=False)
 
 
 def _with_mesh(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: Sequence[SavedMap]) -> TrackedObject:

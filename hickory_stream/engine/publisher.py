@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Sink
     from hickory_stream.records import FrameReport, MapSnapshot
 
-
 logger = logging.getLogger(__name__)
 
 

@@ -92,22 +92,27 @@ class Reader:
         self._room = asyncio.Semaphore(_DECODED_AHEAD)
         self._thread = ThreadPoolExecutor(1, "read")
         self.decode_s = 0.0
-        # Since the last frame that was sent.
+        #: Losses since the last queued frame (playback).
         self.lost: Counter[str] = Counter()
+        #: Read and lost frames (live).
+        self.counts: Counter[str] = Counter()
 
     @property
     def num_waiting(self) -> int:
         """Number of queued frames."""
         return self._channel.statistics().length
 
-    async def read(
-        self, source: Source, *, rate: float | None, loops: int, start: Position, counts: Counter[str]
-    ) -> None:
-        """Read `loops` rounds of a source: a playback from a position on, a live run with its losses in `counts`."""
-        if self._mode == "live":
-            await self._follow(source, Pacer(rate), loops, counts)
-        else:
-            await self._play(source, Pacer(rate), loops, start)
+    async def read(self, source: Source, *, rate: float | None, loops: int, start: Position) -> None:
+        """Read `loops` rounds of a source; a playback begins at a position."""
+        try:
+            if self._mode == "live":
+                await self._follow(source, Pacer(rate), loops)
+            else:
+                await self._play(source, Pacer(rate), loops, start)
+        except ChannelClosed:
+            pass  # the other side has ended
+        finally:
+            await self._channel.close()
 
     async def take(self) -> list[QueuedFrame] | None:
         """Return queued frames, one in a playback, waiting for the first; None at the end."""
@@ -124,7 +129,7 @@ class Reader:
     async def end(self) -> None:
         """Accept no more frames."""
         await self._channel.close()
-        self._room.release()  # whoever waits for room finds the channel closed
+        self._room.release()  # a waiting sender finds the channel closed
 
     def close(self) -> None:
         """Wait for the thread to end."""
@@ -132,87 +137,75 @@ class Reader:
 
     async def _play(self, source: Source, pacer: Pacer, loops: int, start: Position) -> None:
         keyframe, last_ns = start.keyframe, start.last_ns
-        offset = start.first_index
-        index = start.last_index
-        lost = self.lost
-        try:
-            for round_index in range(start.round_index, loops):
-                frames = source.frames()
-                while not self._stop.is_requested and (raw := await self._next(frames)) is not None:
-                    index = offset + raw.index
-                    if index <= start.last_index:
-                        continue
-                    if raw.goes_back:
-                        # The map is another one then: what it has seen last is not this.
-                        keyframe, last_ns = None, None
-                    if self._is_late(last_ns, raw.stamp_ns):
-                        lost["frames_late"] += 1
-                        continue
-                    last_ns = raw.stamp_ns
-                    await pacer.wait(raw.stamp_ns, self._stop.event)
-                    frame, ahead, is_corrupt = None, Prefetched(), False
-                    if is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
-                        await self._room.acquire()
-                        frame = await self._decoded(raw, index)
-                        is_corrupt = frame is None
-                        if is_corrupt:
-                            self._room.release()
-                    if frame is not None:
-                        keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-                        ahead = await self._ahead(frame)
-                    read = QueuedFrame(
-                        raw=replace(raw, index=index),
-                        round_index=round_index,
-                        first_index=offset,
-                        is_candidate=frame is not None,
-                        frame=frame,
-                        ahead=ahead,
-                        is_corrupt=is_corrupt,
-                        counts=dict(lost),
-                        arrived_s=time.monotonic(),
-                    )
-                    lost.clear()
-                    await self._channel.send(read)
-                offset = index + 1
-                last_ns = None
-        except ChannelClosed:
-            pass  # the other side has ended
-        finally:
-            await self._channel.close()
+        offset, index = start.first_index, start.last_index
+        for round_index in range(start.round_index, loops):
+            frames = source.frames()
+            while not self._stop.is_requested and (raw := await self._next(frames)) is not None:
+                index = offset + raw.index
+                if index <= start.last_index:
+                    continue
+                if raw.goes_back:
+                    # The map goes back, too: it has not seen the last keyframe.
+                    keyframe, last_ns = None, None
+                if self._is_late(last_ns, raw.stamp_ns):
+                    self.lost["frames_late"] += 1
+                    continue
+                last_ns = raw.stamp_ns
+                await pacer.wait(raw.stamp_ns, self._stop.event)
+                frame, ahead, is_corrupt = None, Prefetched(), False
+                if is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
+                    await self._room.acquire()
+                    frame = await self._decoded(raw, index)
+                    is_corrupt = frame is None
+                    if is_corrupt:
+                        self._room.release()
+                if frame is not None:
+                    keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+                    ahead = await self._ahead(frame)
+                queued = QueuedFrame(
+                    raw=replace(raw, index=index),
+                    round_index=round_index,
+                    first_index=offset,
+                    is_candidate=frame is not None,
+                    frame=frame,
+                    ahead=ahead,
+                    is_corrupt=is_corrupt,
+                    counts=dict(self.lost),
+                    arrived_s=time.monotonic(),
+                )
+                self.lost.clear()
+                await self._channel.send(queued)
+            offset = index + 1
+            last_ns = None
 
-    async def _follow(self, source: Source, pacer: Pacer, loops: int, counts: Counter[str]) -> None:
+    async def _follow(self, source: Source, pacer: Pacer, loops: int) -> None:
         keyframe: Keyframe | None = None
         last_ns: int | None = None
         offset = index = 0
-        try:
-            for round_index in range(loops):
-                frames = source.frames()
-                while not self._stop.is_requested and (raw := await self._next(frames)) is not None:
-                    index = offset + raw.index
-                    await pacer.wait(raw.stamp_ns, self._stop.event)
-                    counts["read"] += 1
-                    if self._is_late(last_ns, raw.stamp_ns):
-                        counts["frames_late"] += 1
-                        continue
-                    last_ns = raw.stamp_ns
-                    wanted = is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes)
-                    if wanted:
-                        keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-                    read = QueuedFrame(
-                        raw=replace(raw, index=index),
-                        round_index=round_index,
-                        first_index=offset,
-                        is_candidate=wanted,
-                        arrived_s=time.monotonic(),
-                    )
-                    if await self._channel.send(read) is not None:
-                        counts["frames_dropped"] += 1
-                offset = index + 1
-                last_ns = None
-        except ChannelClosed:
-            pass
-        finally:
-            await self._channel.close()
+        for round_index in range(loops):
+            frames = source.frames()
+            while not self._stop.is_requested and (raw := await self._next(frames)) is not None:
+                index = offset + raw.index
+                await pacer.wait(raw.stamp_ns, self._stop.event)
+                self.counts["read"] += 1
+                if self._is_late(last_ns, raw.stamp_ns):
+                    self.counts["frames_late"] += 1
+                    continue
+                last_ns = raw.stamp_ns
+                wanted = is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes)
+                if wanted:
+                    keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+                queued = QueuedFrame(
+                    raw=replace(raw, index=index),
+                    round_index=round_index,
+                    first_index=offset,
+                    is_candidate=wanted,
+                    arrived_s=time.monotonic(),
+                )
+                if await self._channel.send(queued) is not None:
+                    self.counts["frames_dropped"] += 1
+            offset = index + 1
+            last_ns = None
 
     async def _next(self, frames: Iterator[RawFrame]) -> RawFrame | None:
         raw: RawFrame | None = await on_thread(self._thread, next, frames, None)

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.config import MapperConfig
     from hickory_stream.ports import Source
-    from hickory_stream.records import MapSnapshot
 
 _AGREE_M, _AGREE_RAD = 0.3, np.radians(3.0)
 
@@ -80,8 +79,8 @@ async def _relocalise(
     known: frozenset[int] = frozenset()
     async with Mapper(config, out=None) as mapper:
         async for snapshot in mapper.run(source, rate=rate):
-            objects = _settled(snapshot)
-            # Nothing new to be found by: until an object comes or goes the answer would be the same.
+            objects = frozenset(item.id for item in snapshot.objects if item.phase is not Phase.TENTATIVE)
+            # Until an object comes or goes, the answer is the same.
             if objects == known and last is not None:
                 continue
             known = objects
@@ -94,10 +93,6 @@ async def _relocalise(
     return last
 
 
-def _settled(snapshot: MapSnapshot) -> frozenset[int]:
-    return frozenset(item.id for item in snapshot.objects if item.phase is not Phase.TENTATIVE)
-
-
 def _located(stored: ObjectMap, here: ObjectMap, stamp_ns: int, last: Located | None) -> Located:
     answer = align(stored, here)
     before = last.answer if last is not None else None
@@ -106,10 +101,5 @@ def _located(stored: ObjectMap, here: ObjectMap, stamp_ns: int, last: Located | 
         center_b = apply(invert(answer.a_from_b), answer.center_a)
         has_jumped = differs(answer.a_from_b, before.a_from_b, center_b, distance_m=_AGREE_M, angle_rad=_AGREE_RAD)
         is_confirmed = not has_jumped
-    return Located(
-        stamp_ns=stamp_ns,
-        num_objects=len(here),
-        answer=answer,
-        is_confirmed=is_confirmed,
-        has_jumped=has_jumped,
-    )
+    flags = {"is_confirmed": is_confirmed, "has_jumped": has_jumped}
+    return Located(stamp_ns=stamp_ns, num_objects=len(here), answer=answer, **flags)

@@ -19,9 +19,10 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -74,7 +75,6 @@ if TYPE_CHECKING:
     from hickory_stream.ports import FeatureExtractor, Segmenter, Source
     from hickory_stream.records import Decision, Frame, MapSnapshot
 
-
 logger = logging.getLogger(__name__)
 
 
@@ -91,17 +91,11 @@ class Run:
         cache = ShapeCache(cache_folder("shapes"), generator_key(config)) if config.run.shape_cache else None
         self._shapes = ShapeQueue(folder, parts.workers, config.shapes, cache)
         self._recorder = Recorder(folder, parts.journal)
-        self._steps = StepWriter(
-            self._recorder,
-            self._clock,
-            self._shapes,
-            parts.source,
-            lambda: self._effects.core.snapshot(),
-            checkpoint_keyframes=config.journal.checkpoint_keyframes,
-        )
+        checkpoint_keyframes = config.journal.checkpoint_keyframes
+        self._steps = StepWriter(self._recorder, self._shapes, parts.source, checkpoint_keyframes=checkpoint_keyframes)
         self._publisher = ReportPublisher(parts.sinks, parts.publish, parts.progress, waits=parts.mode == "playback")
         self._loops = LoopCloser(config.loops, config.graph, extractor=parts.extractor.name, mode=parts.mode)
-        # One thread reads ahead, one perceives and decides: what must come in order stays in order.
+        # One thread reads ahead, one perceives and decides, so that both keep their order.
         self._mapping_thread = ThreadPoolExecutor(1, "think")
         targets = EffectTargets(
             folder=folder,
@@ -115,25 +109,11 @@ class Run:
         self._far = FarArrays(folder.path)
         parts.core.keep_far_arrays(self._far.keep)
         self._effects = EffectRunner(parts.core, targets, self._mapping_thread, config.run)
-        self._due = DueShapes(
-            self._shapes,
-            self._effects,
-            self._steps,
-            folder,
-            self._stop,
-            mode=parts.mode,
-            grace_s=config.run.grace_s,
-        )
-        self._corrections = Corrections(self._effects, self._loops, self._mapping_thread, self._clock.counts)
+        self._due = DueShapes(self._effects, targets, self._stop, mode=parts.mode, grace_s=config.run.grace_s)
+        self._corrections = Corrections(self._effects, self._loops, self._mapping_thread)
         self._loop_delay = LoopDelay()
-        self.timings_s: defaultdict[str, float] = defaultdict(float)
-        self._registrar = KeyframeRegistrar(
-            config.registration,
-            self._effects,
-            self._mapping_thread,
-            counts=self._clock.counts,
-            timings_s=self.timings_s,
-        )
+        self._seconds: defaultdict[str, float] = defaultdict(float)
+        self._registrar = KeyframeRegistrar(config.registration, self._effects, self._mapping_thread)
         if parts.resumes is not None:
             self._clock.resume(parts.resumes)
             self._registrar.restore(parts.resumes.registration)
@@ -147,9 +127,12 @@ class Run:
         return self._clock.num_keyframes
 
     @property
-    def counts(self) -> Mapping[str, int]:
-        """Number of frames by outcome."""
-        return self._clock.counts
+    def counts(self) -> Counter[str]:
+        """Number of frames by outcome, and of corrections, as each part counts its own."""
+        counts = Counter(self._clock.counts)
+        for part in (self._reader, self._corrections, self._registrar):
+            counts.update(part.counts)
+        return counts
 
     @property
     def is_complete(self) -> bool:
@@ -175,7 +158,9 @@ class Run:
 
     def timings(self) -> dict[str, float]:
         """Return seconds of work: by layer as in the paper's table of storage and time, and by stage."""
-        times = {**self.timings_s, "decode": self._reader.decode_s}
+        times = {**self._seconds, "decode": self._reader.decode_s}
+        if self._registrar.seconds:
+            times["register"] = self._registrar.seconds
         return run_timings(times, self._shapes.timings_s, self._loop_delay.quantile_s(0.99))
 
     def stop(self) -> None:
@@ -199,7 +184,7 @@ class Run:
         source, resumes = self._parts.source, self._parts.resumes
         total = source.info.num_frames
         self._publisher.total = total * loops if total is not None else None
-        await self._stop.within_grace(compile_kernels(self._tell_compiling), "compile")
+        await self._stop.within_grace(compile_kernels(partial(self._report, "compiling")), "compile")
         if self._parts.rehearse is not None and not self._stop.is_requested:
             await on_thread(self._mapping_thread, self._parts.rehearse)
         try:
@@ -212,12 +197,12 @@ class Run:
                     await self._reader.end()
                 else:
                     start = resumes.position if resumes is not None else Position()
-                    reading = self._reader.read(source, rate=rate, loops=loops, start=start, counts=self._clock.counts)
+                    reading = self._reader.read(source, rate=rate, loops=loops, start=start)
                     group.create_task(reading, name="read")
                 await group.create_task(self._map(), name="map")
                 watching.cancel()
         except BaseException as error:
-            # The thread that reads may be waiting for a frame that never comes: a robot that is gone.
+            # The reading thread may wait for a frame that never comes: a robot that is gone.
             interrupt(source)
             if isinstance(error, ExceptionGroup):
                 raise error.exceptions[0] from error
@@ -240,10 +225,9 @@ class Run:
                     became = await self._map_keyframe(read) if outcome is FrameOutcome.MAPPED else outcome
                     if became is not FrameOutcome.MAPPED:
                         self._clock.counts[became.value] += 1
-                        await self._publisher.show(
-                            plain_report(read.raw, self._registrar.where(read.raw.world_from_camera))
-                        )
-                    self._tell("mapping")
+                        pose = self._registrar.where(read.raw.world_from_camera)
+                        await self._publisher.show(plain_report(read.raw, pose))
+                    self._report("mapping")
             except GraceExpired:
                 await self._reader.end()
                 break
@@ -319,10 +303,10 @@ class Run:
         ended = time.perf_counter()
         times = {"wait_for_shapes": waited - started, "perceive": seen - waited, "decide": ended - seen}
         for stage, seconds in times.items():
-            self.timings_s[stage] += seconds
+            self._seconds[stage] += seconds
         metrics = self._metrics({**times, "latency": time.monotonic() - read.arrived_s})
         if decided.published is not None:
-            # A sink may save a map that names views: they are there by then.
+            # A sink may save a map that names views.
             await self._recorder.written()
             await self._publisher.show(
                 keyframe_report(
@@ -337,13 +321,11 @@ class Run:
             )
         # A robot waits for the map, not for shape jobs and the journal.
         await self._effects.carry_out(decided.effects)
-        await self._steps.commit(
-            StepKind.KEYFRAME,
-            frame.stamp_ns,
-            metrics=metrics,
-            color=lambda: color_of(read.raw, frame, self._parts.config.journal),
-            core=self._effects.core,
-        )
+        color = partial(color_of, read.raw, frame, self._parts.config.journal)
+        await self._commit(StepKind.KEYFRAME, frame.stamp_ns, metrics=metrics, color=color)
+
+    async def _commit(self, kind: StepKind, stamp_ns: int, **parts: Any) -> None:
+        await self._steps.commit(kind, stamp_ns, self._clock, self._effects.core, counts=self.counts, **parts)
 
     def _perceived(self, frame: Frame, ahead: Prefetched) -> Perceived:
         config, prior = self._parts.config, self._effects.core.prior()
@@ -367,30 +349,29 @@ class Run:
             await self._corrections.close_loops(last.stamp_ns, all_of_them=True)
             published = (await self._effects.handle(SourceEnded(stamp_ns=last.stamp_ns))).published
             decisions = published.decisions if published is not None else ()
-        await self._steps.commit(kind, last.stamp_ns)
-        await self._due.commit_last(kind, last.stamp_ns, lambda: self._tell("shapes"))
+        await self._commit(kind, last.stamp_ns)
+
+        async def commit_shape() -> None:
+            await self._commit(kind, last.stamp_ns)
+            self._report("shapes")
+
+        await self._due.commit_last(commit_shape)
         while len(self._corrections):
             await self._corrections.apply(last.stamp_ns)
-            await self._steps.commit(kind, last.stamp_ns)
+            await self._commit(kind, last.stamp_ns)
         self._corrections.close()
         await self._recorder.written()
         snapshot = await on_thread(self._mapping_thread, self._effects.core.snapshot)
         self._publisher.publish(snapshot)
-        self._tell("saving")
+        self._report("saving")
         assert self._clock.camera is not None
-        index = self._clock.num_keyframes
+        pose, index = self._registrar.where(last.world_from_camera), self._clock.num_keyframes
         await self._publisher.show(
-            final_report(
-                last,
-                self._registrar.where(last.world_from_camera),
-                self._clock.camera,
-                snapshot,
-                keyframe_index=index,
-                decisions=decisions,
-            )
+            final_report(last, pose, self._clock.camera, snapshot, keyframe_index=index, decisions=decisions)
         )
 
     def _metrics(self, times_s: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+        counts = self.counts
         backlogs = {f"sink-{i}": length for i, length in enumerate(self._publisher.backlogs)}
         return engine_metrics(
             times_s,
@@ -398,16 +379,12 @@ class Run:
             loop_delay_s=self._loop_delay.recent_s(),
             num_workers=self._parts.workers.num_alive,
             source_ledger=self._parts.source.ledger(),
-            num_dropped=self.counts.get("frames_dropped", 0) + self.counts.get("keyframes_dropped", 0),
+            num_dropped=counts["frames_dropped"] + counts["keyframes_dropped"],
         )
 
-    def _tell(self, phase: str) -> None:
-        self._publisher.progress(phase, self._clock, self._shapes)
-
-    def _tell_compiling(self, num_compiled: int, num_kernels: int) -> None:
-        self._publisher.progress(
-            "compiling", self._clock, self._shapes, num_compiled=num_compiled, num_kernels=num_kernels
-        )
+    def _report(self, phase: str, num_compiled: int = 0, num_kernels: int = 0) -> None:
+        kernels = {"num_compiled": num_compiled, "num_kernels": num_kernels}
+        self._publisher.progress(phase, self._clock, self._shapes, **kernels)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

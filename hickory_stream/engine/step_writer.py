@@ -14,7 +14,7 @@ from hickory_stream.journal.step import Checkpoint, JournalEntry, Step, StepKind
 from hickory_stream.ports import num_seeks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from hickory_stream.engine.frame_accounting import RunClock
     from hickory_stream.engine.shape_jobs.queue import ShapeQueue
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from hickory_stream.mapping.core import MapperCore
     from hickory_stream.ports import Source
     from hickory_stream.records import MapSnapshot
-
 
 _LONGEST_WAIT = 2
 
@@ -116,7 +115,7 @@ class Recorder:
     async def _begin(self, write: Callable[[], None]) -> None:
         await self.written()
         self._writing = asyncio.get_running_loop().run_in_executor(self._thread, write)
-        # A run that ends for another reason does not wait for it: its failure then is no news.
+        # A run that ends for another reason ignores its failure.
         self._writing.add_done_callback(lambda writing: writing.cancelled() or writing.exception())
 
 
@@ -124,23 +123,12 @@ Metrics = tuple[tuple[str, float], ...]
 
 
 class StepWriter:
-    """Collects frames, events and files to remove; `commit` writes a step. `snapshot` gives the core's map."""
+    """Collects frames, events and files to remove; `commit` writes a step."""
 
-    def __init__(
-        self,
-        recorder: Recorder,
-        clock: RunClock,
-        shapes: ShapeQueue,
-        source: Source,
-        snapshot: Callable[[], MapSnapshot],
-        *,
-        checkpoint_keyframes: int,
-    ) -> None:
+    def __init__(self, recorder: Recorder, shapes: ShapeQueue, source: Source, *, checkpoint_keyframes: int) -> None:
         self._recorder = recorder
-        self._clock = clock
         self._shapes = shapes
         self._source = source
-        self._snapshot = snapshot
         self._checkpoints = CheckpointTimes(checkpoint_keyframes)
         self._unwritten = Unwritten()
 
@@ -178,15 +166,15 @@ class StepWriter:
         self,
         kind: StepKind,
         stamp_ns: int,
+        clock: RunClock,
+        core: MapperCore,
         *,
+        counts: Mapping[str, int],
         metrics: Metrics = (),
         color: Callable[[], bytes | None] = lambda: None,
-        core: MapperCore | None = None,
     ) -> None:
-        """Write everything since the last step as one step; `core` is written too when a checkpoint is due."""
-        clock = self._clock
-        assert clock.camera is not None
-        assert clock.first_ns is not None
+        """Write everything since the last step as one step; after a keyframe also a checkpoint if one is due."""
+        assert clock.camera is not None and clock.first_ns is not None
         done, self._unwritten = self._unwritten, Unwritten()
         step = Step(
             kind=kind,
@@ -198,7 +186,7 @@ class StepWriter:
             first_ns=clock.first_ns,
             num_frames=clock.num_frames,
             num_keyframes=clock.num_keyframes,
-            counts=dict(clock.counts),
+            counts=dict(counts),
             shape_counts=self._shapes.total_counts(),
             metrics=metrics,
             goes_back_to=done.goes_back_to,
@@ -206,15 +194,15 @@ class StepWriter:
             num_seeks=num_seeks(self._source),
         )
         checkpoint: Checkpoint | None = None
-        if core is not None and self._checkpoints.is_due(searches=len(core.searches) > 0):
+        if kind is StepKind.KEYFRAME and self._checkpoints.is_due(searches=len(core.searches) > 0):
             checkpoint = Checkpoint(core=core.state(), open_jobs=self._shapes.open_jobs)
         await self._recorder.commit(
             JournalEntry(step=step, events=tuple(done.events), told=done.told),
             color=color,
-            known=self._snapshot(),
+            known=core.snapshot(),
             checkpoint=checkpoint,
             dropped_views=done.dropped_views,
-            # After a stop the jobs stay: a run that is continued commits them when they are due.
+            # After a stop the jobs stay for a resumed run.
             ended_jobs=[] if kind is StepKind.CLOSING else done.ended_jobs,
             shapes=self._shapes,
         )

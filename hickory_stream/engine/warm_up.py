@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.events import Effect
     from hickory_stream.ports import FeatureExtractor, Segmenter
-    from hickory_stream.records import Frame
 
 # A stool with a back: several primitives, some of them thin.
 _STOOL = (
@@ -66,7 +65,7 @@ def warm_up() -> None:
     with _one_at_a_time("shapes"):
         build_shape(_inputs(), FusedReconstructor(_COARSE.fused), _COARSE)
         fitted_shape(_pipe(), _COARSE.fit)
-        # Of a part that protrudes far from all primitives, which neither of them has.
+        # For a part far from all primitives, which neither shape has.
         piece_around(np.ones((2, 2, 2), dtype=bool), 0, 0, 0)
 
 
@@ -86,7 +85,9 @@ def rehearse(
     """
     core, places = MapperCore(config.mapping), RegistrationFilter(config.registration)
     for raw in SceneSource(num_frames, (*SCENE_BOXES, _WALL)).frames():
-        frame = _in_millimetres(raw.decode())
+        frame = raw.decode()
+        # Depth as cameras give it, of which the journal has the returns.
+        frame = replace(frame, depth_m=np.rint(frame.depth_m * np.float32(1000)) * MILLIMETRE)
         places.place(frame)
         prepared, prior = segmenter.prepare(frame), core.prior()
         perceived = perceive(frame, prior, prepared, segmenter, config.perception, lattice=config.mapping.lattice)
@@ -101,11 +102,6 @@ def rehearse(
         if isinstance(stored, PackedFrame):
             unpacked_frame(stored)
     encode(Packer().packed(core.state()))
-
-
-def _in_millimetres(frame: Frame) -> Frame:
-    # Depth as cameras give it, of which the journal has the returns.
-    return replace(frame, depth_m=np.rint(frame.depth_m * np.float32(1000)) * MILLIMETRE)
 
 
 PARTS: dict[str, Callable[[], None]] = {"mapping": warm_up_mapping, "shapes": warm_up}
@@ -142,9 +138,8 @@ def _inputs() -> ShapeInputs:
 
 def _pipe() -> Mesh:
     # Thin and hollow, which the stool is not.
-    corners = np.array(
-        [(x, y, z) for z in (0, 1) for r in (0.49, 0.5) for x, y in ((r, r), (-r, r), (-r, -r), (r, -r))]
-    )
+    square = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    corners = np.array([(x * r, y * r, z) for z in (0, 1) for r in (0.49, 0.5) for x, y in square])
     faces = []
     for i in range(4):
         j = (i + 1) % 4

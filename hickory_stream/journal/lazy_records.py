@@ -84,7 +84,7 @@ class LazyRecords:
         later: Mapping[str, Callable[[], NDArray[Any]]],
         checks: Mapping[str, Callable[[Any], bool]],
     ) -> dict[str, NDArray[Any]]:
-        with self._told():
+        with self._as_damage():
             record = checked_record(kind, {**values, **{name: read() for name, read in later.items()}}, checks)
         return {name: getattr(record, name) for name in _ARRAYS[kind]}
 
@@ -101,7 +101,7 @@ class LazyRecords:
         cloud = track.cloud
 
         def chosen(name: str) -> NDArray[Any]:
-            with self._told():
+            with self._as_damage():
                 is_solid = later["is_solid"]() if marks is None else marks
                 array = array_of(cloud, name)
                 if not isinstance(is_solid, np.ndarray) or is_solid.dtype != bool or is_solid.shape != array.shape[:1]:
@@ -116,7 +116,7 @@ class LazyRecords:
         return replace(track, solid=solid)
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _as_damage(self) -> Iterator[None]:
         try:
             yield
         except (ValueError, TypeError) as error:

@@ -142,12 +142,12 @@ def end_file(file: BinaryIO) -> None:
         channel_message_counts=counts,
     )
     groups: list[tuple[int, int, int]] = []
-    told: Sequence[tuple[Opcode, Sequence[McapRecord]]] = (
+    sections: Sequence[tuple[Opcode, Sequence[McapRecord]]] = (
         (Opcode.CHANNEL, _channels()),
         (Opcode.STATISTICS, [statistics]),
         (Opcode.CHUNK_INDEX, indices),
     )
-    for opcode, records in told:
+    for opcode, records in sections:
         begin = builder.count
         for record in records:
             record.write(builder)
@@ -202,14 +202,14 @@ def _index_of_chunk(data: mmap.mmap, at: int, end: int) -> ChunkIndex | None:
     if name_at > min(end, len(data)):
         return None
     start_ns, end_ns, size, _ = _CHUNK.unpack_from(data, at)
-    (told,) = _SIZE[0].unpack_from(data, at + _CHUNK.size)
-    if name_at + told + _SIZE[1].size > min(end, len(data)):
+    (name_bytes,) = _SIZE[0].unpack_from(data, at + _CHUNK.size)
+    if name_at + name_bytes + _SIZE[1].size > min(end, len(data)):
         return None
-    (packed,) = _SIZE[1].unpack_from(data, name_at + told)
+    (packed,) = _SIZE[1].unpack_from(data, name_at + name_bytes)
     return ChunkIndex(
         chunk_length=end - at + _RECORD.size,
         chunk_start_offset=at - _RECORD.size,
-        compression=data[name_at : name_at + told].decode(errors="replace"),
+        compression=data[name_at : name_at + name_bytes].decode(errors="replace"),
         compressed_size=packed,
         message_end_time=end_ns,
         message_index_length=0,

@@ -314,8 +314,8 @@ class Journal:
             for message in others
             if message.channel_id in EVENT_NAMES
         ]
-        told = [self._decoded(message.data, "Told") for message in others if message.channel_id == TOLD]
-        return JournalEntry(step=self.step(index), events=tuple(events), told=told[0] if told else None)
+        decided = [self._decoded(message.data, "Told") for message in others if message.channel_id == TOLD]
+        return JournalEntry(step=self.step(index), events=tuple(events), told=decided[0] if decided else None)
 
     def step(self, index: int) -> Step:
         """Return a step without its events."""

@@ -62,10 +62,9 @@ class SavedMap:
         """Why layer 4 may not be the proven one, in a sentence; "" if the digest is the manifest's."""
         if self.is_altered:
             expected = self.manifest.digest
-            told = f"its manifest says {expected[:16]}" if expected is not None else "its manifest has none"
-            return (
-                f"{self.folder} is not the map that was saved: its objects have the digest {self.digest[:16]}, {told}"
-            )
+            recorded = f"its manifest says {expected[:16]}" if expected is not None else "its manifest has none"
+            found = f"its objects have the digest {self.digest[:16]}, {recorded}"
+            return f"{self.folder} is not the map that was saved: {found}"
         if self.manifest.digest is None:
             return f"the run of {self.folder} has not finished, so that there is no digest to hold it against"
         return ""

@@ -123,7 +123,7 @@ def open_live(
     patience_s: float = DEFAULT_PATIENCE_S,
     attempt_s: float = DEFAULT_ATTEMPT_S,
     most_s: float | None = None,
-    tell: Callable[[str], None] = lambda text: None,
+    report: Callable[[str], None] = lambda text: None,
     recorder: Recorder | None = None,
     route: LiveSource | None = None,
     inbox: Inbox | None = None,
@@ -131,8 +131,8 @@ def open_live(
     """Return the source of a live route as soon as colour, depth, calibration and poses have come.
 
     `patience_s` limits the wait; announced but silent topics are awaited for `attempt_s` after the first images.
-    `tell` receives what is missing, whenever that changes. Frames end after `most_s`. `recorder` receives every message
-    and is closed with the source. `route` and `inbox` replace those of the address.
+    `report` receives what is missing, whenever that changes. Frames end after `most_s`. `recorder` receives all
+    messages and is closed with the source. `route` and `inbox` replace those of the address.
 
     Raises `RecordingError`: the address is wrong, the route has ended, or a topic is missing when patience ends;
     `CalibrationError`: intrinsics or extrinsics are missing then, or contradict the images.
@@ -144,7 +144,7 @@ def open_live(
     log = LiveLog(route, inbox, most_s=most_s, loses_nothing=is_recording(uri))
     try:
         route.start(log.inbox)
-        source = _opened(route, log, options, _Patience(patience_s, attempt_s), tell)
+        source = _opened(route, log, options, _Patience(patience_s, attempt_s), report)
     except BaseException:
         log.end()
         route.stop()
@@ -191,7 +191,7 @@ class _Patience(NamedTuple):
 
 
 def _opened(
-    route: LiveSource, log: LiveLog, options: SourceOptions, patience: _Patience, tell: Callable[[str], None]
+    route: LiveSource, log: LiveLog, options: SourceOptions, patience: _Patience, report: Callable[[str], None]
 ) -> LogSource:
     ends_s = time.monotonic() + patience.most_s
     reported = ""
@@ -209,7 +209,7 @@ def _opened(
                 waited = f"waited {patience.most_s:g} s for {log.path}"
                 raise type(error)(f"{reason}; {waited}: `hickory-stream doctor {log.path}` shows its topics") from error
         if reason != reported:
-            tell(f"waiting: {reason}")
+            report(f"waiting: {reason}")
             reported = reason
         log.idle(_BETWEEN_S)
 

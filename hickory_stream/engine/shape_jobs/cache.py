@@ -11,6 +11,7 @@ import logging
 import os
 import shutil
 import sys
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -85,12 +86,8 @@ def _environment() -> str:
     for package in _CODE:
         for path in sorted((root / package).rglob("*.py")):
             digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    libraries = " ".join(f"{name} {_version(name)}" for name in _LIBRARIES)
-    return f"{digest.hexdigest()} {sys.version_info[:2]} {libraries} {processor_of_shapes()}"
-
-
-def _version(library: str) -> str:
-    try:
-        return version(library)
-    except PackageNotFoundError:
-        return "none"
+    libraries = []
+    for name in _LIBRARIES:
+        with suppress(PackageNotFoundError):
+            libraries.append(f"{name} {version(name)}")
+    return f"{digest.hexdigest()} {sys.version_info[:2]} {' '.join(libraries)} {processor_of_shapes()}"

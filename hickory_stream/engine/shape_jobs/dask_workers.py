@@ -141,14 +141,9 @@ class DaskWorkers:
         from distributed.comm import CommClosedError
 
         try:
-            handed = client.submit(
-                answer_job,
-                dict(files),
-                key=f"hickory-{uuid.uuid4()}",
-                resources=self._resources or None,
-                pure=False,
-            )
-            # What waits in the queue of the cluster is not slow; so many jobs may be before it.
+            key, resources = f"hickory-{uuid.uuid4()}", self._resources or None
+            handed = client.submit(answer_job, dict(files), key=key, resources=resources, pure=False)
+            # A job in the queue of the cluster is not slow: so many may be before it.
             patience_s = self._limits.time_s * max(1, self._num_open)
             given: dict[str, bytes] = await asyncio.wait_for(_result(handed), patience_s)
             self._num_alive = len(await client.nthreads())
@@ -182,7 +177,7 @@ class DaskWorkers:
 
     async def _drop_client(self, client: Any) -> None:
         if client is not None:
-            # It may be half gone; there is nothing left to lose.
+            # It may be lost already.
             with contextlib.suppress(Exception):
                 await asyncio.wait_for(client.close(), _CONNECT_S)
 

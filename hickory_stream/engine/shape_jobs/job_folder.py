@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.events import RequestShape
 
-
 MESH, RESULT, JOB = f"shape{SUFFIX}", "result.json", "job.json"
 FAILED, FAILURE = "failed", "failure.json"
 

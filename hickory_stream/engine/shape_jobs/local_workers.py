@@ -42,8 +42,8 @@ _ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NU
 class ShapeWorkers(Protocol):
     """Executor of shape jobs. Enter with `async with`; leaving ends running jobs."""
 
+    #: Jobs given up at a limit, or because their worker died: such a run depends on the machine.
     num_limits: int
-    """How many jobs were given up at a limit, or because their worker died: such a run depends on the machine."""
 
     @property
     def num_open(self) -> int:
@@ -87,8 +87,8 @@ class LocalWorkers:
         self._num_open = 0
         self._children: set[_Child] = set()
         self.num_limits = 0
+        #: Of children that are started from now on, as nice(1) counts.
         self.niceness = 0
-        """By how much children that are started from now on give way to others, as nice(1) counts."""
 
     async def __aenter__(self) -> Self:
         return self
@@ -140,7 +140,7 @@ class LocalWorkers:
                         break
                     except LimitError as error:
                         reason = str(error)
-                        # What took too long once takes as long again; a second try is for a machine that was busy.
+                        # A second try is for a busy machine.
                         num_limits += 1
                     except WorkerError as error:
                         reason = str(error)
@@ -179,9 +179,7 @@ class _Child:
     async def start(cls, python: str, niceness: int, environment: Mapping[str, str]) -> _Child:
         try:
             process = await asyncio.create_subprocess_exec(
-                python,
-                "-m",
-                "hickory_stream.engine.shape_jobs.worker",
+                *(python, "-m", "hickory_stream.engine.shape_jobs.worker"),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 # The same caches as ours, wherever they are.
@@ -219,7 +217,7 @@ class _Child:
             answer = json.loads(await line)
             reason: str | None = answer["error"]
         except (ValueError, KeyError, TypeError) as error:
-            raise WorkerError(f"the shape worker answered what is no answer: {error}") from error
+            raise WorkerError(f"the shape worker gave an invalid answer: {error}") from error
         finally:
             line.cancel()
             await asyncio.gather(line, return_exceptions=True)

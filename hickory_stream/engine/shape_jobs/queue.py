@@ -92,9 +92,8 @@ class ShapeQueue:
     @property
     def open_jobs(self) -> tuple[OpenJob, ...]:
         """The jobs whose results are not committed yet."""
-        return tuple(
-            OpenJob(ticket=ticket, object_id=job.object_id, due_ns=job.due_ns) for ticket, job in self._open.items()
-        )
+        open_ = self._open.items()
+        return tuple(OpenJob(ticket=ticket, object_id=job.object_id, due_ns=job.due_ns) for ticket, job in open_)
 
     def _adopt(self, job: OpenJob) -> None:
         folder = jobs_on_disk.job_folder(self._folder.jobs, job.ticket)
@@ -117,12 +116,8 @@ class ShapeQueue:
             self.cancel(ticket)
         for ticket, job in wanted.items():
             if ticket not in self._open:
-                cancelled = ShapeFailed(
-                    ticket=ticket,
-                    object_id=job.object_id,
-                    stamp_ns=job.due_ns,
-                    reason="cancelled before it was sought back",
-                )
+                reason = "cancelled before it was sought back"
+                cancelled = ShapeFailed(ticket=ticket, object_id=job.object_id, stamp_ns=job.due_ns, reason=reason)
                 known = answers.get(ticket, cancelled)
                 self._open[ticket] = _Open(job.due_ns, job.object_id, _answered(), known=known)
         return given_up
@@ -162,7 +157,7 @@ class ShapeQueue:
 
     async def _commit(self, ticket: int, stamp_ns: int) -> ShapeReady | ShapeFailed:
         job = self._open[ticket]
-        # Whoever gives up waiting, as a stop does, does not give up the job: it stays open and may be waited for again.
+        # A stop gives up waiting, not the job: it stays open.
         reason = await asyncio.shield(job.answer)
         del self._open[ticket]
         if job.known is not None:

@@ -65,7 +65,7 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
     """
     places = {submap.id: submap.world_from_submap for submap in final.submaps}
     with Journal(path) as journal:
-        for entry, told in _told(journal, known_config(path).mapping):
+        for entry, decided in _decided(journal, known_config(path).mapping):
             observed = next((event for event in entry.events if isinstance(event, FrameObserved)), None)
             keyframe: RecordedKeyframe | None = None
             if observed is not None and entry.step.kind is StepKind.KEYFRAME:
@@ -73,9 +73,9 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
                     number=entry.step.num_keyframes - 1,
                     camera=entry.step.camera,
                     observed=observed,
-                    map_from_odometry=places.get(told.submap_id, np.eye(4)),
+                    map_from_odometry=places.get(decided.submap_id, np.eye(4)),
                 )
-            yield RecordedStep(keyframe=keyframe, decisions=told.decisions)
+            yield RecordedStep(keyframe=keyframe, decisions=decided.decisions)
 
 
 def final_snapshot(path: Path) -> MapSnapshot:
@@ -125,7 +125,7 @@ def frame_pose(path: Path, frame: int) -> tuple[Camera, FramePose]:
     raise LookupError(f"no frame {frame}")
 
 
-def _told(journal: Journal, config: MappingConfig) -> Iterator[tuple[JournalEntry, Told]]:
+def _decided(journal: Journal, config: MappingConfig) -> Iterator[tuple[JournalEntry, Told]]:
     # From the first step without decisions on, they are those of a replay.
     first = 0
     for entry in journal.entries():

@@ -94,17 +94,17 @@ class RegistrationSummary:
         """Return one line, "" if every keyframe is at the odometry's pose."""
         if not self.corrected and not self.kept_out:
             return ""
-        told = (
+        text = (
             f"odometry: {self.corrected} of {self.keyframes} keyframes were registered to the map, in the end by "
             f"{self.moved_m:.3f} m and {self.turned_deg:.2f} degrees"
         )
         if self.kept_out:
-            told += f"; {self.kept_out} did not fit and were kept out"
+            text += f"; {self.kept_out} did not fit and were kept out"
         if self.carried_away:
-            told += (
+            text += (
                 f"; {self.carried_away} time(s) the robot was elsewhere than its odometry says: a submap begins there"
             )
-        return told
+        return text
 
 
 def registration_summary(path: Path, ledger: Mapping[str, Any]) -> RegistrationSummary | None:

@@ -67,7 +67,7 @@ def test_calibration_that_comes_late_is_waited_for_by_name() -> None:
         told.append(text)
         route.send(late)
 
-    source = opened(route, tell=tell, patience_s=20.0)
+    source = opened(route, report=tell, patience_s=20.0)
     route.end()
     assert "no intrinsics for /cam/color/image_rect/compressed" in told[0]
     # The images that came before it were kept: all frames are there.
@@ -88,7 +88,7 @@ def test_topics_that_appear_one_after_the_other_are_told_one_after_the_other() -
         if parts:
             route.send(parts.pop(0))
 
-    source = opened(route, tell=tell, patience_s=30.0)
+    source = opened(route, report=tell, patience_s=30.0)
     route.end()
     assert "announced no topics" in told[0]
     assert [any(word in text for text in told) for word in ("no images", "no depth topic")] == [True, True]

@@ -46,7 +46,7 @@ class ExternalGenerator:
                     return read_answer(folder, job, self._spec.views)
                 except WorkerError as error:
                     reason, hit_limit = str(error), isinstance(error, GeneratorLimitError)
-                    # What it says next may belong to what went wrong.
+                    # Its next answer may belong to the failed job.
                     self.process.close()
         return NoShape(reason=reason, hit_limit=hit_limit)
 
@@ -66,7 +66,9 @@ def reconstructor_of(config: ShapeConfig) -> Reconstructor:
 
 def generating(spec: Path, config: ShapeConfig) -> Reconstructor:
     """Return the reconstructor that asks the generator of a TOML. Raises `ConfigError`: it cannot be read."""
-    return make_reconstructor("external", config, _generator(str(spec)), _refiner(str(spec), config))
+    process = _refining(str(spec))
+    refiner = None if process is None else ExternalRefiner(process, EmbeddedPlacement(config.placement))
+    return make_reconstructor("external", config, _generator(str(spec)), refiner)
 
 
 @cache
@@ -79,16 +81,10 @@ def _generator(path: str) -> ExternalGenerator:
 @cache
 def _refining(path: str) -> GeneratorProcess | None:
     spec = specs.refiner_of(specs.read_spec(Path(path)))
-    if spec is None:
-        return None
-    process = GeneratorProcess(spec)
-    atexit.register(process.close)
+    process = GeneratorProcess(spec) if spec is not None else None
+    if process is not None:
+        atexit.register(process.close)
     return process
-
-
-def _refiner(path: str, config: ShapeConfig) -> ExternalRefiner | None:
-    process = _refining(path)
-    return None if process is None else ExternalRefiner(process, EmbeddedPlacement(config.placement))
 
 
 def chosen_generator(config: MapperConfig) -> Path | None:

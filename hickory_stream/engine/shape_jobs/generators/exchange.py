@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from hickory_stream.geometry.mesh import mesh_of_glb
 from hickory_stream.ports import GeneratedMesh, NoShape
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -89,17 +91,14 @@ def read_answer(folder: Path, job: str, num_views: int) -> GeneratedMesh | NoSha
 
     Raises `WorkerError`: it is missing, damaged, no valid mesh, or of another job.
     """
-    try:
-        if (folder / NO_SHAPE).exists():
-            said = _said(folder, NO_SHAPE, job)
-            return NoShape(reason=str(said.get("reason", "no reason given"))[:_MOST_REASON])
-        said = _said(folder, RESULT, job)
+    with _readable():
+        said = _said(folder, job)
+        if isinstance(said, NoShape):
+            return said
         mesh = mesh_of_glb(_limited(folder, MESH))
         if len(mesh.faces) > _MOST_FACES:
             raise ValueError(f"the mesh has {len(mesh.faces)} triangles; at most {_MOST_FACES}")
         return GeneratedMesh(mesh=mesh, camera_from_mesh=_similarity(said.get("camera_from_mesh")), num_views=num_views)
-    except (OSError, ValueError, KeyError, TypeError, OutsideError, RecursionError, MemoryError) as error:
-        raise WorkerError(f"its answer is not usable: {error}") from error
 
 
 def read_pose(folder: Path, job: str) -> NDArray[np.float64] | NoShape:
@@ -107,24 +106,32 @@ def read_pose(folder: Path, job: str) -> NDArray[np.float64] | NoShape:
 
     Raises `WorkerError`: it is missing, damaged, not rigid, or of another job.
     """
-    try:
-        if (folder / NO_SHAPE).exists():
-            return NoShape(reason=str(_said(folder, NO_SHAPE, job).get("reason", "no reason given"))[:_MOST_REASON])
-        found = _similarity(_said(folder, RESULT, job).get("camera_from_mesh"))
+    with _readable():
+        said = _said(folder, job)
+        if isinstance(said, NoShape):
+            return said
+        found = _similarity(said.get("camera_from_mesh"))
         if found is None or abs(portable.det3(found[:3, :3]) - 1) > _RIGID:
             raise ValueError("camera_from_mesh is no rotation and place of a mesh of true size")
         return found
+
+
+@contextmanager
+def _readable() -> Iterator[None]:
+    try:
+        yield
     except (OSError, ValueError, KeyError, TypeError, OutsideError, RecursionError, MemoryError) as error:
         raise WorkerError(f"its answer is not usable: {error}") from error
 
 
-def _said(folder: Path, name: str, job: str) -> dict[str, Any]:
+def _said(folder: Path, job: str) -> dict[str, Any] | NoShape:
+    name = NO_SHAPE if (folder / NO_SHAPE).exists() else RESULT
     said = json.loads(_limited(folder, name))
     if not isinstance(said, dict):
         raise ValueError(f"{name} is no object")
     if said.get("job") != job:
         raise ValueError(f"{name} answers another job")
-    return said
+    return said if name == RESULT else NoShape(reason=str(said.get("reason", "no reason given"))[:_MOST_REASON])
 
 
 def _limited(folder: Path, name: str) -> bytes:

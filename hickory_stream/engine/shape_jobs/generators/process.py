@@ -49,10 +49,9 @@ class GeneratorProcess:
 
         Raises `WorkerError`: it cannot be started, or does not get ready.
         """
-        program = program_of(self._spec)
-        if program is None or (missing := missing_of(self._spec)):
-            missing = missing_of(self._spec)
-            raise WorkerError(f"the generator {self._spec.name} lacks {'; '.join(missing)}")
+        program, missing = program_of(self._spec), missing_of(self._spec)
+        if program is None or missing:
+            raise WorkerError(f"the generator {self.name} lacks {'; '.join(missing)}")
         try:
             child = subprocess.Popen(
                 [program, *self._spec.command[1:]],
@@ -62,7 +61,7 @@ class GeneratorProcess:
                 env={**os.environ, **dict(self._spec.environment)},
             )
         except OSError as error:
-            raise WorkerError(f"the generator {self._spec.name} cannot be started: {error.strerror}") from error
+            raise WorkerError(f"the generator {self.name} cannot be started: {error.strerror}") from error
         self._child = child
         self._lines = queue.Queue()
         threading.Thread(target=_read, args=(child, self._lines), name="generator", daemon=True).start()
@@ -73,7 +72,7 @@ class GeneratorProcess:
             raise
         if said.get("ready") is not True:
             self.close()
-            raise WorkerError(f"the generator {self._spec.name} began with {str(said)[:100]}; expected ready")
+            raise WorkerError(f"the generator {self.name} began with {str(said)[:100]}; expected ready")
         return said
 
     def ask(self, folder: Path, job: str) -> None:
@@ -92,10 +91,10 @@ class GeneratorProcess:
             self._child.stdin.flush()
             said = self._next(self._spec.time_s, "an answer")
             if said.get("done") != job:
-                raise WorkerError(f"the generator {self._spec.name} answered another job")
+                raise WorkerError(f"the generator {self.name} answered another job")
         except OSError as error:
             self.close()
-            raise WorkerError(f"the generator {self._spec.name} has ended: {error.strerror}") from error
+            raise WorkerError(f"the generator {self.name} has ended: {error.strerror}") from error
         except WorkerError:
             self.close()
             raise
@@ -125,23 +124,21 @@ class GeneratorProcess:
                 memory = self._memory_mb()
                 self.most_memory_mb = max(self.most_memory_mb, memory)
                 if memory > self._spec.memory_mb:
-                    raise GeneratorLimitError(
-                        f"the generator {self._spec.name} took more than {self._spec.memory_mb:g} MB (its memory_mb)"
-                    ) from None
+                    limit = f"{self._spec.memory_mb:g} MB (its memory_mb)"
+                    raise GeneratorLimitError(f"the generator {self.name} took more than {limit}") from None
                 if time.monotonic() > until_s:
-                    raise GeneratorLimitError(
-                        f"the generator {self._spec.name} gave no sign of {what} within {limit_s:g} s"
-                    ) from None
+                    reason = f"gave no sign of {what} within {limit_s:g} s"
+                    raise GeneratorLimitError(f"the generator {self.name} {reason}") from None
                 continue
             if not line:
                 assert self._child is not None
-                raise WorkerError(f"the generator {self._spec.name} ended with status {self._child.wait()}")
+                raise WorkerError(f"the generator {self.name} ended with status {self._child.wait()}")
             try:
                 said = json.loads(line)
             except (ValueError, RecursionError) as error:
-                raise WorkerError(f"the generator {self._spec.name} printed what is no JSON: {line[:80]!r}") from error
+                raise WorkerError(f"the generator {self.name} printed what is no JSON: {line[:80]!r}") from error
             if not isinstance(said, dict):
-                raise WorkerError(f"the generator {self._spec.name} said {str(said)[:80]}; expected an object")
+                raise WorkerError(f"the generator {self.name} said {str(said)[:80]}; expected an object")
             return said
 
     def _memory_mb(self) -> float:

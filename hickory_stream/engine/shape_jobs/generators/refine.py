@@ -61,7 +61,7 @@ class ExternalRefiner:
                 self._process.ask(folder, job)
                 found = read_pose(folder, job)
             except WorkerError:
-                # What it says next may belong to what went wrong.
+                # Its next answer may belong to the failed job.
                 self._process.close()
                 return None
         return None if isinstance(found, NoShape) else found

@@ -114,9 +114,8 @@ def find_spec(name: str) -> Path:
         return path.resolve()
     kept = generators_folder() / f"{name}.toml"
     if not name or not kept.is_file():
-        raise ConfigError(
-            f"run.generator is {name!r}, and {kept} is not there; name a TOML, or one of `generators list`"
-        )
+        found = f"run.generator is {name!r}, and {kept} is not there"
+        raise ConfigError(f"{found}; name a TOML, or one of `generators list`")
     return kept.resolve()
 
 
