@@ -50,7 +50,7 @@ KEPT_RECORDS = (
     *(PackedTrack, SplitCandidate, SpaceState, Submap, SubmapState, SubmapSurface, SurveyedSubmap, TablePage),
     *(Track, TrackedObject),
 )
-"""The records that a checkpoint takes from the one before it where they are the same: there are many, few change."""
+"""Records that a checkpoint shares with the one before: there are many, few change."""
 
 
 class Packer:
@@ -116,20 +116,14 @@ class Packer:
 
 def unpacked(state: Mapping[str, Any]) -> dict[str, Any]:
     """Return the unpacked state. Raises `ValueError`: numbers of keys and values of a page differ."""
-    parts = dict(state)
-    for name in _TABLES & parts.keys():
-        parts[name] = _table(parts[name])
+    parts = dict(state) | {name: _table(state[name]) for name in _TABLES & state.keys()}
     if isinstance(parts.get("votes"), tuple):
         parts["votes"] = VoteBook(rows=_table(parts["votes"]))
     return parts
 
 
 def _table(pages: tuple[TablePage, ...]) -> dict[int, Any]:
-    return {
-        key: _unpacked(value) if isinstance(value, PackedTrack) else value
-        for page in pages
-        for key, value in zip(page.keys, page.values, strict=True)
-    }
+    return {key: _unpacked(value) for page in pages for key, value in zip(page.keys, page.values, strict=True)}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -150,9 +144,10 @@ def _solid_marks(cloud: Cloud, solid: Cloud) -> NDArray[np.bool_] | None:
     return frozen_array(marked, "?", (None,), "marks") if _is_same(without(cloud, ~marked), solid) else None
 
 
-def _unpacked(packed_track: PackedTrack) -> Track:
-    track = packed_track.track
-    return replace(track, solid=without(track.cloud, ~packed_track.is_solid))
+def _unpacked(value: Any) -> Any:
+    if not isinstance(value, PackedTrack):
+        return value
+    return replace(value.track, solid=without(value.track.cloud, ~value.is_solid))
 
 
 def _is_same(a: Cloud, b: Cloud) -> bool:

@@ -5,6 +5,7 @@ Arrays are read exactly as written; damage is reported at that time.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
@@ -22,13 +23,15 @@ from hickory_stream.mapping.entities.submap_surface import SubmapSurface
 from hickory_stream.mapping.entities.track import Track
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from hickory_stream.journal.record_codec import PartPlace
 
+Checks = Mapping[str, Callable[[Any], bool]]
+_Later = Mapping[str, Callable[[], "NDArray[Any]"]]
 _ARRAYS: Mapping[type, tuple[str, ...]] = {
     Cloud: NAMES,
     PackedTrack: ("is_solid",),
@@ -48,13 +51,7 @@ class LazyRecords:
         """Return the names of a record's arrays that may stay unread."""
         return _ARRAYS.get(kind, ())
 
-    def record(
-        self,
-        kind: type,
-        values: Mapping[str, Any],
-        places: Mapping[str, PartPlace],
-        checks: Mapping[str, Callable[[Any], bool]],
-    ) -> Any:
+    def record(self, kind: type, values: Mapping[str, Any], places: Mapping[str, PartPlace], checks: Checks) -> Any:
         """Return a record with some `values`, and unread arrays at `places`.
 
         Raises `TypeError` like `checked_record`.
@@ -70,30 +67,19 @@ class LazyRecords:
                 raise TypeError(f"{kind.__name__}.{name} is of {type(value).__name__}")
             object.__setattr__(record, name, value)
         if kind is Cloud:
-            at_hand = {name: values[name] for name in NAMES if name in values}
-            count = len(at_hand["keys"]) if "keys" in at_hand else places["keys"].length
-            leave_unread(record, count, lambda name: at_hand[name] if name in at_hand else later[name]())
+            read = {name: values[name] for name in NAMES if name in values}
+            count = len(read["keys"]) if "keys" in read else places["keys"].length
+            leave_unread(record, count, lambda name: read[name] if name in read else later[name]())
         else:
             read_later(record, lambda: self._whole(kind, values, later, checks), *_ARRAYS[kind])
         return record
 
-    def _whole(
-        self,
-        kind: type,
-        values: Mapping[str, Any],
-        later: Mapping[str, Callable[[], NDArray[Any]]],
-        checks: Mapping[str, Callable[[Any], bool]],
-    ) -> dict[str, NDArray[Any]]:
+    def _whole(self, kind: type, values: Mapping[str, Any], later: _Later, checks: Checks) -> dict[str, NDArray[Any]]:
         with self._as_damage():
             record = checked_record(kind, {**values, **{name: read() for name, read in later.items()}}, checks)
         return {name: getattr(record, name) for name in _ARRAYS[kind]}
 
-    def _unpacked(
-        self,
-        values: Mapping[str, Any],
-        later: Mapping[str, Callable[[], NDArray[Any]]],
-        checks: Mapping[str, Callable[[Any], bool]],
-    ) -> Track:
+    def _unpacked(self, values: Mapping[str, Any], later: _Later, checks: Checks) -> Track:
         track, marks, num_solid = (values.get(name) for name in ("track", "is_solid", "num_solid"))
         known = (values.keys() | later.keys()) - {"num_solid"}
         if known != {"track", "is_solid"} or not isinstance(track, Track) or not checks["num_solid"](num_solid):
@@ -105,7 +91,7 @@ class LazyRecords:
                 is_solid = later["is_solid"]() if marks is None else marks
                 array = array_of(cloud, name)
                 if not isinstance(is_solid, np.ndarray) or is_solid.dtype != bool or is_solid.shape != array.shape[:1]:
-                    raise ValueError(f"marks of {len(array)} points that are none")
+                    raise ValueError(f"invalid marks of {len(array)} points")
                 kept: NDArray[Any] = array[is_solid]
                 if num_solid is not None and len(kept) != num_solid:
                     raise ValueError(f"marks of {len(kept)} points that are said to be {num_solid}")

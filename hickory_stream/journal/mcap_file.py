@@ -29,8 +29,8 @@ _INDEX = struct.Struct("<BQHI")
 _INDEX_ENTRY = struct.Struct("<QQ")
 # The channel of an index, and how many bytes of entries follow.
 _CHANNEL = struct.Struct("<HI")
-# Of a chunk: start and end time, size and checksum of what is in it. Then come the name of the compression and what is
-# compressed, each after its length.
+# Of a chunk: start and end time, size and checksum of its content. Then come the name of the compression and the
+# compressed content, each after its length.
 _CHUNK = struct.Struct("<QQQI")
 _SIZE = struct.Struct("<I"), struct.Struct("<Q")
 _COMPRESSION = b"zstd"
@@ -84,11 +84,11 @@ def index_of(records: bytes) -> bytes:
             _, _, channel, _, stamp_ns, _ = _MESSAGE.unpack_from(records, at)
             places.setdefault(channel, []).append(_INDEX_ENTRY.pack(stamp_ns, at))
         at += _RECORD.size + length
-    entries = {channel: b"".join(found) for channel, found in places.items()}
-    return b"".join(
-        _INDEX.pack(Opcode.MESSAGE_INDEX, 2 + 4 + len(data), channel, len(data)) + data
-        for channel, data in entries.items()
-    )
+    parts: list[bytes] = []
+    for channel, found in places.items():
+        size = _INDEX_ENTRY.size * len(found)
+        parts += (_INDEX.pack(Opcode.MESSAGE_INDEX, 2 + 4 + size, channel, size), *found)
+    return b"".join(parts)
 
 
 def go_on_in(file: BinaryIO, end: int, index: bytes) -> bool:
@@ -157,7 +157,7 @@ def end_file(file: BinaryIO) -> None:
     for opcode, begin, length in groups:
         SummaryOffset(group_opcode=opcode, group_start=begin, group_length=length).write(builder)
     summary = builder.end()
-    # Of the footer as far as the checksum itself.
+    # The footer up to the checksum itself.
     crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 8 + 8 + 4, start, offsets), zlib.crc32(summary))
     Footer(summary_start=start, summary_offset_start=offsets, summary_crc=crc).write(builder)
     file.write(summary + builder.end() + MAGIC)
@@ -187,7 +187,7 @@ def _contents(file: BinaryIO) -> tuple[list[ChunkIndex], dict[int, int]]:
             if opcode == Opcode.CHUNK:
                 chunk = _index_of_chunk(data, at, end)
             elif opcode == Opcode.MESSAGE_INDEX and chunk is not None and at + _CHANNEL.size <= min(end, len(data)):
-                # Without an index a chunk is not whole, and nobody reads it.
+                # Without an index a chunk is not whole.
                 if not chunk.message_index_offsets:
                     indices.append(chunk)
                 channel, length = _CHANNEL.unpack_from(data, at)

@@ -60,14 +60,14 @@ class PackedFrame:
 
 # Masks do not overlap, but their boxes do.
 _MOST_IMAGES = 64
-# There is next to nothing in them that repeats: higher levels take longer, and find it where it is none.
+# Next to nothing repeats: higher levels only take longer.
 _LEVEL = 1
 _NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
 
 
 def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
     """Return an event for storage; with its points, without returns, if returns do not give the points."""
-    # Returns are of use to the journal alone: what is stored with its points has none.
+    # Only the journal uses returns: observations stored with points have none.
     observations = [one if one.returns is None else replace(one, returns=None) for one in event.observations]
     has_returns = any(one.returns is not None for one in event.observations)
     plain = replace(event, observations=tuple(observations)) if has_returns else event
@@ -79,7 +79,7 @@ def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
     images: list[NDArray[np.uint16]] = []
     colors: list[NDArray[np.uint8]] = []
     for place, one in enumerate(event.observations):
-        # Whoever has given an observation other points, or the frame another pose, has made them of something else.
+        # After a change of the points or the pose, returns do not give the points.
         returns = one.returns
         if returns is None or returns.checksum != checksum_of(one.points_world, event.world_from_camera):
             continue
@@ -168,5 +168,5 @@ def _points(
         raise ValueError(f"voxels of {returns.voxel_m} m")
     points = points_of_returns(returns, observation.box_px, camera, world_from_camera)
     if checksum_of(points, world_from_camera) != returns.checksum:
-        raise ValueError("other points come of the returns than were seen")
+        raise ValueError("the returns give other points than were seen")
     return points

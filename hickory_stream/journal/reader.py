@@ -53,24 +53,15 @@ if TYPE_CHECKING:
     from hickory_stream.events import Event
     from hickory_stream.journal.snapshot_records import Known
 
-
 _Kept = TypeVar("_Kept")
 _CACHED_CHUNKS, _CACHED_BYTES = 64, 64 << 20
-# A chunk that claims to unpack to more is none of ours: the state of a large map takes some tens of megabytes.
+# A chunk that claims more is damaged: the state of a large map takes some tens of megabytes.
 _MOST_CHUNK_BYTES = 1 << 29
 _HEADER = struct.Struct("<BQ")
 _MESSAGE_HEADER_BYTES = 2 + 4 + 8 + 8
 _DAMAGE = (
-    McapError,
-    zstandard.ZstdError,
-    ValueError,
-    KeyError,
-    IndexError,
-    TypeError,
-    struct.error,
-    EOFError,
-    OverflowError,
-    MemoryError,
+    *(McapError, zstandard.ZstdError, struct.error, EOFError),
+    *(ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError),
 )
 
 
@@ -102,9 +93,8 @@ class JournalChunks:
                 empty = os.fstat(file.fileno()).st_size == 0
                 self._data: Any = b"" if empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except FileNotFoundError as error:
-            raise MapFolderError(
-                f"{folder} holds no {JOURNAL}: the map keeps no history; play the log again"
-            ) from error
+            missing = f"{folder} holds no {JOURNAL}"
+            raise MapFolderError(f"{missing}: the map keeps no history; play the log again") from error
         except OSError as error:
             raise MapFolderError(f"cannot read {self.path}: {error.strerror or error}") from error
         except OutsideError as error:
@@ -247,7 +237,7 @@ def _scan(data: Any, path: Path) -> list[ChunkPlace]:
         if opcode == Opcode.CHUNK and length >= 16:
             chunk = (start, end, struct.unpack_from("<Q", data, start)[0])
         elif opcode == Opcode.DATA_END:
-            # After it is what a run that goes on cuts off: nobody reads there while it does.
+            # A resumed run cuts off the rest.
             break
         elif opcode == Opcode.MESSAGE_INDEX and chunk is not None and length >= 2:
             channel = struct.unpack_from("<H", data, start)[0]
@@ -281,8 +271,8 @@ class Journal:
         self._steps = [i for i, place in enumerate(self._places) if place.is_step]
         self._known_parts: dict[tuple[int, int], Any] = {}
         self._is_checked = False
+        #: Of the checkpoint that was read last, with unread arrays.
         self.parts: list[StoredPart] = []
-        """Those of the checkpoint that was read last, of which arrays are read later."""
 
     def __enter__(self) -> Self:
         return self
@@ -290,7 +280,7 @@ class Journal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # Closed with the last array that has still to be read.
+        # The file is closed with the last unread array.
         del self._chunks
 
     def __len__(self) -> int:
@@ -309,11 +299,8 @@ class Journal:
     def entry(self, index: int) -> JournalEntry:
         """Return a step with its events. Raises `MapFolderError`: it is damaged."""
         others = self._chunks.messages(self._steps[index])[1:]
-        events = [
-            self._decoded(message.data, EVENT_NAMES[message.channel_id])
-            for message in others
-            if message.channel_id in EVENT_NAMES
-        ]
+        known = [message for message in others if message.channel_id in EVENT_NAMES]
+        events = [self._decoded(message.data, EVENT_NAMES[message.channel_id]) for message in known]
         decided = [self._decoded(message.data, "Told") for message in others if message.channel_id == TOLD]
         return JournalEntry(step=self.step(index), events=tuple(events), told=decided[0] if decided else None)
 
@@ -324,17 +311,13 @@ class Journal:
 
     def events(self, index: int, kind: str, *, has_points: bool = True) -> list[Event]:
         """Return the events of one kind in a step; `has_points=False` leaves out points that returns would give."""
-        channel = CHANNELS[kind]
-        return [
-            self._decoded(m.data, kind, has_points=has_points)
-            for m in self._chunks.messages(self._steps[index])
-            if m.channel_id == channel
-        ]
+        messages = [m for m in self._chunks.messages(self._steps[index]) if m.channel_id == CHANNELS[kind]]
+        return [self._decoded(message.data, kind, has_points=has_points) for message in messages]
 
     def color(self, index: int) -> bytes | None:
         """Return the compressed image of a step's keyframe, None where there is none."""
-        found = [m.data for m in self._chunks.messages(self._steps[index]) if m.channel_id == COLOR]
-        return found[0] if found else None
+        messages = self._chunks.messages(self._steps[index])
+        return next((message.data for message in messages if message.channel_id == COLOR), None)
 
     def checkpoint_before(self, index: int, *, reads_later: bool = False) -> tuple[int, Checkpoint] | None:
         """Return the last checkpoint at or before a step, and the step it follows; None if there is none.
@@ -408,7 +391,8 @@ class Journal:
             except MapFolderError:
                 is_last = True
             if is_last:
-                self._cut(chunk)
+                self._places = self._places[:chunk]
+                self._steps = [i for i in self._steps if i < chunk]
                 break
         self._is_checked = True
 
@@ -419,7 +403,7 @@ class Journal:
 
     @property
     def num_chunks(self) -> int:
-        """How many chunks it has."""
+        """Number of chunks."""
         return len(self._places)
 
     def last_records(self) -> bytes:
@@ -429,10 +413,6 @@ class Journal:
     def read_copy(self) -> None:
         """Continue in the folder's current file, a copy of this one."""
         self._chunks.read_copy()
-
-    def _cut(self, chunk: int) -> None:
-        self._places = self._places[:chunk]
-        self._steps = [i for i in self._steps if i < chunk]
 
     def _checkpoint(self, chunk: int, *, reads_later: bool) -> Checkpoint:
         parts: dict[tuple[int, int], Any] = {}

@@ -34,26 +34,19 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Of the range that is free for everybody's use ("first come, first served", RFC 8949, 9.2).
+# Tags of the range "first come, first served" (RFC 8949, 9.2).
 _RECORD, _ARRAY, _PART, _MAP, _SET, _ENUM = 39_100, 39_101, 39_102, 39_103, 39_104, 39_105
 _PART_BYTES = 1024
 _PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS, _STEPS, _DEPTHS, _MEANS = range(9)
-# A pose or less: dividing it into planes takes longer than all else of it, and leaves nothing to be found.
+# A pose or less: planes cost time and gain nothing.
 _SMALL_BYTES = 192
 _BLOCK_BYTES = 16
 _MOST_DIMENSIONS = 8
 _LEAST, _MOST = int(np.iinfo(np.int64).min), int(np.iinfo(np.int64).max)
-_AS_THEY_ARE = {types.NoneType, bool, float, str, bytes}
+_UNCHANGED = {types.NoneType, bool, float, str, bytes}
 _DAMAGE = (
-    cbor2.CBORError,
-    TypeError,
-    ValueError,
-    KeyError,
-    IndexError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-    MemoryError,
+    *(cbor2.CBORError, TypeError, ValueError, KeyError, IndexError, AttributeError),
+    *(OverflowError, RecursionError, MemoryError),
 )
 
 
@@ -82,13 +75,7 @@ class LateRecords(Protocol):
     def arrays_of(self, kind: type) -> tuple[str, ...]:
         """Return the names of a record's arrays that may stay unread."""
 
-    def record(
-        self,
-        kind: type,
-        values: Mapping[str, Any],
-        places: Mapping[str, PartPlace],
-        checks: Mapping[str, Callable[[Any], bool]],
-    ) -> Any:
+    def record(self, kind: type, values: Mapping[str, Any], places: Mapping[str, PartPlace], checks: Any) -> Any:
         """Return a record of `values` and of arrays at `places`. Raises `TypeError`: they are not its fields."""
 
 
@@ -153,12 +140,12 @@ def encode_array(array: NDArray[Any]) -> bytes:
 
 def _plain(value: Any, parts: PartStore | None) -> Any:
     kind: type = type(value)
-    if kind in _AS_THEY_ARE or kind is int:
+    if kind in _UNCHANGED or kind is int:
         return value
     if isinstance(value, np.ndarray):
         if parts is None or value.nbytes < _PART_BYTES:
             return _array_tag(value)
-        # With its length, which many want to know who do not look at what is in it.
+        # With its length, which is often needed without the content.
         return cbor2.CBORTag(_PART, [*parts.put(value, lambda: encode_array(value)), len(value)])
     if kind is tuple or kind is list:
         return [_plain(item, parts) for item in value]
@@ -245,7 +232,7 @@ class _Reader:
         self._left -= len(items)
         if self._left < 0:
             raise ValueError("more items than bytes")
-        return [item if type(item) in _AS_THEY_ARE else self._made(item) for item in items]
+        return [item if type(item) in _UNCHANGED else self._made(item) for item in items]
 
     def _made(self, item: Any) -> Any:
         if type(item) is int:
@@ -256,9 +243,7 @@ class _Reader:
             return tuple(self._values(item))
         if not isinstance(item, cbor2.CBORTag):
             raise ValueError(f"a journal holds no {type(item).__name__}")
-        return self._tagged(item.tag, item.value)
-
-    def _tagged(self, tag: int, content: Any) -> Any:
+        tag, content = item.tag, item.value
         if tag == _RECORD:
             name, fields = content
             kind = _record_of(name)
@@ -266,7 +251,9 @@ class _Reader:
             if self._later is None or not names:
                 values = dict(zip(fields, self._values(fields.values()), strict=True))
                 return checked_record(kind, values, _checks(kind))
-            places = {name: PartPlace(*fields[name].value) for name in names if _is_part(fields.get(name))}
+            tags = {name: fields.get(name) for name in names}
+            parts = {name: tag for name, tag in tags.items() if isinstance(tag, cbor2.CBORTag) and tag.tag == _PART}
+            places = {name: PartPlace(*tag.value) for name, tag in parts.items()}
             values = {key: self.value(entry) for key, entry in fields.items() if key not in places}
             return self._later.record(kind, values, places, _checks(kind))
         if tag == _ARRAY:
@@ -283,10 +270,6 @@ class _Reader:
             name, text = content
             return _record_of(name)(text)
         raise ValueError(f"unknown tag {tag}")
-
-
-def _is_part(item: Any) -> bool:
-    return isinstance(item, cbor2.CBORTag) and item.tag == _PART
 
 
 def _record_of(name: object) -> Any:
@@ -306,7 +289,7 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
     if len(shape) > _MOST_DIMENSIONS or not all(type(length) is int and 0 <= length <= _MOST for length in shape):
         raise ValueError(f"an array of shape {shape}")
     count = math.prod(shape)
-    # What a shape claims must be there: memory is taken for it.
+    # Memory is taken for the claimed shape.
     if method == _DEPTHS:
         if len(shape) != 2 or dtype != np.uint16 or len(data) < -(-count // 8):
             raise ValueError(f"depths of shape {shape} in {len(data)} bytes")
@@ -354,9 +337,8 @@ def _keys(data: bytes, count: int) -> NDArray[np.int64]:
     # Each block has a key at least, and memory is taken for 64 of each.
     if len(data) % _BLOCK_BYTES or half // 8 > count or count > MOST_KEYS:
         raise ValueError(f"{count} keys in blocks of {len(data)} bytes")
-    heads, words = (
-        array_of(part, np.dtype(kind), (half // 8,)) for part, kind in ((data[:half], "<i8"), (data[half:], "<u8"))
-    )
+    heads = array_of(data[:half], np.dtype("<i8"), (half // 8,))
+    words = array_of(data[half:], np.dtype("<u8"), (half // 8,))
     if count_in(words) != count:
         raise ValueError(f"{count} keys in blocks of {count_in(words)}")
     return keys_of_blocks(np.cumsum(heads, dtype=np.int64), words)
@@ -377,7 +359,7 @@ def record_classes() -> dict[str, Any]:
     for name in names:
         for kind in vars(importlib.import_module(name)).values():
             is_record = isinstance(kind, type) and (dataclasses.is_dataclass(kind) or issubclass(kind, Enum))
-            # Of a configuration the manifest holds the values; events have none.
+            # Configurations are in the manifest.
             if is_record and kind.__module__ == name and not kind.__name__.endswith("Config"):
                 assert kind.__name__ not in found, f"two records are called {kind.__name__}"
                 found[kind.__name__] = kind

@@ -22,7 +22,7 @@ Place = tuple[int, int]
 """A chunk of the journal, and the number of a message in it."""
 
 _WHOLE_EVERY = 16
-"""So many steps are read at most to know where everything is."""
+"""Steps that are read at most to find all records."""
 _NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
 _NO_KEYS = np.empty(0, np.int64)
 _Record = TypeVar("_Record", TrackedObject, Submap)

@@ -10,8 +10,8 @@ import hashlib
 import os
 import time
 import weakref
+from contextlib import suppress
 from dataclasses import replace
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,17 +19,9 @@ import numpy as np
 from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, disk_errors, sync
 from hickory_stream.base.confined import open_new, open_to_change, open_within
 from hickory_stream.events import FrameObserved
+from hickory_stream.journal import mcap_file
 from hickory_stream.journal.checkpoints import KEPT_RECORDS, Packer
 from hickory_stream.journal.format import ARRAYS, CHANNELS, CHECKPOINT, COLOR, JOURNAL, KNOWN, STEP, TOLD
-from hickory_stream.journal.mcap_file import (
-    FileMessage,
-    begin_file,
-    copy_start,
-    end_file,
-    go_on_in,
-    index_of,
-    write_chunk,
-)
 from hickory_stream.journal.packed_frames import packed_frame
 from hickory_stream.journal.reader import packed_array
 from hickory_stream.journal.record_codec import encode
@@ -50,19 +42,9 @@ if TYPE_CHECKING:
 
 def give_back_free() -> None:
     """Return empty pages of the heap to the system; only with glibc."""
-    trim = _trim()
-    if trim is not None:
-        trim(0)
-
-
-@cache
-def _trim() -> Callable[[int], int] | None:
-    try:
-        trim: Callable[[int], int] | None = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    except (OSError, TypeError):
-        # Windows has no library of the process itself.
-        return None
-    return trim
+    # Windows has no library of the process itself.
+    with suppress(OSError, TypeError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 class JournalWriter:
@@ -83,7 +65,7 @@ class JournalWriter:
         self._packer = Packer(part.part for part in parts if isinstance(part.part, Track))
         self._known = SnapshotRecords()
         self._num_chunks = 0
-        self._messages: list[FileMessage] = []
+        self._messages: list[mcap_file.FileMessage] = []
         self._synced_s = time.monotonic()
         with disk_errors(self._path):
             self._file = self._opened(None if continued is None or continued.num_chunks == 0 else continued)
@@ -98,7 +80,7 @@ class JournalWriter:
                 for message in self._known.messages(known, self._num_chunks):
                     self._add(KNOWN, stamp_ns, message)
                 self._end_chunk()
-            # First in its chunk: it tells what the chunk is.
+            # The first message identifies the chunk.
             self._add(STEP, stamp_ns, encode(entry.step))
             for event in entry.events:
                 stored = packed_frame(event) if isinstance(event, FrameObserved) else event
@@ -135,7 +117,7 @@ class JournalWriter:
             return
         with disk_errors(self._path):
             try:
-                end_file(self._file)
+                mcap_file.end_file(self._file)
                 self.sync()
                 sync(self._path.parent)
             finally:
@@ -143,17 +125,15 @@ class JournalWriter:
 
     def abandon(self) -> None:
         """Close the file as after a kill."""
-        try:
+        with suppress(OSError):  # the disk refused before
             self._file.close()
-        except OSError:
-            pass  # the disk refused before: what is not there is not there
 
     def _opened(self, continued: Journal | None) -> BinaryIO:
-        index = b"" if continued is None else index_of(continued.last_records())
+        index = b"" if continued is None else mcap_file.index_of(continued.last_records())
         if continued is not None and continued.is_whole:
             file = open_to_change(self._path)
             try:
-                if go_on_in(file, continued.num_bytes, index):
+                if mcap_file.go_on_in(file, continued.num_bytes, index):
                     os.fsync(file.fileno())
                     return file
             except BaseException:
@@ -164,10 +144,10 @@ class JournalWriter:
         file = os.fdopen(open_new(partial), "w+b")
         try:
             if continued is None:
-                begin_file(file)
+                mcap_file.begin_file(file)
             else:
                 with open_within(self._path.parent, JOURNAL) as before:
-                    copy_start(before, file, continued.num_bytes, index)
+                    mcap_file.copy_start(before, file, continued.num_bytes, index)
             file.flush()
             os.fsync(file.fileno())
             partial.replace(self._path)
@@ -180,11 +160,11 @@ class JournalWriter:
         return file
 
     def _add(self, channel: int, stamp_ns: int, data: bytes) -> None:
-        self._messages.append(FileMessage(channel, max(0, stamp_ns), data))
+        self._messages.append(mcap_file.FileMessage(channel, max(0, stamp_ns), data))
 
     def _end_chunk(self) -> None:
         messages, self._messages = self._messages, []
-        write_chunk(self._file, messages, self._num_chunks)
+        mcap_file.write_chunk(self._file, messages, self._num_chunks)
         self._file.flush()
         self._num_chunks += 1
         if time.monotonic() - self._synced_s >= self._flush_s:
@@ -204,10 +184,6 @@ class _Stored:
 
     def is_of(self, part: object) -> bool:
         return self._part() is part
-
-    @property
-    def is_there(self) -> bool:
-        return self._part() is not None
 
 
 class _Parts:
@@ -260,8 +236,8 @@ class _Parts:
     def _use(self, stored: _Stored) -> None:
         if stored.used_in != self._chunk:
             stored.used_in = self._chunk
-            # The identity of an array that is gone may be another one's by now.
-            if stored.is_there:
+            # A freed array's identity may be another one's by now.
+            if not stored.is_of(None):
                 self._used[stored.key] = stored
             if stored.content is not None:
                 self._used_contents[stored.content] = stored.place
@@ -269,7 +245,7 @@ class _Parts:
                 self._use(other)
 
     def end(self) -> tuple[list[bytes], list[bytes]]:
-        # What this checkpoint did not use is forgotten, so that the arrays of the past can go.
+        # Unused parts are forgotten, so that their arrays are freed.
         self._places, self._contents = self._used, self._used_contents
         new = (self._arrays, self._records)
         self._arrays, self._records = [], []
