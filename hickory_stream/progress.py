@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 import time
@@ -23,7 +24,7 @@ _BAR_EVERY_S = 0.1
 _EVENT_EVERY_S = 0.5
 _WIDTH = 30
 _RATE_OVER_S = 15.0
-# Before that the time that is left could not be told: the first frames load what later ones have.
+# Before that the rate is unknown: the first frames load modules and kernels.
 _RATE_AFTER_S = 3.0
 _RATE_AFTER_FRAMES = 8
 
@@ -60,9 +61,7 @@ class ProgressPrinter:
         text = self._json(progress) if self._style == "json" else self._text(progress, now_s)
         if self._style == "bar":
             clear_line()
-            sys.stderr.write(text)
-        else:
-            sys.stderr.write(text + "\n")
+        sys.stderr.write(text if self._style == "bar" else f"{text}\n")
         sys.stderr.flush()
 
     def close(self) -> None:
@@ -117,14 +116,7 @@ class ProgressPrinter:
             {
                 "event": "progress",
                 **({"part": self._part} if self._part else {}),
-                "phase": progress.phase,
-                "frames": progress.frames,
-                "total": progress.total,
-                "keyframes": progress.keyframes,
-                "objects": progress.objects,
-                "open_shapes": progress.open_shapes,
-                "num_compiled": progress.num_compiled,
-                "num_kernels": progress.num_kernels,
+                **dataclasses.asdict(progress),
             },
         )
 

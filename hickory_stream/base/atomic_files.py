@@ -66,7 +66,7 @@ def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
 
     Raises `OSError`: the disk refused; the old file, if any, is untouched.
     """
-    # Thousands of small files are written so: text costs a fifth of what path objects do.
+    # Text costs a fifth of what path objects do, over thousands of small files.
     folder, name = os.path.split(os.fspath(path))
     partial = os.path.join(folder, f".{name}{PARTIAL_SUFFIX}")  # noqa: PTH118
     try:
@@ -99,7 +99,7 @@ def sync(path: Path) -> None:
     """Wait until a file, or the entries of a folder, have reached the disk. Raises `OSError`."""
     if os.name != "posix" and path.is_dir():
         return  # only POSIX opens folders
-    # In a map that came from somebody else a link may lead out of it, and a pipe would be waited for.
+    # In a foreign map, a link may lead out of it, and opening a pipe would block.
     flags, no_link = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0), getattr(os, "O_NOFOLLOW", 0)
     if not no_link and path.is_symlink():
         raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))

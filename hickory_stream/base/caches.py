@@ -28,7 +28,7 @@ logger = logging.getLogger(__name__)
 Kind = Literal["kernels", "shapes", "recordings", "true-shapes", "image-features"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 _DEFAULT_CAP_MB = 4000.0
-# So that not every call has something to remove.
+# Below 1, so that not every call removes files.
 _PRUNED_SHARE = 0.8
 _TOUCH_EVERY_S = 3600.0
 
@@ -46,7 +46,7 @@ class CacheEntry:
 def cache_folder(kind: Kind) -> Path:
     """Return the existing folder of a kind. Raises `ConfigError`: no folder can be written."""
     folder = cache_root() / kind
-    with contextlib.suppress(OSError):  # a full disk: whoever writes there will say so
+    with contextlib.suppress(OSError):  # a full disk: the first write reports it
         folder.mkdir(exist_ok=True)
     return folder
 
@@ -98,7 +98,7 @@ def entries() -> Iterator[CacheEntry]:
 
 
 def _num_bytes(path: str | Path) -> int:
-    # Every run asks for thousands of files: no `Path` for each.
+    # No `Path` for each of thousands of files.
     if not os.path.isdir(path):  # noqa: PTH112
         return os.stat(path).st_size  # noqa: PTH116
     with os.scandir(path) as found:
@@ -131,7 +131,7 @@ def prune() -> int:
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
             else:
-                with contextlib.suppress(OSError):  # what cannot be removed is no reason to fail
+                with contextlib.suppress(OSError):
                     path.unlink(missing_ok=True)
         removed += entry.num_bytes
     return removed
@@ -168,8 +168,7 @@ _GROUPS = {
 
 @cache
 def _usable_root(wanted: Path) -> Path:
-    refusal = _refusal(wanted)
-    if refusal is None:
+    if (refusal := _refusal(wanted)) is None:
         return wanted
     found = _temporary_root()
     logger.warning(

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["KernelLocator", "compiler_name", "kernel", "kernels_folder", "numba", "source_hash"]
 
-# The ray caster brings a TBB that is too old for numba, which warns of it wherever it finds one in the process.
+# The ray caster brings a TBB that is too old for numba, which warns of it.
 numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 
 _OURS = ("hickory_stream", "players")
@@ -157,7 +157,7 @@ class _Compiles(event.Listener):  # type: ignore[misc] # numba has no types
 
 
 if not numba.config.CACHE_LOCATOR_CLASSES:
-    # Ours first, then those that numba asks by default: functions of others stay where they are kept.
+    # Ours first, then numba's defaults.
     numba.config.CACHE_LOCATOR_CLASSES = (
         "hickory_stream.base.compiled.KernelLocator,UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,"
         "IPythonCacheLocator,ZipCacheLocator"

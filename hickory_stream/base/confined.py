@@ -9,7 +9,7 @@ import os
 import re
 import stat
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -30,12 +30,8 @@ def plain_name(text: object, suffix: str = "") -> str:
 
     Raises `OutsideError`: it is anything else.
     """
-    if (
-        not isinstance(text, str)
-        or len(text) > _LONGEST_NAME
-        or not text.endswith(suffix)
-        or not _PLAIN.fullmatch(text)
-    ):
+    is_plain = isinstance(text, str) and len(text) <= _LONGEST_NAME and _PLAIN.fullmatch(text)
+    if not isinstance(text, str) or not is_plain or not text.endswith(suffix):
         wanted = f"a plain file name{f' ending in {suffix}' if suffix else ''}"
         raise OutsideError(f"found the name {_shown(text)}, expected {wanted}")
     return text
@@ -61,7 +57,7 @@ def path_within(root: Path, name: object) -> Path:
     if not isinstance(name, str) or not is_relative or name.startswith("/") or ".." in PurePosixPath(name).parts:
         raise OutsideError(f"found the path {_shown(name)}, expected one within {root}")
     path = root / name
-    # Without a link on the way it cannot lead out; to follow it takes ten times as long, and a map has thousands.
+    # Without a link it cannot lead out; `resolve` takes ten times as long, and a map has thousands of files.
     if os.name == "posix" and not _has_link(root, name):
         return path
     try:
@@ -88,13 +84,7 @@ def open_within(root: Path, name: object) -> BinaryIO:
     Raises `OutsideError`: the name leads out of the folder, or is a pipe, a device or a folder; `OSError`: no such
     file.
     """
-    path = path_within(root, name)
-    # A pipe without a writer would be waited for.
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
-        raise OutsideError(f"{path} is no regular file")
-    return os.fdopen(descriptor, "rb")
+    return _regular(path_within(root, name), os.O_RDONLY, "rb")
 
 
 def read_within(root: Path, name: object) -> bytes:
@@ -118,12 +108,16 @@ def open_to_change(path: Path) -> BinaryIO:
 
     Raises `OutsideError`: it is a pipe, a device or a folder; `OSError`: there is no such file, or it is a link.
     """
-    flags = os.O_RDWR | _FOLLOW_NO_LINK | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-    descriptor = os.open(path, flags)
+    return _regular(path, os.O_RDWR | _FOLLOW_NO_LINK, "r+b")
+
+
+def _regular(path: Path, flags: int, mode: str) -> Any:
+    # Opening a pipe without a writer would block.
+    descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise OutsideError(f"{path} is no regular file")
-    return os.fdopen(descriptor, "r+b")
+    return os.fdopen(descriptor, mode)
 
 
 def refuse_links(root: Path, names: Iterable[str]) -> None:

@@ -19,7 +19,7 @@ _NPY_HEADER = re.compile(
     rb"'shape': \((?P<shape>\d{1,15},(?: \d{1,15})?)\), \} *\n",
     re.DOTALL,
 )
-# Of a large building; a few bytes that somebody made could claim all of the memory.
+# Of a large building; a few forged bytes could claim all memory.
 _MOST_BYTES = 1 << 27
 # Files of objects in view are replaced with every save: the next levels save 1 % of bytes for 1.4 times the time.
 _LEVEL = 1

@@ -136,8 +136,7 @@ def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
     """Return the document of a snapshot, and the contents of its files by their path in the map folder."""
     files: dict[str, bytes] = {}
     document = {
-        "revision": int(snapshot.revision),
-        "stamp_ns": int(snapshot.stamp_ns),
+        **_ints(snapshot, "revision", "stamp_ns"),
         "submaps": [encode_submap(submap, encode_space(submap, files)) for submap in snapshot.submaps],
         "objects": [encode_object(tracked, encode_points(tracked, files)) for tracked in snapshot.objects],
     }
@@ -232,10 +231,7 @@ def encode_object(tracked: TrackedObject, points_name: str) -> Json:
     return {
         "id": int(tracked.id),
         "phase": str(tracked.phase),
-        "submap_id": int(tracked.submap_id),
-        "sightings": int(tracked.sightings),
-        "first_seen_ns": int(tracked.first_seen_ns),
-        "last_seen_ns": int(tracked.last_seen_ns),
+        **_ints(tracked, "submap_id", "sightings", "first_seen_ns", "last_seen_ns"),
         "points": points_name,
         "box": {
             "world_from_box": json_numbers(tracked.box.world_from_box),
@@ -291,16 +287,10 @@ def _object_with(entry: Json, arrays: Arrays) -> TrackedObject:
 def _encode_view(view: View) -> Json:
     return {
         "name": view.name,
-        "object_id": int(view.object_id),
-        "frame_index": int(view.frame_index),
-        "stamp_ns": int(view.stamp_ns),
+        **_ints(view, "object_id", "frame_index", "stamp_ns"),
         "box_px": [int(i) for i in view.box_px],
         "world_from_camera": json_numbers(view.world_from_camera),
-        "r_area": json_number(view.r_area),
-        "r_depth": json_number(view.r_depth),
-        "box_volume_m3": json_number(view.box_volume_m3),
-        "score": json_number(view.score),
-        "variance": json_number(view.variance),
+        **_numbers(view, "r_area", "r_depth", "box_volume_m3", "score", "variance"),
         "feature": json_float32s(view.feature),
         "is_cut": bool(view.is_cut),
         "observation_index": int(view.observation_index),
@@ -337,13 +327,11 @@ def _encode_shape(shape: ObjectShape) -> Json:
         "inflated": encode_superquadrics(shape.inflated),
         "seen_share": json_numbers(shape.seen_share),
         "containment": {
-            "num_checked": int(shape.containment.num_checked),
-            "num_outside": int(shape.containment.num_outside),
+            **_ints(shape.containment, "num_checked", "num_outside"),
             "max_g": json_number(shape.containment.max_g),
             "is_certified": bool(shape.containment.is_certified),
             "is_fallback": bool(shape.containment.is_fallback),
-            "margin_m": json_number(shape.containment.margin_m),
-            "shell_m": json_number(shape.containment.shell_m),
+            **_numbers(shape.containment, "margin_m", "shell_m"),
         },
         **({"verdict": shape.verdict} if shape.verdict else {}),
         **({"fit_kind": shape.fit_kind} if shape.fit_kind != "solid" else {}),
@@ -381,12 +369,10 @@ def encode_graph(graph: PoseGraphRecord) -> Json:
     return {
         "nodes": [
             {
-                "submap_id": int(node.submap_id),
-                "stamp_ns": int(node.stamp_ns),
+                **_ints(node, "submap_id", "stamp_ns"),
                 "place": json_numbers(node.place),
                 "uncorrected": json_numbers(node.uncorrected),
-                "sigma_m": json_number(node.sigma_m),
-                "sigma_rad": json_number(node.sigma_rad),
+                **_numbers(node, "sigma_m", "sigma_rad"),
                 "covariance_xy": json_numbers(node.covariance_xy),
             }
             for node in graph.nodes
@@ -394,13 +380,11 @@ def encode_graph(graph: PoseGraphRecord) -> Json:
         "edges": [
             {
                 "kind": edge.kind,
-                "earlier": int(edge.earlier),
-                "later": int(edge.later),
+                **_ints(edge, "earlier", "later"),
                 "status": edge.status,
                 "score": json_number(edge.score),
                 "reason": edge.reason,
-                "residual_m": json_number(edge.residual_m),
-                "residual_rad": json_number(edge.residual_rad),
+                **_numbers(edge, "residual_m", "residual_rad"),
                 "stamp_ns": int(edge.stamp_ns),
             }
             for edge in graph.edges
@@ -439,6 +423,14 @@ def _decode_graph(entry: Json) -> PoseGraphRecord:
     )
 
 
+def _ints(record: object, *names: str) -> Json:
+    return {name: int(getattr(record, name)) for name in names}
+
+
+def _numbers(record: object, *names: str) -> Json:
+    return {name: json_number(getattr(record, name)) for name in names}
+
+
 def _one_of(word: Any, known: tuple[T, ...]) -> T:
     for choice in known:
         if choice == word:
@@ -448,11 +440,8 @@ def _one_of(word: Any, known: tuple[T, ...]) -> T:
 
 def encode_superquadrics(primitives: Superquadrics) -> Json:
     """Return superquadrics for JSON, exactly."""
-    return {
-        "exponents": json_numbers(primitives.exponents),
-        "semi_axes_m": json_numbers(primitives.semi_axes_m),
-        "world_from_local": json_numbers(primitives.world_from_local),
-    }
+    names = ("exponents", "semi_axes_m", "world_from_local")
+    return {name: json_numbers(getattr(primitives, name)) for name in names}
 
 
 def decode_superquadrics(entry: Json) -> Superquadrics:

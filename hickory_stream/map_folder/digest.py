@@ -18,7 +18,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.records import MapSnapshot, ObjectShape, PoseGraphRecord, TrackedObject, View
+    from hickory_stream.records import MapSnapshot, ObjectShape, PoseGraphRecord, TrackedObject
 
 
 def map_digest(snapshot: MapSnapshot) -> str:
@@ -40,42 +40,32 @@ def seal_of(digest: str, document: bytes) -> str:
     return hashlib.sha256(digest.encode() + b"\n" + hashlib.sha256(document).digest()).hexdigest()
 
 
+# The order of names is part of the digest.
+_OBJECT = ("submap_id", "sightings", "first_seen_ns", "last_seen_ns", "points_world", "colors")
+_VIEW = (
+    *("object_id", "frame_index", "stamp_ns", "box_px", "world_from_camera", "r_area", "r_depth"),
+    *("box_volume_m3", "score", "variance", "feature", "is_cut", "observation_index"),
+)
+_NODE = ("submap_id", "stamp_ns", "place", "uncorrected", "sigma_m", "sigma_rad", "covariance_xy")
+
+
+def _values(record: object, names: tuple[str, ...]) -> tuple[Any, ...]:
+    return tuple(getattr(record, name) for name in names)
+
+
 def _object_values(tracked: TrackedObject) -> tuple[Any, ...]:
     return (
         tracked.id,
         str(tracked.phase),
-        tracked.submap_id,
-        tracked.sightings,
-        tracked.first_seen_ns,
-        tracked.last_seen_ns,
-        tracked.points_world,
-        tracked.colors,
+        *_values(tracked, _OBJECT),
         tracked.box.world_from_box,
         tracked.box.half_extents_m,
         tracked.feature,
-        tuple(_view_values(view) for view in tracked.views),
+        tuple(_values(view, _VIEW) for view in tracked.views),
         tracked.best_view.name if tracked.best_view else None,
         _shape_values(tracked.shape) if tracked.shape else None,
         tracked.merged_ids,
         *((_primitive_values(tracked.sketch),) if tracked.sketch is not None else ()),
-    )
-
-
-def _view_values(view: View) -> tuple[Any, ...]:
-    return (
-        view.object_id,
-        view.frame_index,
-        view.stamp_ns,
-        view.box_px,
-        view.world_from_camera,
-        view.r_area,
-        view.r_depth,
-        view.box_volume_m3,
-        view.score,
-        view.variance,
-        view.feature,
-        view.is_cut,
-        view.observation_index,
     )
 
 
@@ -97,18 +87,7 @@ def _shape_values(shape: ObjectShape) -> tuple[Any, ...]:
 def _graph_values(graph: PoseGraphRecord) -> tuple[Any, ...]:
     return (
         "graph",
-        tuple(
-            (
-                node.submap_id,
-                node.stamp_ns,
-                node.place,
-                node.uncorrected,
-                node.sigma_m,
-                node.sigma_rad,
-                node.covariance_xy,
-            )
-            for node in graph.nodes
-        ),
+        tuple(_values(node, _NODE) for node in graph.nodes),
         tuple(dataclasses.astuple(edge) for edge in graph.edges),
     )
 

@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import TrackedObject
 
-
 LOCK = ".lock"
 
 
@@ -54,7 +53,7 @@ class FolderLock:
     def __init__(self, folder: Path) -> None:
         self._path = folder / LOCK
         while True:
-            # A link in its place, which somebody's folder may hold, is not followed: the file is emptied below.
+            # No link is followed: the file is emptied below.
             descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
             if not _take(descriptor):
                 holder = os.read(descriptor, 32).decode(errors="replace").strip() or "unknown"
@@ -62,14 +61,13 @@ class FolderLock:
                 raise MapFolderError(
                     f"{folder} is being written by process {holder}; wait for it, end it, or choose another folder"
                 )
-            # Whoever held it may have removed the file between our opening and our locking it.
+            # The last holder may have removed the file between our opening and our locking it.
             if self._path.exists() and self._path.stat().st_ino == os.fstat(descriptor).st_ino:
                 break
             os.close(descriptor)
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"{os.getpid()}\n".encode())
-        # A folder that is forgotten is not held on to.
-        self._release = weakref.finalize(self, _let_go, self._path, descriptor)
+        self._release = weakref.finalize(self, _unlock, self._path, descriptor)
 
     def release(self) -> None:
         """Unlock the folder."""
@@ -82,7 +80,7 @@ def check_unlocked(folder: Path) -> None:
         FolderLock(folder).release()
 
 
-def _let_go(path: Path, descriptor: int) -> None:
+def _unlock(path: Path, descriptor: int) -> None:
     with suppress(OSError):
         path.unlink()
     os.close(descriptor)
@@ -125,16 +123,13 @@ def check_place(path: Path, overwrite: bool) -> None:
         return
     check_unlocked(path)
     is_map = is_map_folder(path)
-    foreign = [name for name in found if not _is_ours(name)] if is_map else found
+    own = {MANIFEST, LOCK, *FILES, *FOLDERS} if is_map else set()
+    foreign = [name for name in found if name not in own and not (is_map and name.endswith(PARTIAL_SUFFIX))]
     if is_map and not overwrite:
         raise MapFolderError(f"{path} holds a map already; choose another --out, or --overwrite to replace it")
     if foreign:
         shown = ", ".join(foreign[:5]) + (f" and {len(foreign) - 5} more" if len(foreign) > 5 else "")
         raise MapFolderError(f"{path} holds files that are no map: {shown}; choose another --out")
-
-
-def _is_ours(name: str) -> bool:
-    return name in (MANIFEST, LOCK) or name in FILES or name in FOLDERS or name.endswith(PARTIAL_SUFFIX)
 
 
 def remove_map(path: Path) -> None:

@@ -52,22 +52,9 @@ class Manifest:
 
 def manifest_json(manifest: Manifest) -> bytes:
     """Return the content of `manifest.json`."""
-    return pretty_json(
-        {
-            "kind": _KIND,
-            "format": FORMAT_VERSION,
-            "software_version": manifest.software_version,
-            "finished_cleanly": manifest.finished_cleanly,
-            "is_reproducible": manifest.is_reproducible,
-            "processor": manifest.processor,
-            "digest": manifest.digest,
-            "seal": manifest.seal,
-            "extractor": manifest.extractor,
-            "run": manifest.run,
-            "source": manifest.source,
-            "config": manifest.config,
-        }
-    )
+    first = ("software_version", "finished_cleanly", "is_reproducible", "processor", "digest", "seal", "extractor")
+    entries = {name: getattr(manifest, name) for name in (*first, "run", "source", "config")}
+    return pretty_json({"kind": _KIND, "format": FORMAT_VERSION, **entries})
 
 
 def read_manifest(folder: Path) -> Manifest:

@@ -89,7 +89,7 @@ def verify(path: Path, progress: Callable[[str], None] = lambda _: None) -> Verd
     progress("journal")
     points: dict[int, NDArray[np.float32]] = {}
     journal = _journal(saved, points)
-    configured_m = _configured_margin_m(saved) if _has_journal(path) else None
+    configured_m = _configured_margin_m(saved) if (path / JOURNAL).exists() else None
     objects = []
     for tracked in saved.snapshot.objects:
         progress(f"object {tracked.id}")
@@ -116,22 +116,17 @@ def mend(path: Path) -> str:
     return rewrite_objects(path, snapshot, kept)
 
 
-def _has_journal(path: Path) -> bool:
-    return (path / JOURNAL).exists()
-
-
 def _digest(saved: SavedMap) -> Finding:
     if saved.is_altered:
         return Finding(check="digest", state=State.FAILS, text=saved.doubt)
     if saved.doubt:
         return Finding(check="digest", state=State.UNKNOWN, text=saved.doubt)
-    return Finding(
-        check="digest", state=State.HOLDS, text=f"the objects are those that were saved: {saved.digest[:16]}"
-    )
+    text = f"the objects are those that were saved: {saved.digest[:16]}"
+    return Finding(check="digest", state=State.HOLDS, text=text)
 
 
 def _journal(saved: SavedMap, points: dict[int, NDArray[np.float32]]) -> Finding:
-    if not _has_journal(saved.folder):
+    if not (saved.folder / JOURNAL).exists():
         merged = saved.manifest.source.get("kind") == "merge"
         text = "a merged map has none" if merged else f"there is no {JOURNAL}: how the map came about is not known"
         return Finding(check="journal", state=State.UNKNOWN if merged else State.FAILS, text=text)
@@ -148,7 +143,7 @@ def _journal(saved: SavedMap, points: dict[int, NDArray[np.float32]]) -> Finding
         with Journal(saved.folder) as journal:
             again = Replay(journal, config.mapping, note)
             for _ in again.steps(len(journal)):
-                # Of a run that was killed the folder holds some earlier step.
+                # A killed run's folder has the map of an earlier step.
                 if not saved.manifest.finished_cleanly and (now := again.snapshot()).revision == wanted:
                     digests.add(map_digest(now))
             last = again.snapshot()
@@ -221,8 +216,7 @@ def _where_it_was_made(
     unmoved = moved_shape(shape, submap_from_world)
     if given is not None:
         return [(unmoved, given)]
-    here = (shape, tracked.points_world)
-    return [here, (unmoved, np.asarray(apply(submap_from_world, tracked.points_world)))]
+    return [(shape, tracked.points_world), (unmoved, np.asarray(apply(submap_from_world, tracked.points_world)))]
 
 
 def _configured_margin_m(saved: SavedMap) -> float | None:

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.config import RunConfig
 
-
-# A view is a part of an image of a camera.
 _MOST_PIXELS = 1 << 26
 # Segments of a JPEG that may come before its frame header: tables, restart interval, comment, APP0 to APP15.
 _JPEG_BEFORE_FRAME = {0xC4, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)}
@@ -59,7 +57,7 @@ def lossy_bytes(bgr: NDArray[np.uint8], suffix: str, quality: int) -> bytes:
 
     how = [cv2.IMWRITE_WEBP_QUALITY, quality]
     if suffix == ".jpg":
-        # Colour in full resolution: at the edges of an object that of what lies behind it is not to come in.
+        # Colour in full resolution: at an object's edges, none of the background comes in.
         full = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
         how = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, full]
     return cv2.imencode(suffix, bgr, how)[1].tobytes()
@@ -74,7 +72,7 @@ def read_image(path: Path, dtype: np.dtype[Any], num_dimensions: int, crc32: int
 
     try:
         data = read_within(path.parent, path.name)
-        # Of a damaged file the decoder tells on the terminal, past everybody, or not at all.
+        # The decoder writes of a damaged file to the terminal, or nothing at all.
         if crc32 is not None and zlib.crc32(data) != crc32:
             raise ValueError("it is not the file that the view's description tells of")
         width, height = _CLAIMED_SIZE[path.suffix](data)
@@ -207,5 +205,4 @@ def _millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
     # 0 = no return.
     with np.errstate(invalid="ignore", over="ignore"):
         millimetres = np.rint(depth_m * np.float32(1000))
-        # What is no number is neither.
         return np.where((millimetres > 0) & (millimetres <= _MAX_MM), millimetres, 0).astype(np.uint16)

@@ -28,12 +28,11 @@ from hickory_stream.records import Submap, TrackedObject
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from hickory_stream.records import MapSnapshot
 
     Write = Callable[[str, bytes], None]
-    from pathlib import Path
-
 
 R = TypeVar("R", Submap, TrackedObject)
 
@@ -59,12 +58,12 @@ class SnapshotEncoder:
 
         `write` receives name and content of each new file in turn: a map that moved is never in memory as a whole.
         """
-        before: list[_Entry[Any]] = [*self._submaps.values(), *self._objects.values()]
+        before = self._entries
         self._submaps = _entries(self._submaps, snapshot.submaps, _submap_entry, write)
         self._objects = _entries(self._objects, snapshot.objects, _object_entry, write)
-        after: list[_Entry[Any]] = [*self._submaps.values(), *self._objects.values()]
+        after = self._entries
         gone = {name for entry in _others(before, after) for name in entry.files}
-        # Of an object that was encoded anew the same points may have stayed.
+        # A changed object may have its old points.
         gone -= {name for entry in _others(after, before) for name in entry.files}
         parts = [
             f'"revision": {int(snapshot.revision)}',
@@ -79,8 +78,11 @@ class SnapshotEncoder:
     @property
     def files(self) -> set[str]:
         """All files of the last snapshot."""
-        entries: list[_Entry[Any]] = [*self._submaps.values(), *self._objects.values()]
-        return {name for entry in entries for name in entry.files}
+        return {name for entry in self._entries for name in entry.files}
+
+    @property
+    def _entries(self) -> list[_Entry[Any]]:
+        return [*self._submaps.values(), *self._objects.values()]
 
 
 class ReferencedNames:
@@ -112,12 +114,12 @@ class ReferencedNames:
                 if name not in self._num:
                     new.append(name)
                 self._num[name] += 1
-            self._let_go(old - names)
+            self._remove(old - names)
         for _, names in before.values():
-            self._let_go(names)
+            self._remove(names)
         return new
 
-    def _let_go(self, names: Iterable[str]) -> None:
+    def _remove(self, names: Iterable[str]) -> None:
         for name in names:
             self._num[name] -= 1
             if not self._num[name]:
@@ -150,17 +152,16 @@ def _entries(
 
 
 def _submap_entry(submap: Submap, known: _Entry[Submap] | None, files: dict[str, bytes]) -> _Entry[Submap]:
-    # A submap that was moved has its voxels where they were.
-    has_same_space = known is not None and known.record.observed_space is submap.observed_space
-    names = known.files if known is not None and has_same_space else codec.encode_space(submap, files)
+    is_same = known is not None and known.record.observed_space is submap.observed_space
+    names = known.files if known is not None and is_same else codec.encode_space(submap, files)
     return _Entry(submap, dumps_exactly(codec.encode_submap(submap, names)), names)
 
 
 def _object_entry(
     tracked: TrackedObject, known: _Entry[TrackedObject] | None, files: dict[str, bytes]
 ) -> _Entry[TrackedObject]:
-    has_same_points = known is not None and are_made_alike(known.record, tracked)
-    points = known.files[0] if known is not None and has_same_points else codec.encode_points(tracked, files)
+    is_same = known is not None and are_made_alike(known.record, tracked)
+    points = known.files[0] if known is not None and is_same else codec.encode_points(tracked, files)
     return _Entry(tracked, dumps_exactly(codec.encode_object(tracked, points)), (points,))
 
 
@@ -199,12 +200,12 @@ def create_map_folder(
                 shutil.rmtree(missing[-1], ignore_errors=True)
             raise
         try:
-            # Before the manifest, which promises one; and that of an earlier run is not to be taken for this one's.
+            # Before the manifest, which promises one.
             if run is not None:
                 write_atomically(path / JOURNAL, b"")
             else:
                 (path / JOURNAL).unlink(missing_ok=True)
-            # Before all else, so that what a kill leaves is known for a map folder, opens, and can be overwritten.
+            # Before all else: what a kill leaves is a map folder that opens and can be overwritten.
             write_atomically(path / MANIFEST, manifest_json(manifest))
             layout.remove_map(path)
             for name in layout.FOLDERS:
@@ -283,10 +284,10 @@ class MapFolder:
         Raises `MapFolderError`: the disk refused; the folder opens as of the save before.
         """
         with self._lock, disk_errors(self.path):
-            # What the disk refuses is not there for the next save to build on.
+            # The next save does not build on one that failed.
             encoder, self._encoder, was_swept, self._is_swept = self._encoder, SnapshotEncoder(), self._is_swept, False
             if self.manifest.digest is not None:
-                # That of the run that is continued: killed from here on, the folder has another map.
+                # The digest of the continued run: from here on, the folder has another map.
                 self.manifest = replace(self.manifest, digest=None, seal="", finished_cleanly=False)
                 write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
             written: set[str] = set()

@@ -7,15 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hickory_stream.errors import MapFolderError
-from hickory_stream.events import (
-    CancelShape,
-    Effect,
-    Event,
-    Publish,
-    RequestShape,
-    ShapeFailed,
-    ShapeReady,
-)
+from hickory_stream.events import CancelShape, Effect, Event, Publish, RequestShape, ShapeFailed, ShapeReady
 from hickory_stream.journal.step import OpenJob
 from hickory_stream.mapping.core import MapperCore
 
@@ -87,21 +79,18 @@ class Replay:
         while self.num_steps < end:
             entry = self._journal.entry(self.num_steps)
             self._go_back(entry.step)
-            published: Publish | None = None
-            for event in entry.events:
-                for effect in self._handle(event):
-                    if isinstance(effect, Publish):
-                        published = effect
+            effects = [effect for event in entry.events for effect in self._handle(event)]
+            published = next((effect for effect in reversed(effects) if isinstance(effect, Publish)), None)
             self.num_steps += 1
             yield Replayed(index=self.num_steps - 1, entry=entry, published=published)
 
     def snapshot(self) -> MapSnapshot:
         """Return the current map. Raises `MapFolderError`: a damaged journal."""
-        with self._sense():
+        with self._damage():
             return self.core.snapshot()
 
     @contextmanager
-    def _sense(self) -> Iterator[None]:
+    def _damage(self) -> Iterator[None]:
         # An event that the core cannot process is damage of the journal.
         try:
             yield
@@ -116,12 +105,12 @@ class Replay:
         then = Replay(self._journal, self._config, reads_later=self._reads_later)
         if step.goes_back_to > 0:
             then.seek(step.goes_back_to - 1)
-        with self._sense():
+        with self._damage():
             self.core = then.core.going_on_after(self.core, step.lost_views)
         self.open_jobs = then.open_jobs
 
     def _handle(self, event: Event) -> list[Effect]:
-        with self._sense():
+        with self._damage():
             effects = self.core.handle(event)
         if isinstance(event, ShapeReady | ShapeFailed):
             self.open_jobs.pop(event.ticket, None)
@@ -137,9 +126,5 @@ class Replay:
 
 def mesh_names(journal: Journal) -> set[str]:
     """Return all meshes that the map ever had."""
-    names = set()
-    for index in range(len(journal)):
-        for event in journal.events(index, "ShapeReady"):
-            assert isinstance(event, ShapeReady)
-            names.add(event.shape.mesh_name)
-    return names
+    ready = (event for index in range(len(journal)) for event in journal.events(index, "ShapeReady"))
+    return {event.shape.mesh_name for event in ready if isinstance(event, ShapeReady)}

@@ -84,9 +84,8 @@ class _Records:
 
     def _of_space(self, submap_id: int, place: Place, _: str) -> Mapping[str, Any]:
         found = next((one for one in self._replay().submaps if one.id == submap_id), None)
-        is_same = found is not None and encode(submap_without_space(found)) == encode(
-            self._read_submap(submap_id, place)
-        )
+        read = self._read_submap(submap_id, place)
+        is_same = found is not None and encode(submap_without_space(found)) == encode(read)
         self._check(is_same, "submap", submap_id)
         assert found is not None
         space: ObservedSpace = found.observed_space

@@ -139,9 +139,7 @@ def _decided(journal: Journal, config: MappingConfig) -> Iterator[tuple[JournalE
     if first > 0:
         replay.seek(first - 1)
     for replayed in replay.steps(len(journal)):
-        published = replayed.published
-        decisions = published.decisions if published is not None else ()
-        yield (
-            replayed.entry,
-            Told(decisions=decisions, submap_id=0 if published is None else published.snapshot.submaps[-1].id),
-        )
+        told = Told(decisions=(), submap_id=0)
+        if (published := replayed.published) is not None:
+            told = Told(decisions=published.decisions, submap_id=published.snapshot.submaps[-1].id)
+        yield replayed.entry, told

@@ -45,11 +45,8 @@ def registration_history(journal: Journal, num_steps: int, *, num_recent: int) -
 
     `num_recent` keyframes are remembered beside the anchors. Raises `MapFolderError`: the journal is damaged.
     """
-    found: list[tuple[int, KeyframeRegistered]] = []
-    for index in _way_to(journal, num_steps):
-        for event in journal.events(index, "KeyframeRegistered"):
-            assert isinstance(event, KeyframeRegistered)
-            found.append((index, event))
+    events = ((i, event) for i in _way_to(journal, num_steps) for event in journal.events(i, "KeyframeRegistered"))
+    found = [(i, event) for i, event in events if isinstance(event, KeyframeRegistered)]
     if not found:
         return None
     begun = max(i for i, (_, event) in enumerate(found) if event.how in ("first", "begun anew") or i == 0)
@@ -101,9 +98,8 @@ class RegistrationSummary:
         if self.kept_out:
             text += f"; {self.kept_out} did not fit and were kept out"
         if self.carried_away:
-            text += (
-                f"; {self.carried_away} time(s) the robot was elsewhere than its odometry says: a submap begins there"
-            )
+            jumps = f"{self.carried_away} time(s) the robot was elsewhere than its odometry says"
+            text += f"; {jumps}: a submap begins there"
         return text
 
 

@@ -5,7 +5,7 @@ A map folder has no depth: a keyframe shows its image, masks, decisions and the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,7 +101,7 @@ def _reports(
     is_keyframe = step.kind is StepKind.KEYFRAME and observed is not None and published is not None
     reports = []
     for frame in step.frames:
-        plain = FrameReport(
+        report = FrameReport(
             index=frame.index,
             stamp_ns=frame.stamp_ns,
             keyframe_index=None,
@@ -109,15 +109,10 @@ def _reports(
             world_from_camera=compose(map_from_odometry, frame.world_from_camera),
             color_bytes=None,
         )
-        if not is_keyframe or observed is None or published is None or frame.index != observed.frame_index:
-            reports.append(plain)
-            continue
-        reports.append(
-            FrameReport(
-                index=frame.index,
-                stamp_ns=frame.stamp_ns,
+        if is_keyframe and observed is not None and published is not None and frame.index == observed.frame_index:
+            report = replace(
+                report,
                 keyframe_index=keyframe_index,
-                camera=step.camera,
                 world_from_camera=observed.world_from_camera,
                 color_bytes=journal.color(replayed.index),
                 segmentation=_segmentation(observed, step.camera),
@@ -128,7 +123,7 @@ def _reports(
                 snapshot=published.snapshot,
                 metrics=(*step.metrics, *published.metrics),
             )
-        )
+        reports.append(report)
     return reports
 
 

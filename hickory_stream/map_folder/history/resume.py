@@ -74,22 +74,21 @@ def resume_point_of(journal: Journal, config: MapperConfig) -> ResumePoint | Non
     while not frames:
         index -= 1
         frames = journal.step(index).frames
-    is_keyframe = step.kind is StepKind.KEYFRAME
+    frame = frames[-1]
+    keyframe = Keyframe(stamp_ns=frame.stamp_ns, world_from_camera=frame.world_from_camera)
     return ResumePoint(
         core=replay.core,
         step=step,
         position=Position(
             round_index=step.round_index,
             first_index=step.first_index,
-            last_index=frames[-1].index,
-            keyframe=Keyframe(stamp_ns=frames[-1].stamp_ns, world_from_camera=frames[-1].world_from_camera)
-            if is_keyframe
-            else None,
-            last_ns=frames[-1].stamp_ns,
+            last_index=frame.index,
+            keyframe=keyframe if step.kind is StepKind.KEYFRAME else None,
+            last_ns=frame.stamp_ns,
         ),
         open_jobs=tuple(replay.open_jobs.values()),
         mesh_names=tuple(sorted(mesh_names(journal))),
-        last_frame=frames[-1],
+        last_frame=frame,
         registration=registration_history(journal, len(journal), num_recent=config.registration.num_recent),
     )
 
@@ -146,7 +145,7 @@ def reopen(
 def was_sought(path: Path) -> bool:
     """Return whether a run had seeks, so that it cannot be continued. Raises `MapFolderError`: no readable journal."""
     with Journal(path) as journal:
-        # They are counted up: where the last step has none, no earlier one has.
+        # The count never falls: if the last step has none, no earlier one has.
         with suppress(MapFolderError):
             if len(journal) == 0 or journal.step(len(journal) - 1).num_seeks == 0:
                 return False

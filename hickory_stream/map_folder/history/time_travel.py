@@ -53,7 +53,7 @@ def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
 
     Raises `MapFolderError`: there is no map or no journal, or it is damaged or of another version; also on first use.
     """
-    # It stays open for whoever looks at the map later, and is closed with it.
+    # It stays open for reads on first use, and is closed with the map.
     journal = Journal(path)
     index = step_at(journal.stamps_ns, stamp_ns)
     if index is None:
@@ -70,7 +70,11 @@ def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
 def seen_by(final: MapSnapshot, stamp_ns: int) -> MapSnapshot:
     """Return the finished map, restricted to objects and views seen by a stamp; shapes and points are final."""
     objects = [_with_views_until(o, stamp_ns) for o in final.objects if o.first_seen_ns <= stamp_ns]
-    graph = None if final.graph is None else _graph_until(final.graph, stamp_ns)
+    graph = final.graph
+    if graph is not None:
+        # No edge is older than its nodes.
+        nodes = tuple(node for node in graph.nodes if node.stamp_ns <= stamp_ns)
+        graph = PoseGraphRecord(nodes=nodes, edges=tuple(edge for edge in graph.edges if edge.stamp_ns <= stamp_ns))
     return replace(final, stamp_ns=min(final.stamp_ns, stamp_ns), objects=tuple(objects), graph=graph)
 
 
@@ -118,7 +122,7 @@ def stamp_of(path: Path, text: str) -> int:
 
 
 def _config_of(path: Path) -> MapperConfig:
-    # The configuration takes in perception and shapes: importing these takes longer than reading what was known.
+    # Imported on use: the configuration imports perception and shapes, which takes longer than the read.
     from hickory_stream.map_folder.history.recorded_config import recorded_config
 
     return recorded_config(path)
@@ -138,17 +142,8 @@ def step_at(stamps_ns: NDArray[np.int64], stamp_ns: int) -> int | None:
         return None
     if stamp_ns >= stamps_ns.max():
         return len(stamps_ns) - 1
-    # The last time that the clock went over this stamp.
     later = np.flatnonzero((stamps_ns[:-1] <= stamp_ns) & (stamps_ns[1:] > stamp_ns))
     return int(later[-1]) if len(later) else int(at[-1])
-
-
-def _graph_until(graph: PoseGraphRecord, stamp_ns: int) -> PoseGraphRecord:
-    return PoseGraphRecord(
-        nodes=tuple(node for node in graph.nodes if node.stamp_ns <= stamp_ns),
-        # No edge is older than the nodes that it joins.
-        edges=tuple(edge for edge in graph.edges if edge.stamp_ns <= stamp_ns),
-    )
 
 
 def _with_views_until(tracked: TrackedObject, stamp_ns: int) -> TrackedObject:

@@ -91,12 +91,7 @@ class TrackHistories:
         """Return the history of a track, or of the last one that it was merged into, dropped or not."""
         history = self.by_id.get(track_id)
         seen = set()
-        while (
-            history is not None
-            and history.ending is not None
-            and history.ending.into is not None
-            and history.id not in seen
-        ):
+        while history and history.ending and history.ending.into is not None and history.id not in seen:
             seen.add(history.id)
             history = self.by_id.get(history.ending.into)
         return history
@@ -110,9 +105,8 @@ class TrackHistories:
             self._join(history, frame, decision.observation_index, decision.text)
         elif decision.kind == "merge" and decision.other_id is not None:
             history.turns.append(Turn(frame=frame, text=decision.text))
-            gone = self.by_id.setdefault(
-                decision.other_id, TrackHistory(id=decision.other_id, born=Turn(frame=frame, text=""))
-            )
+            other = decision.other_id
+            gone = self.by_id.setdefault(other, TrackHistory(id=other, born=Turn(frame=frame, text="")))
             _, _, reason = decision.text.partition(": ")
             gone.ending = Ending(kind="merged", frame=frame, text=reason, into=track_id)
         elif decision.kind == "part":
@@ -128,7 +122,7 @@ class TrackHistories:
     def _join(self, history: TrackHistory, frame: int, observation_index: int, text: str) -> None:
         before = self._homes.get((frame, observation_index))
         if before is not None and before != history.id:
-            # It was associated with another track first, off which this one was then split.
+            # The track was split off the one that had the mask first.
             kept = [m for m in self.by_id[before].masks if (m.frame, m.observation_index) != (frame, observation_index)]
             self.by_id[before].masks = kept
         self._homes[frame, observation_index] = history.id
