@@ -1,7 +1,7 @@
 """Offset between a robot's clock and ours, from the arrival of its messages.
 
 A message never arrives before it was made: the least difference of the last minute is offset plus shortest delay.
-Stamps stay the robot's; the offset only shows the age of messages.
+Stamps stay the robot's; the offset is only shown.
 """
 
 from __future__ import annotations
@@ -46,7 +46,3 @@ class ClockOffset:
         self._least.append((arrival_ns, difference_ns))
         while arrival_ns - self._least[0][0] > _WINDOW_NS:
             self._least.popleft()
-
-    def age_ns(self, arrival_ns: int, stamp_ns: int) -> int | None:
-        """Return how much later than the quickest message this one came."""
-        return arrival_ns - stamp_ns - self._least[0][1] if self._least else None

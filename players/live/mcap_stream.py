@@ -79,13 +79,9 @@ class McapStream:
     def _take(self, inbox: Inbox, opcode: int, content: memoryview) -> None:
         if opcode == mcap.CHUNK_OP:
             records = memoryview(mcap.unpacked_chunk(content, 0, len(content)))
-            at = 0
-            while at + mcap.HEAD.size <= len(records):
-                inner, length = mcap.HEAD.unpack_from(records, at)
-                at += mcap.HEAD.size
+            for inner, at, length in mcap.records_in(records):
                 if inner != mcap.CHUNK_OP:
                     self._take(inbox, inner, records[at : at + length])
-                at += length
         elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
             mcap.learn(self._described, opcode, bytes(content))
             for channel in self._described.channels:

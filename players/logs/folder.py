@@ -58,6 +58,11 @@ class FolderContent:
     #: Poses and intrinsics; with the names and sizes of the images they identify the folder.
     text_files: tuple[Path, ...]
 
+    @property
+    def images(self) -> list[Path]:
+        """The files of all frames, colour before depth."""
+        return [file for frame in self.frames for file in (frame.color, frame.depth)]
+
 
 class FolderSource:
     """A `Source` of an image folder."""
@@ -69,7 +74,7 @@ class FolderSource:
             raise RecordingError(f"{folder}: no frame has colour, depth and a pose; found {found}")
         self._content = content
         self._ledger = Ledger()
-        images = [file for frame in content.frames for file in (frame.color, frame.depth)]
+        images = content.images
         sampled = [*content.text_files, *images[:2], *images[-2:]]
         self.info = SourceInfo(
             uri=str(folder),
@@ -113,7 +118,6 @@ class FolderSource:
             raise CalibrationError(
                 f"{self.info.uri}: the intrinsics are for {camera.width}x{camera.height} pixels; no image is"
             )
-
         ledger.is_complete = True
 
     def ledger(self) -> Mapping[str, int]:
@@ -142,9 +146,7 @@ class FolderSource:
 
     def num_bytes(self) -> int:
         """Return the size of everything that is played: images, poses and intrinsics."""
-        content = self._content
-        images = [file for frame in content.frames for file in (frame.color, frame.depth)]
-        return sum(file.stat().st_size for file in {*content.text_files, *images})
+        return sum(file.stat().st_size for file in {*self._content.text_files, *self._content.images})
 
     def close(self) -> None:
         """Do nothing: no file stays open between frames."""
@@ -153,9 +155,8 @@ class FolderSource:
 def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes: bytes, ledger: Ledger) -> Frame:
     try:
         rgb = decode_color(color_bytes, str(files.color))
-        depth_m = content.sensor.returns(
-            decode_depth_png(_read(files.depth), content.depth_units_per_m, str(files.depth))
-        )
+        decoded = decode_depth_png(_read(files.depth), content.depth_units_per_m, str(files.depth))
+        depth_m = content.sensor.returns(decoded)
         camera = content.registration.depth_camera
         if depth_m.shape != (camera.height, camera.width):
             size = f"{depth_m.shape[1]}x{depth_m.shape[0]}"

@@ -23,7 +23,7 @@ from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC
 from players.profile import Intrinsics, Profile, load_profile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -50,24 +50,17 @@ def open_seven_scenes(folder: Path, options: SourceOptions) -> FolderSource:
     colors = _by_number(file for file in folder.glob("frame-*.color.*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number(folder.glob("frame-*.depth.png"))
     found = _Collector(folder, profile, options)
-    for number in sorted(colors.keys() | depths.keys()):
-        found.add(
-            number * 1_000_000_000 // profile.frame_rate_hz,
-            colors.get(number),
-            depths.get(number),
-            folder_text.read_pose_file(poses[number]) if number in poses else None,
-        )
+    found.add_numbered(colors, depths, {i: folder_text.read_pose_file(file) for i, file in poses.items()})
     return found.source(
         kind="7-Scenes folder",
         depth_intrinsics=depth_intrinsics,
-        color_intrinsics=profile.color or depth_intrinsics,
-        depth_units_per_m=profile.depth_units_per_m,
+        color_intrinsics=profile.color,
         streams={
             "color": "frame-*.color.*",
             "depth": "frame-*.depth.png",
             "camera_info": f"{INTRINSICS}, profile {profile_name}",
             "pose": "frame-*.pose.txt",
-            "stamps": f"number in the name / {profile.frame_rate_hz} Hz",
+            "stamps": found.clock,
         },
         text_files=[folder / INTRINSICS, *(poses[number] for number in sorted(poses))],
     )
@@ -116,8 +109,6 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
     return found.source(
         kind="TUM RGB-D folder",
         depth_intrinsics=intrinsics,
-        color_intrinsics=intrinsics,
-        depth_units_per_m=profile.depth_units_per_m,
         streams={
             "color": "rgb.txt",
             "depth": "depth.txt",
@@ -156,7 +147,6 @@ def open_posed_folder(folder: Path, options: SourceOptions) -> FolderSource:
     return found.source(
         kind="posed folder",
         depth_intrinsics=intrinsics,
-        color_intrinsics=intrinsics,
         depth_units_per_m=units_per_m,
         streams={
             "color": "rgb/*",
@@ -185,21 +175,17 @@ def open_replica(folder: Path, options: SourceOptions) -> FolderSource:
     colors = _by_number(file for file in (folder / "results").glob("frame*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number((folder / "results").glob("depth*.png"))
     found = _Collector(folder, profile, options)
-    for number in sorted(colors.keys() | depths.keys()):
-        pose = poses[number] if number < len(poses) else None
-        stamp_ns = number * 1_000_000_000 // profile.frame_rate_hz
-        found.add(stamp_ns, colors.get(number), depths.get(number), pose)
+    found.add_numbered(colors, depths, dict(enumerate(poses)))
     return found.source(
         kind="Replica folder",
         depth_intrinsics=intrinsics,
-        color_intrinsics=intrinsics,
         depth_units_per_m=units_per_m,
         streams={
             "color": "results/frame*",
             "depth": "results/depth*.png",
             "camera_info": str(parameters or f"profile {profile.name}"),
             "pose": TRAJECTORY,
-            "stamps": f"number in the name / {profile.frame_rate_hz} Hz",
+            "stamps": found.clock,
         },
         text_files=[folder / TRAJECTORY, *([parameters] if parameters is not None else [])],
     )
@@ -214,28 +200,22 @@ def open_hope(folder: Path, options: SourceOptions) -> FolderSource:
     colors = _by_number(file for file in folder.glob("*_rgb.*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number(folder.glob("*_depth.png"))
     jsons = _by_number(folder.glob("*.json"))
-    found = _Collector(folder, profile, options)
-    intrinsics: Intrinsics | None = None
-    for number in sorted(colors.keys() | depths.keys()):
-        pose = None
-        if number in jsons:
-            camera, pose = folder_text.read_hope_camera(jsons[number], profile.extrinsics_units_per_m)
-            intrinsics = intrinsics or camera
-        stamp_ns = number * 1_000_000_000 // profile.frame_rate_hz
-        found.add(stamp_ns, colors.get(number), depths.get(number), pose)
-    if intrinsics is None:
+    units_per_m = profile.extrinsics_units_per_m
+    numbers = sorted(jsons.keys() & (colors.keys() | depths.keys()))
+    cameras = {number: folder_text.read_hope_camera(jsons[number], units_per_m) for number in numbers}
+    if not cameras:
         raise CalibrationError(f"{folder} has no NNNN.json with camera.intrinsics beside its {len(colors)} images")
+    found = _Collector(folder, profile, options)
+    found.add_numbered(colors, depths, {number: pose for number, (_, pose) in cameras.items()})
     return found.source(
         kind="HOPE folder",
-        depth_intrinsics=intrinsics,
-        color_intrinsics=intrinsics,
-        depth_units_per_m=profile.depth_units_per_m,
+        depth_intrinsics=cameras[numbers[0]][0],
         streams={
             "color": "*_rgb.*",
             "depth": "*_depth.png",
             "camera_info": "*.json",
             "pose": "*.json",
-            "stamps": f"number in the name / {profile.frame_rate_hz} Hz",
+            "stamps": found.clock,
         },
         text_files=[jsons[number] for number in sorted(jsons)],
     )
@@ -250,10 +230,21 @@ class _Collector:
         self._up = folder_text.GRAVITY if (folder / folder_text.GRAVITY).is_file() else "z of the log"
         self._color_from_depth = from_rotation_translation(np.eye(3), np.array(profile.color_from_depth_m))
         self._depth_from_color = invert(self._color_from_depth)
-        self._sensor = profile.sensor
+        self._profile = profile
         self._frames: list[FolderFrame] = []
         self._fates: Counter[str] = Counter()
         self._unposed_ns: list[int] = []
+
+    @property
+    def clock(self) -> str:
+        return f"number in the name / {self._profile.frame_rate_hz} Hz"
+
+    def add_numbered(
+        self, colors: Mapping[int, Path], depths: Mapping[int, Path], poses: Mapping[int, NDArray[np.float64] | None]
+    ) -> None:
+        for number in sorted(colors.keys() | depths.keys()):
+            stamp_ns = number * 1_000_000_000 // self._profile.frame_rate_hz
+            self.add(stamp_ns, colors.get(number), depths.get(number), poses.get(number))
 
     def add(
         self, stamp_ns: int, color: Path | None, depth: Path | None, log_from_depth: NDArray[np.float64] | None
@@ -278,10 +269,10 @@ class _Collector:
         *,
         kind: str,
         depth_intrinsics: Intrinsics,
-        color_intrinsics: Intrinsics,
-        depth_units_per_m: float,
         streams: dict[str, str],
         text_files: list[Path],
+        color_intrinsics: Intrinsics | None = None,
+        depth_units_per_m: float | None = None,
         pose_span_ns: tuple[int, int] | None = None,
     ) -> FolderSource:
         if not self._frames:
@@ -290,14 +281,14 @@ class _Collector:
         first = self._frames[0]
         registration = Registration(
             depth_camera=depth_intrinsics.camera(_size_of(first.depth)),
-            color_camera=color_intrinsics.camera(_size_of(first.color)),
+            color_camera=(color_intrinsics or depth_intrinsics).camera(_size_of(first.color)),
             color_from_depth=self._color_from_depth,
         )
         content = FolderContent(
             kind=kind,
             registration=registration,
-            depth_units_per_m=depth_units_per_m,
-            sensor=self._sensor,
+            depth_units_per_m=depth_units_per_m or self._profile.depth_units_per_m,
+            sensor=self._profile.sensor,
             frames=tuple(self._frames),
             fates=dict(self._fates),
             streams=(*streams.items(), ("up", self._up)),

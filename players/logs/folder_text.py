@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING, Any
 
@@ -112,11 +113,11 @@ def read_hope_camera(file: Path, units_per_m: float) -> tuple[Intrinsics, NDArra
         raise CalibrationError(
             f"{file}: {error!r}; expected camera.intrinsics (3x3) and camera.extrinsics (4x4, camera from world)"
         ) from error
+    intrinsics = Intrinsics(fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]), cy=float(k[1, 2]))
     rigid = nearest_rigid(camera_from_world)
     if rigid is None or not (k[0, 0] > 0 and k[1, 1] > 0):
-        return Intrinsics(fx=k[0, 0], fy=k[1, 1], cx=k[0, 2], cy=k[1, 2]), None
+        return intrinsics, None
     rigid[:3, 3] /= units_per_m
-    intrinsics = Intrinsics(fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]), cy=float(k[1, 2]))
     return intrinsics, invert(rigid)
 
 
@@ -168,13 +169,11 @@ def read_tum_track(file: Path, max_gap_ns: int) -> PoseTrack:
     """
     stamps_ns, rows = [], []
     for stamp_ns, words in read_stamped_rows(file, 8):
-        try:
+        with suppress(ValueError):
             row = [float(word) for word in words[:7]]
-        except ValueError:
-            continue
-        if is_pose_row(row):
-            stamps_ns.append(stamp_ns)
-            rows.append(row)
+            if is_pose_row(row):
+                stamps_ns.append(stamp_ns)
+                rows.append(row)
     track = track_of(stamps_ns, rows, max_gap_ns)
     if track is None:
         raise RecordingError(f"{file} holds no pose; expected rows of: stamp tx ty tz qx qy qz qw")

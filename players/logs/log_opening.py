@@ -5,7 +5,7 @@ Only the beginning is read: up to images of both topics, their calibrations, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -219,8 +219,6 @@ def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Top
 
 
 def _filled(opening: Opening, wanted: set[str]) -> Opening:
-    from dataclasses import replace
-
     log, reader, topics = opening.log, opening.reader, opening.topics
     probes = {topics.color.name: opening.color, topics.depth.name: opening.depth}
     first_ns: int | None = None
@@ -230,8 +228,7 @@ def _filled(opening: Opening, wanted: set[str]) -> Opening:
         if probe is None:
             reader.add(message)
         else:
-            # Progress is measured by the images: another bag of the log may have been recorded years later, in a
-            # replay.
+            # Progress is measured by the images: another bag of the log may have been recorded years later.
             first_ns = message.log_ns if first_ns is None else first_ns
             passed_ns = max(passed_ns, message.log_ns - first_ns)
             if not probe.is_full:

@@ -143,9 +143,8 @@ class McapLog:
                     unknown += 1
             at += length
         if unknown:
-            self.flaws.note(
-                chunk.offset, "messages of channels that no readable record describes", 0, num_unknown=unknown
-            )
+            what = "messages of channels that no readable record describes"
+            self.flaws.note(chunk.offset, what, 0, num_unknown=unknown)
         elif at != end:
             self.flaws.note(chunk.offset, "the chunk ends within a record", end - at)
 
@@ -159,16 +158,14 @@ class McapLog:
                     if name in wanted:
                         yield LogMessage(name, log_ns, bytes(view[at + mcap.MESSAGE.size : at + length]))
                     elif channel not in self._survey.channels:
-                        self.flaws.note(
-                            at, "a message of a channel that no readable record describes", 0, num_unknown=1
-                        )
+                        what = "a message of a channel that no readable record describes"
+                        self.flaws.note(at, what, 0, num_unknown=1)
                 elif opcode == mcap.DATA_END:
                     (expected,) = struct.unpack_from("<I", data, at)
                     crc = zlib.crc32(view[crc_at : at - mcap.HEAD.size], crc) if expected else 0
                     if crc != expected:
-                        self.flaws.note(
-                            at, "the checksum over all messages differs: at least one of them was altered", 0
-                        )
+                        what = "the checksum over all messages differs: at least one of them was altered"
+                        self.flaws.note(at, what, 0)
         finally:
             view.release()
 
@@ -218,17 +215,11 @@ class McapLog:
             self._bad_chunk(chunk, str(error))
             return
         counts: Counter[int] = Counter()
-        at, end = 0, len(records)
-        while at + mcap.HEAD.size <= end:
-            opcode, length = mcap.HEAD.unpack_from(records, at)
-            at += mcap.HEAD.size
-            if length > end - at:
-                break
+        for opcode, at, length in mcap.records_in(records):
             if opcode == mcap.MESSAGE_OP and length >= mcap.MESSAGE.size:
                 counts[mcap.MESSAGE.unpack_from(records, at)[0]] += 1
             elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
                 mcap.learn(survey, opcode, bytes(records[at : at + length]))
-            at += length
         chunk.counts = dict(counts)
 
     def _name(self, channel: int) -> str:

@@ -12,6 +12,8 @@ from players.logs.decompression import UnpackError, unpack
 from players.messages.foxglove import ROS_TYPES
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from players.logs.containers import DefinitionFormat, Wire
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -115,6 +117,18 @@ def unpacked_chunk(data: Any, at: int, end: int) -> Any:
     if crc and zlib.crc32(records) != crc:
         raise UnpackError("fails its checksum")
     return records
+
+
+def records_in(chunk: Any) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, place and length of each whole record in an unpacked chunk."""
+    at, end = 0, len(chunk)
+    while at + HEAD.size <= end:
+        opcode, length = HEAD.unpack_from(chunk, at)
+        at += HEAD.size
+        if length > end - at:
+            return
+        yield opcode, at, length
+        at += length
 
 
 def is_record(opcode: int, length: int, room: int) -> bool:

@@ -29,7 +29,7 @@ from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.recording_config import RecordingConfig
 from players import open_source
 from players.logs.log_source import LogSource
-from players.poses.extrinsics import estimated_mounting
+from players.poses.extrinsics import estimated_extrinsics
 from tools.benchmarks.drift_figures import drift_figures, registration_figures
 from tools.benchmarks.figures import Figure, Options
 from tools.benchmarks.fleet_figures import fleet_figures
@@ -191,7 +191,7 @@ def _mountings(seeds: Iterable[int]) -> list[Figure]:
             make_recording(config, Path(folder), "b2", caster=None)
             source = open_source(Path(folder) / "b2")
             assert isinstance(source, LogSource)
-            found = estimated_mounting(source)
+            found = estimated_extrinsics(source)
         if not isinstance(found, HandEye):
             continue
         off = found.body_from_camera[:3, 3] - drawn_mounting(seed)[:3, 3]
