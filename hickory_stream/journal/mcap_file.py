@@ -41,7 +41,34 @@ class FileMessage(NamedTuple):
 
     channel: int
     stamp_ns: int
-    data: bytes
+    data: bytes | memoryview
+
+
+def messages_in(records: memoryview) -> list[FileMessage]:
+    """Return the messages of the unpacked records of a chunk. Raises `ValueError`: they are damaged."""
+    found = [
+        FileMessage(channel, stamp_ns, records[at + _MESSAGE.size : end])
+        for at, end, channel, stamp_ns in _places_in(records)
+    ]
+    if not found:
+        raise ValueError("a chunk without messages")
+    return found
+
+
+def _places_in(records: bytes | memoryview) -> Iterator[tuple[int, int, int, int]]:
+    # Start, end, channel and stamp of each message.
+    at = 0
+    while at < len(records):
+        if at + _RECORD.size > len(records):
+            raise ValueError(f"a record that begins at byte {at} of {len(records)}")
+        opcode, length = _RECORD.unpack_from(records, at)
+        end = at + _RECORD.size + length
+        if end > len(records) or (opcode == Opcode.MESSAGE and length < _MESSAGE_BYTES):
+            raise ValueError(f"a record of {length} bytes that begins at byte {at} of {len(records)}")
+        if opcode == Opcode.MESSAGE:
+            _, _, channel, _, stamp_ns, _ = _MESSAGE.unpack_from(records, at)
+            yield at, end, channel, stamp_ns
+        at = end
 
 
 def begin_file(file: BinaryIO) -> None:
@@ -55,7 +82,7 @@ def begin_file(file: BinaryIO) -> None:
 
 def write_chunk(file: BinaryIO, messages: list[FileMessage], number: int) -> None:
     """Write a chunk, and the index after it, which marks it as whole; `number` counts the chunks."""
-    parts: list[bytes] = []
+    parts: list[bytes | memoryview] = []
     for channel, stamp_ns, data in messages:
         length = _MESSAGE_BYTES + len(data)
         parts += (_MESSAGE.pack(Opcode.MESSAGE, length, channel, number, stamp_ns, stamp_ns), data)
@@ -73,17 +100,8 @@ def index_of(records: bytes) -> bytes:
     Raises `ValueError`: they are no MCAP records.
     """
     places: dict[int, list[bytes]] = {}
-    at = 0
-    while at < len(records):
-        if at + _RECORD.size > len(records):
-            raise ValueError(f"a record that begins at byte {at} of {len(records)}")
-        opcode, length = _RECORD.unpack_from(records, at)
-        if opcode == Opcode.MESSAGE:
-            if at + _MESSAGE.size > len(records):
-                raise ValueError(f"a message that begins at byte {at} of {len(records)}")
-            _, _, channel, _, stamp_ns, _ = _MESSAGE.unpack_from(records, at)
-            places.setdefault(channel, []).append(_INDEX_ENTRY.pack(stamp_ns, at))
-        at += _RECORD.size + length
+    for at, _, channel, stamp_ns in _places_in(records):
+        places.setdefault(channel, []).append(_INDEX_ENTRY.pack(stamp_ns, at))
     parts: list[bytes] = []
     for channel, found in places.items():
         size = _INDEX_ENTRY.size * len(found)

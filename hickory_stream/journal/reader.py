@@ -13,15 +13,15 @@ from collections import OrderedDict
 from dataclasses import dataclass, replace
 from io import BytesIO
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Chunk, Message
-from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
+from mcap.records import Chunk
+from mcap.stream_reader import get_chunk_data_stream
 
 from hickory_stream.base.confined import OutsideError, open_within
 from hickory_stream.errors import MapFolderError
@@ -39,6 +39,7 @@ from hickory_stream.journal.format import (
     TOLD,
 )
 from hickory_stream.journal.lazy_records import LazyRecords, as_array
+from hickory_stream.journal.mcap_file import FileMessage, messages_in
 from hickory_stream.journal.packed_frames import PackedFrame, unpacked_frame
 from hickory_stream.journal.record_codec import PartPlace, decode, part_references
 from hickory_stream.journal.step import Checkpoint, JournalEntry, Step, StepKind
@@ -53,12 +54,10 @@ if TYPE_CHECKING:
     from hickory_stream.events import Event
     from hickory_stream.journal.snapshot_records import Known
 
-_Kept = TypeVar("_Kept")
 _CACHED_CHUNKS, _CACHED_BYTES = 64, 64 << 20
 # A chunk that claims more is damaged: the state of a large map takes some tens of megabytes.
 _MOST_CHUNK_BYTES = 1 << 29
 _HEADER = struct.Struct("<BQ")
-_MESSAGE_HEADER_BYTES = 2 + 4 + 8 + 8
 _DAMAGE = (
     *(McapError, zstandard.ZstdError, struct.error, EOFError),
     *(ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError),
@@ -100,46 +99,23 @@ class JournalChunks:
         except OutsideError as error:
             raise MapFolderError(f"{error}; a map's journal lies in its folder") from error
         self.places = _scan(self._data, self.path)
-        self._messages: _Cache[list[Message]] = _Cache()
-        self._contents: _Cache[list[memoryview]] = _Cache()
+        self._cache = _Cache()
         self._lock = Lock()
 
-    def messages(self, chunk: int) -> list[Message]:
-        """Return the messages of a chunk. Raises `MapFolderError`: it is damaged."""
+    def messages(self, chunk: int, *, keeps: bool = True) -> list[FileMessage]:
+        """Return the messages of a chunk; `keeps` caches them. Raises `MapFolderError`: it is damaged."""
         with self._lock:
-            known = self._messages.get(chunk)
-            if known is not None:
-                return known
-            place = self.places[chunk]
-            try:
-                records = breakup_chunk(self._record(place), validate_crc=True)
-                messages = [record for record in records if isinstance(record, Message)]
-                if not messages:
-                    raise ValueError("a chunk without messages")
-            except _DAMAGE as error:
-                raise self._damage(place, error) from error
-            self._messages.keep(chunk, messages, sum(len(message.data) for message in messages))
-            return messages
-
-    def contents(self, chunk: int, *, keeps: bool = True) -> list[memoryview]:
-        """Return the contents of a chunk's messages, much faster than `messages`; `keeps` caches them.
-
-        Raises `MapFolderError`: it is damaged.
-        """
-        with self._lock:
-            known = self._contents.get(chunk)
+            known = self._cache.get(chunk)
             if known is not None:
                 return known
             records = self.records(chunk)
             try:
-                contents = _contents_of(memoryview(records))
-                if not contents:
-                    raise ValueError("a chunk without messages")
+                messages = messages_in(memoryview(records))
             except _DAMAGE as error:
                 raise self._damage(self.places[chunk], error) from error
             if keeps:
-                self._contents.keep(chunk, contents, len(records))
-            return contents
+                self._cache.keep(chunk, messages, len(records))
+            return messages
 
     def records(self, chunk: int) -> bytes:
         """Return the records of a chunk, joined. Raises `MapFolderError`: it is damaged."""
@@ -172,7 +148,7 @@ def packed_array(encoded: bytes) -> bytes:
     return zstandard.compress(encoded)
 
 
-def unpacked_array(data: memoryview) -> bytes:
+def unpacked_array(data: bytes | memoryview) -> bytes:
     """Return the encoded array. Raises `ValueError`: it is damaged."""
     try:
         check_unpacked_size(data, zstandard.frame_content_size(data))
@@ -188,37 +164,23 @@ def check_unpacked_size(data: bytes | memoryview, claimed: int) -> None:
         raise ValueError(f"a chunk unpacks to {found} bytes, says {claimed}")
 
 
-class _Cache(Generic[_Kept]):
+class _Cache:
     # Few and small chunks; always the last one.
     def __init__(self) -> None:
-        self._chunks: OrderedDict[int, tuple[_Kept, int]] = OrderedDict()
+        self._chunks: OrderedDict[int, tuple[list[FileMessage], int]] = OrderedDict()
         self._num_bytes = 0
 
-    def get(self, chunk: int) -> _Kept | None:
+    def get(self, chunk: int) -> list[FileMessage] | None:
         if chunk not in self._chunks:
             return None
         self._chunks.move_to_end(chunk)
         return self._chunks[chunk][0]
 
-    def keep(self, chunk: int, value: _Kept, num_bytes: int) -> None:
+    def keep(self, chunk: int, value: list[FileMessage], num_bytes: int) -> None:
         self._chunks[chunk] = value, num_bytes
         self._num_bytes += num_bytes
         while len(self._chunks) > 1 and (len(self._chunks) > _CACHED_CHUNKS or self._num_bytes > _CACHED_BYTES):
             self._num_bytes -= self._chunks.popitem(last=False)[1][1]
-
-
-def _contents_of(data: memoryview) -> list[memoryview]:
-    found: list[memoryview] = []
-    at = 0
-    while at < len(data):
-        opcode, length = _HEADER.unpack_from(data, at)
-        at += _HEADER.size
-        if length > len(data) - at or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEADER_BYTES):
-            raise ValueError(f"a record of {length} bytes at byte {at} of {len(data)}")
-        if opcode == Opcode.MESSAGE:
-            found.append(data[at + _MESSAGE_HEADER_BYTES : at + length])
-        at += length
-    return found
 
 
 def _scan(data: Any, path: Path) -> list[ChunkPlace]:
@@ -299,9 +261,9 @@ class Journal:
     def entry(self, index: int) -> JournalEntry:
         """Return a step with its events. Raises `MapFolderError`: it is damaged."""
         others = self._chunks.messages(self._steps[index])[1:]
-        known = [message for message in others if message.channel_id in EVENT_NAMES]
-        events = [self._decoded(message.data, EVENT_NAMES[message.channel_id]) for message in known]
-        decided = [self._decoded(message.data, "Told") for message in others if message.channel_id == TOLD]
+        known = [message for message in others if message.channel in EVENT_NAMES]
+        events = [self._decoded(message.data, EVENT_NAMES[message.channel]) for message in known]
+        decided = [self._decoded(message.data, "Told") for message in others if message.channel == TOLD]
         return JournalEntry(step=self.step(index), events=tuple(events), told=decided[0] if decided else None)
 
     def step(self, index: int) -> Step:
@@ -311,13 +273,13 @@ class Journal:
 
     def events(self, index: int, kind: str, *, has_points: bool = True) -> list[Event]:
         """Return the events of one kind in a step; `has_points=False` leaves out points that returns would give."""
-        messages = [m for m in self._chunks.messages(self._steps[index]) if m.channel_id == CHANNELS[kind]]
+        messages = [m for m in self._chunks.messages(self._steps[index]) if m.channel == CHANNELS[kind]]
         return [self._decoded(message.data, kind, has_points=has_points) for message in messages]
 
     def color(self, index: int) -> bytes | None:
         """Return the compressed image of a step's keyframe, None where there is none."""
         messages = self._chunks.messages(self._steps[index])
-        return next((message.data for message in messages if message.channel_id == COLOR), None)
+        return next((bytes(message.data) for message in messages if message.channel == COLOR), None)
 
     def checkpoint_before(self, index: int, *, reads_later: bool = False) -> tuple[int, Checkpoint] | None:
         """Return the last checkpoint at or before a step, and the step it follows; None if there is none.
@@ -342,7 +304,7 @@ class Journal:
             chunk = self._steps[index] - 1 if index >= 0 else -1
             if chunk < 0 or self._places[chunk].channel != KNOWN:
                 return None
-            changes.append(self._decoded(bytes(self._chunks.contents(chunk)[0]), "Known"))
+            changes.append(self._decoded(self._chunks.messages(chunk)[0].data, "Known"))
             index -= 1
         objects: dict[int, tuple[int, int]] = {}
         submaps: dict[int, tuple[int, int]] = {}
@@ -364,13 +326,13 @@ class Journal:
             if not (0, 1) <= (chunk, number) < place:
                 raise ValueError(f"a part is said to be number {number} of chunk {chunk}")
             if (chunk, number) not in self._known_parts:
-                self._known_parts[chunk, number] = decode(bytes(self._chunks.contents(chunk)[number]), part)
+                self._known_parts[chunk, number] = decode(bytes(self._chunks.messages(chunk)[number].data), part)
             return self._known_parts[chunk, number]
 
         try:
             if not 0 <= place[0] < len(self._places) or self._places[place[0]].channel != KNOWN or place[1] < 1:
                 raise ValueError(f"a record is said to be number {place[1]} of chunk {place[0]}")
-            data = bytes(self._chunks.contents(place[0])[place[1]])
+            data = self._chunks.messages(place[0])[place[1]].data
         except (ValueError, IndexError) as error:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
         return self._decoded(data, kind.__name__, part)
@@ -386,8 +348,8 @@ class Journal:
             return
         for chunk, place in enumerate(self._places):
             try:
-                first = self._chunks.contents(chunk, keeps=False)[0]
-                is_last = place.is_step and self._decoded(bytes(first), "Step").kind is StepKind.CLOSING
+                first = self._chunks.messages(chunk, keeps=False)[0]
+                is_last = place.is_step and self._decoded(first.data, "Step").kind is StepKind.CLOSING
             except MapFolderError:
                 is_last = True
             if is_last:
@@ -428,7 +390,7 @@ class Journal:
             try:
                 data = stored.get(place[:2])  # of an older journal, which has no chunks of arrays
                 if data is None:
-                    data = unpacked_array(chunks.contents(place.chunk)[place.number])
+                    data = unpacked_array(chunks.messages(place.chunk)[place.number].data)
                 return as_array(decode(data), place.length)
             except (ValueError, IndexError) as error:
                 raise MapFolderError(f"{chunks.path} is damaged or of another version: {error}") from error
@@ -456,13 +418,13 @@ class Journal:
         while wanted:
             here = max(wanted)
             numbers = wanted.pop(here)
-            contents = self._chunks.contents(here, keeps=False)
+            messages = self._chunks.messages(here, keeps=False)
             if self._places[here].channel == ARRAYS:
-                stored |= {(here, number): unpacked_array(contents[number]) for number in numbers}
+                stored |= {(here, number): unpacked_array(messages[number].data) for number in numbers}
                 continue
             while numbers:
                 number = numbers.pop()
-                stored[here, number] = data = bytes(contents[number])
+                stored[here, number] = data = bytes(messages[number].data)
                 references[here, number] = part_references(data, later)
                 for other, its_number in references[here, number]:
                     if type(other) is not int or not 0 <= other <= here:
@@ -476,7 +438,7 @@ class Journal:
 
     def _decoded(
         self,
-        data: bytes,
+        data: bytes | memoryview,
         kind: str,
         part: Callable[[int, int], Any] | None = None,
         later: LazyRecords | None = None,
@@ -484,7 +446,7 @@ class Journal:
         has_points: bool = True,
     ) -> Any:
         try:
-            record = decode(data, part, later)
+            record = decode(bytes(data), part, later)
             if isinstance(record, PackedFrame):
                 record = unpacked_frame(record) if has_points else record.event
         except ValueError as error:

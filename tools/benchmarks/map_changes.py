@@ -13,7 +13,6 @@ import os
 import shutil
 import struct
 import zlib
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import cbor2
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import numpy as np
-    from mcap.records import Message
 
 OUTSIDE = "OUTSIDE"
 _HOSTILE: tuple[Any, ...] = (
@@ -186,27 +184,26 @@ def _change_journal(path: Path, rng: np.random.Generator) -> str:
         _replace(file, data)
         return f"{JOURNAL}: {told}"
     found = JournalChunks(path)
-    chunks = [list(found.messages(i)) for i in range(len(found.places))]
+    chunks = [found.messages(i, keeps=False) for i in range(len(found.places))]
     told = _change_message(chunks, rng)
     file.unlink()
     with file.open("w+b") as written:
         begin_file(written)
         for number, chunk in enumerate(chunks):
-            messages = [FileMessage(message.channel_id, message.log_time, message.data) for message in chunk]
-            write_chunk(written, messages, number)
+            write_chunk(written, chunk, number)
         end_file(written)
     return f"{JOURNAL}: {told}"
 
 
-def _change_message(chunks: list[list[Message]], rng: np.random.Generator) -> str:
+def _change_message(chunks: list[list[FileMessage]], rng: np.random.Generator) -> str:
     """Change one message of the chunks of a journal: its checksum will be right."""
-    numbers = [(i, k) for i, chunk in enumerate(chunks) for k in range(len(chunk)) if chunk[k].channel_id != 3]
+    numbers = [(i, k) for i, chunk in enumerate(chunks) for k in range(len(chunk)) if chunk[k].channel != 3]
     i, k = numbers[int(rng.integers(len(numbers)))]
     message = chunks[i][k]
     # A list is changed in place, whatever the document is.
-    document = [cbor2.loads(message.data)]
+    document = [cbor2.loads(bytes(message.data))]
     told = f"chunk {i}, message {k}: {_change_value(document, rng)}"
-    chunks[i][k] = replace(message, data=cbor2.dumps(document[0]))
+    chunks[i][k] = message._replace(data=cbor2.dumps(document[0]))
     return told
 
 
