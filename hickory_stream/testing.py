@@ -12,8 +12,8 @@ import numpy as np
 
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.ports import NoShape, Reconstruction
-from hickory_stream.records import Frame, RawFrame, Segmentation, SourceInfo
+from hickory_stream.ports import NoShape, Reconstruction, SourceAround
+from hickory_stream.records import Frame, RawFrame, Segmentation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -24,18 +24,13 @@ if TYPE_CHECKING:
     from hickory_stream.records import FrameReport, MapPrior
 
 
-class BreakingSource:
+class BreakingSource(SourceAround):
     """A `Source` that plays another one, and raises `error` in place of the frame `at`."""
 
     def __init__(self, source: Source, at: int, error: Exception) -> None:
-        self._source = source
+        super().__init__(source)
         self._at = at
         self._error = error
-
-    @property
-    def info(self) -> SourceInfo:
-        """The other source's."""
-        return self._source.info
 
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames before the failure."""
@@ -43,14 +38,6 @@ class BreakingSource:
             if frame.index == self._at:
                 raise self._error
             yield frame
-
-    def ledger(self) -> Mapping[str, int]:
-        """Return the other source's ledger."""
-        return self._source.ledger()
-
-    def close(self) -> None:
-        """Close the other source."""
-        self._source.close()
 
 
 class InstanceSegmenter:
