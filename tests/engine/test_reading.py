@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -98,7 +97,7 @@ def _reader() -> Reader:
 
 
 async def _reading(reader: Reader, source: SceneSource) -> None:
-    await reader.read(source, rate=None, loops=1, start=Position(), counts=Counter())
+    await reader.read(source, rate=None, loops=1, start=Position())
 
 
 async def _taken(reader: Reader) -> list[QueuedFrame]:
