@@ -1,7 +1,6 @@
-"""Three boxes on a floor that a camera walks around, as a source: no file, no network.
+"""Three boxes on a floor, and a camera around them, as a source without file or network.
 
-It is cast analytically: colour, depth, instances and poses are exact, so that what a part makes of them can be compared
-with the truth. The engine warms its kernels up on it.
+Colour, depth, instances and poses are cast analytically, hence exact. The engine warms up its kernels on it.
 """
 
 from __future__ import annotations
@@ -80,7 +79,7 @@ def cast_scene(
 
 
 def _entry(box: SceneBox, eye: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (H, W) where each ray enters a box, infinity where it misses (slab method)."""
+    # (H, W), infinity where a ray misses (slab method).
     a, b = (np.array(box.low) - eye) / rays, (np.array(box.high) - eye) / rays
     near, far = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
     return np.where((near < far) & (near > 0), near, np.inf)
@@ -89,7 +88,7 @@ def _entry(box: SceneBox, eye: NDArray[np.float64], rays: NDArray[np.float64]) -
 class SceneSource:
     """A `Source` of the scene: by default frames 0.3 s and 7 degrees apart, each of them a keyframe.
 
-    `step_of` tells on which step of the camera's circle (`scene_pose`) a frame is taken.
+    `step_of` gives the step of a frame on the camera's circle (`scene_pose`).
     """
 
     def __init__(
@@ -111,7 +110,7 @@ class SceneSource:
 
     @property
     def info(self) -> SourceInfo:
-        """What there is to play."""
+        """The scene's properties."""
         return SourceInfo(
             uri="memory:scene",
             kind="synthetic scene",
@@ -125,11 +124,11 @@ class SceneSource:
 
     @cached_property
     def instances(self) -> Mapping[int, NDArray[np.int32]]:
-        """The true instances (H, W) of every frame, by its stamp: what `InstanceSegmenter` reads."""
+        """The true instances (H, W) of every frame, by its stamp, for `InstanceSegmenter`."""
         return {self._stamp_ns(i): self.cast(self._step_of(i))[2] for i in range(self._num_frames)}
 
     def cast(self, step: int) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int32]]:
-        """Return colour, depth and instances as seen from a step, as `cast_scene` does."""
+        """Return colour, depth and instances of a step, like `cast_scene`."""
         return cast_scene(self._boxes, self._camera, scene_pose(step))
 
     def frames(self) -> Iterator[RawFrame]:
@@ -165,5 +164,5 @@ class SceneSource:
         return {"frames": self._num_yielded}
 
     def close(self) -> None:
-        """Note that it was closed."""
+        """Record the call."""
         self.is_closed = True

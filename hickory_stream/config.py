@@ -1,4 +1,4 @@
-"""Configuration of the mapper: every algorithm declares its own beside itself; here they are put together."""
+"""Configuration of the mapper, composed of the configurations beside each algorithm."""
 
 from __future__ import annotations
 

@@ -1,19 +1,19 @@
-"""The exception tree: everything that we raise on purpose.
+"""The exception tree: every error raised on purpose.
 
-    HickoryError                    exit status 1: our own failure
-    |-- InputError                  exit status 2: something outside is not as it must be
+    HickoryError                    exit status 1: a failure of our own
+    |-- InputError                  exit status 2: an invalid input
     |   |-- ConfigError             a key, a value or a file of the configuration
     |   |   `-- RangeError          a number outside of its range
-    |   |-- RecordingError          a log that cannot be read or lacks what mapping needs
-    |   |   `-- NoPosesError        a log that has no poses at all: odometry can estimate them
-    |   |-- CalibrationError        intrinsics or extrinsics that are missing or contradict the images
+    |   |-- RecordingError          a log that cannot be read or mapped
+    |   |   `-- NoPosesError        a log without poses, for odometry
+    |   |-- CalibrationError        missing intrinsics or extrinsics, or a contradiction to the images
     |   |-- MapFolderError          a map folder that cannot be written, opened or overwritten
     |   |-- ModelError              a network that is missing, damaged, of another kind, or cannot run here
-    |   |-- ViewerError             a viewer that was asked for and cannot be had
-    |   `-- OutputError             a file that was asked for and could not be written to its end
-    |-- GraphError                  a pose graph whose solution does not determine what is asked of it
-    |-- WorkerError                 a shape worker that could not be started or broke its protocol
-    `-- InvariantError              the map's state contradicts itself, as checks with --debug have found
+    |   |-- ViewerError             a requested viewer that is missing
+    |   `-- OutputError             a requested file that could not be completed
+    |-- GraphError                  a pose graph whose solution leaves the asked quantity open
+    |-- WorkerError                 a shape worker that did not start or broke its protocol
+    `-- InvariantError              a contradiction in the map's state, found with --debug
 
 A message names what was found, what was expected, and what to do.
 """
@@ -28,13 +28,13 @@ class HickoryError(Exception):
 
 
 class InputError(HickoryError):
-    """Something that the caller gave us is not as it must be."""
+    """An invalid input of the caller."""
 
     exit_status = 2
 
 
 class ConfigError(InputError):
-    """A configuration key, value or file that is refused."""
+    """A refused key, value or file of the configuration."""
 
 
 class RangeError(ConfigError, ValueError):
@@ -42,15 +42,15 @@ class RangeError(ConfigError, ValueError):
 
 
 class RecordingError(InputError):
-    """A log that cannot be read, or that lacks what mapping needs."""
+    """A log that cannot be read or mapped."""
 
 
 class NoPosesError(RecordingError):
-    """A log that has no poses at all: odometry can estimate them."""
+    """A log without poses; odometry can estimate them."""
 
 
 class CalibrationError(InputError):
-    """Intrinsics or extrinsics that are missing or contradict the images."""
+    """Missing intrinsics or extrinsics, or a contradiction to the images."""
 
 
 class MapFolderError(InputError):
@@ -58,24 +58,24 @@ class MapFolderError(InputError):
 
 
 class ModelError(InputError):
-    """A network that is missing, damaged, of another kind, or that cannot run here."""
+    """A network that is missing, damaged, of another kind, or cannot run here."""
 
 
 class ViewerError(InputError):
-    """A viewer that was asked for and cannot be had."""
+    """A requested viewer that is missing."""
 
 
 class OutputError(InputError):
-    """A file that was asked for, and that could not be written to its end."""
+    """A requested file that could not be completed."""
 
 
 class WorkerError(HickoryError):
-    """A shape worker that could not be started, or that broke its protocol."""
+    """A shape worker that did not start, or broke its protocol."""
 
 
 class GraphError(HickoryError):
-    """A pose graph whose solution does not determine what is asked of it."""
+    """A pose graph whose solution leaves the asked quantity open."""
 
 
 class InvariantError(HickoryError):
-    """The state of the map contradicts itself: a defect of the mapping, found by its checks."""
+    """A contradiction in the map's state: a defect of the mapping."""

@@ -1,7 +1,7 @@
-"""Events and effects: everything that the core is told, and everything that it asks for.
+"""Events and effects: the input and output of the core, `MapperCore.handle(event) -> list[Effect]`.
 
-`MapperCore.handle(event) -> list[Effect]`: events say what happened outside, effects say what the core wants done. Both
-are plain records, so that a run can be written down, replayed and compared.
+Events say what happened outside, effects what to do. Both are plain records: a run can be written, replayed and
+compared.
 """
 
 from __future__ import annotations
@@ -32,16 +32,10 @@ if TYPE_CHECKING:
         View,
     )
 
-# ---- events ---------------------------------------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FrameObserved:
-    """A keyframe was perceived.
-
-    `coarse` becomes the surface of the submap, in which loops are searched, and is for people who ask why; None in
-    older journals. `degenerate` (K, 6) is that of the frame.
-    """
+    """A perceived keyframe."""
 
     frame_index: int
     stamp_ns: int
@@ -49,7 +43,9 @@ class FrameObserved:
     observations: tuple[Observation, ...]
     space: SpaceObservation
     rejected: tuple[RejectedMask, ...] = ()
+    #: For the submap's surface (loop search) and for people; None in older journals.
     coarse: CoarseFrame | None = None
+    #: (K, 6), of the frame.
     degenerate: NDArray[np.float64] = field(default_factory=no_directions)
 
     def __post_init__(self) -> None:
@@ -67,7 +63,7 @@ class FeaturesReady:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShapeReady:
-    """A shape job has ended well; `stamp_ns` is when it is committed."""
+    """A shape job succeeded; `stamp_ns` is the time of its commit."""
 
     ticket: int
     object_id: int
@@ -77,7 +73,7 @@ class ShapeReady:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ShapeFailed:
-    """A shape job has ended without a shape."""
+    """A shape job ended without a shape."""
 
     ticket: int
     object_id: int
@@ -87,10 +83,9 @@ class ShapeFailed:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TimeJumped:
-    """The stamps of the source went backwards or far ahead.
+    """The stamps of the source went backwards or far ahead; late messages are no jump.
 
-    `kind` is "loop" where a log begins anew, "restart" where a clock went back before everything that was seen, else
-    "seek". A message that is merely late is no jump.
+    `kind`: "loop", a log begins again; "restart", a clock went back before everything seen; else "seek".
     """
 
     from_ns: int
@@ -100,10 +95,9 @@ class TimeJumped:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PoseJumped:
-    """The odometry jumped before the frame of `stamp_ns`: a loop closure of its own, or a lost track.
+    """The odometry jumped before the frame of `stamp_ns`: its own loop closure, or a lost track.
 
-    `after_from_before` (4, 4) takes what was in its old world into its new one. The poses of the frames do not jump:
-    they go on in the old world, as right as the jump can be known.
+    `after_from_before` (4, 4) goes from its old world to its new one. Poses of frames continue in the old world.
     """
 
     stamp_ns: int
@@ -115,14 +109,12 @@ class PoseJumped:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PosesCorrected:
-    """Somebody, e.g. a pose graph, knows better where submaps lie: `world_from_submap` (N, 4, 4) of `submap_ids`.
+    """New poses of submaps, e.g. of a pose graph: `world_from_submap` (N, 4, 4) of `submap_ids`; others stay.
 
-    Where a submap lies is said anew, not by how much it moves: the identity undoes all corrections. The others stay.
-    `graph` is the pose graph whose solution that is, None of somebody else's; no submap may be named where only the
-    graph has changed.
+    Poses are absolute: the identity undoes all corrections. `graph` is the solved pose graph, None from other origins;
+    if only the graph changed, no submap is listed.
 
-    Raises:
-        ValueError: a submap is named twice, or a transform is not rigid.
+    Raises `ValueError`: a submap is named twice, or a transform is not rigid.
     """
 
     stamp_ns: int
@@ -141,16 +133,15 @@ class PosesCorrected:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class KeyframeRegistered:
-    """A keyframe was registered to the surface of those before; its `FrameObserved`, at `map_from_camera`, follows.
+    """A keyframe was registered to the surface of earlier ones; its `FrameObserved`, at `map_from_camera`, follows.
 
-    `odometry_from_camera` and `map_from_camera` (4, 4) are its pose as the odometry has it, and as it is mapped;
-    `covariance` (6, 6) is that of the latter against the surface, rotation vector, then translation, along the map's
-    axes. `how` says why: it fits the surface; or there is none to compare it with, because it is the `first`, because
-    the ground is new, or because nothing fitted for so long that the surface begins anew. `corrects`: the odometry was
-    contradicted before, else `map_from_camera` is its pose; `num_against` keyframes in a row contradict it. Later ones
-    may be registered to an `is_anchor`, and the depth of this one has the noise `spread_per_m` in inverse depth.
-    `fit` is the share of the points to compare that lie on the surface, None where there are too few. Along the unit
-    directions `degenerate` (K, 6), of the map's axes, rotation first, its surface said nothing.
+    Poses (4, 4) are by odometry and as mapped; `covariance` (6, 6) of the latter against the surface: rotation vector,
+    then translation, along the map's axes. `how`: it fits; or nothing comparable: it is the `first`, on new ground, or
+    the surface begins again after a long misfit. `corrects`: the odometry was contradicted before, else
+    `map_from_camera` is its pose; `num_against` keyframes in a row contradict it. Later ones may be registered to an
+    `is_anchor`; `spread_per_m` is the noise of its inverse depth. `fit`: share of comparable points on the surface,
+    None for too few. Along the unit directions `degenerate` (K, 6), in the map's axes, rotation first, the surface gave
+    no information.
     """
 
     frame_index: int
@@ -176,7 +167,7 @@ class KeyframeRegistered:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class KeyframeKeptOut:
-    """A keyframe does not fit the surface of those before: nothing of it is mapped."""
+    """A keyframe does not fit the surface of earlier ones, and is not mapped."""
 
     frame_index: int
     stamp_ns: int
@@ -185,7 +176,7 @@ class KeyframeKeptOut:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LoopsSearched:
-    """The answer to `SearchLoops`: what was found, believed or not; `stamp_ns` is when it is committed."""
+    """The answer to `SearchLoops`: all candidates, accepted or not; `stamp_ns` is the time of the commit."""
 
     submap_id: int
     stamp_ns: int
@@ -194,14 +185,14 @@ class LoopsSearched:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WayEnded:
-    """The last frame was mapped; the core asks for the loops of the open submap, before the map is finished."""
+    """The last frame was mapped; the core requests loops of the open submap."""
 
     stamp_ns: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceEnded:
-    """No frame will follow; the core asks for what is still worth building."""
+    """No frame will follow; the core requests the remaining shapes."""
 
     stamp_ns: int
 
@@ -221,12 +212,10 @@ Event = (
     | SourceEnded
 )
 
-# ---- effects --------------------------------------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ComputeFeatures:
-    """Compute the features of these masks while the frame is still at hand, and answer with `FeaturesReady`."""
+    """Compute the features of these masks in the current frame, and answer with `FeaturesReady`."""
 
     frame_index: int
     observation_indices: tuple[int, ...]
@@ -234,7 +223,7 @@ class ComputeFeatures:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class KeepView:
-    """Write the pixels of this view; the frame is still at hand."""
+    """Write the pixels of this view of the current frame."""
 
     view: View
     observation_index: int
@@ -242,7 +231,7 @@ class KeepView:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DropView:
-    """The pixels of this view are no longer needed."""
+    """Remove the pixels of this view."""
 
     name: str
 
@@ -251,9 +240,8 @@ class DropView:
 class RequestShape:
     """Build layers 2 to 4 of an object.
 
-    `views` are its kept views, the best one first. `points_world` and `colors` are its layer 1; `box` its box;
-    `support_z_m` the height of the surface it stands on, where known. The result is committed at the first keyframe at
-    or after `due_ns` (playback).
+    `views`: kept ones, the best first. `points_world`, `colors` and `box`: layer 1. `support_z_m`: height of the
+    supporting surface, if known. A playback commits the result at the first keyframe at or after `due_ns`.
     """
 
     ticket: int
@@ -272,17 +260,17 @@ class RequestShape:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CancelShape:
-    """The result of this job is no longer wanted."""
+    """The result of this job is not needed any more."""
 
     ticket: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SearchLoops:
-    """Search where the submap `submap_id`, which has ended, lies in those before it; answer with `LoopsSearched`.
+    """Search the place of the ended submap `submap_id` in earlier ones; answer with `LoopsSearched`.
 
-    `submaps` are it and all before it, `snapshot` the map, both as they are now; `loops` what was found before. The
-    answer is committed at the first keyframe at or after `due_ns` (playback).
+    `submaps`: it and all before it. `snapshot`: the current map. `loops`: found before. A playback commits the answer
+    at the first keyframe at or after `due_ns`.
     """
 
     submap_id: int
@@ -294,9 +282,9 @@ class SearchLoops:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Publish:
-    """Show the map as it is now, the decisions that led here, and the object that each observation went to.
+    """Show the current map, its decisions, and the object of each observation.
 
-    `metrics` are the core's own counts under `core/...`, and S of the best views under `score/ID`.
+    `metrics`: the core's counts under `core/...`, and S of the best views under `score/ID`.
     """
 
     snapshot: MapSnapshot

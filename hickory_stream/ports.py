@@ -40,145 +40,135 @@ class Source(Protocol):
 
     @property
     def info(self) -> SourceInfo:
-        """What was found when the source was opened."""
-        ...
+        """The diagnosis on opening."""
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames from the beginning; each call starts anew."""
-        ...
+        """Yield the frames from the beginning, at every call."""
 
     def ledger(self) -> Mapping[str, int]:
-        """Return how many messages or files had which fate so far, e.g. `frames`, `color_without_depth`."""
-        ...
+        """Return counts of messages or files by use, e.g. `frames`, `color_without_depth`."""
 
     def close(self) -> None:
         """Release files and devices."""
-        ...
 
 
 class MessageAccount(Protocol):
-    """Where every message of a source went: each in one bucket."""
+    """Account of every message of a source, each in one bucket."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON knows it: the sums by bucket, and the entries of each topic."""
-        ...
+        """Return JSON: sums by bucket, and the entries of each topic."""
 
 
 @runtime_checkable
 class Accounting(Protocol):
-    """An ability of a source: it keeps account of its messages, not only of its frames."""
+    """An optional ability of a source: it accounts for its messages, not only for frames."""
 
     def account(self) -> MessageAccount | None:
-        """Return where the messages went so far; None where a source that this one plays keeps no account."""
-        ...
+        """Return the account so far; None if a source that this one plays keeps none."""
 
 
 @runtime_checkable
 class Interruptible(Protocol):
-    """An ability of a source: it may wait for a frame for ever, and can be woken."""
+    """An optional ability of a source: it may wait for a frame without limit, and can be woken."""
 
     def interrupt(self) -> None:
-        """End the frames; may be called from any thread."""
-        ...
+        """End the frames, from any thread."""
 
 
 @runtime_checkable
 class Seekable(Protocol):
-    """An ability of a source: somebody may seek in it, and the map then cannot be made again from the log.
+    """An optional ability of a source: seeks, after which the log alone cannot reproduce the map.
 
     A source whose frames ever say `goes_back` has it.
     """
 
     @property
     def num_seeks(self) -> int:
-        """How often that has happened."""
-        ...
+        """Number of seeks so far."""
 
 
 @runtime_checkable
 class Estimating(Protocol):
-    """An ability of a source: it estimates its poses itself, and goes on from those of an earlier, interrupted run."""
+    """An optional ability of a source: it estimates its poses, and continues those of an interrupted run."""
 
     @property
     def poses_by(self) -> str:
-        """What estimates them, "" where nothing does."""
-        ...
+        """Name of the estimator, "" without one."""
 
     def continue_from(self, stamp_ns: int, world_from_camera: NDArray[np.float64]) -> None:
-        """Place what follows the frame of this stamp by the pose (4, 4) that the journal has of it."""
-        ...
+        """Continue after the frame of this stamp, from its pose (4, 4) in the journal."""
 
 
 def account_of(source: Source) -> MessageAccount | None:
-    """Return where the messages of a source went; None where it keeps no account."""
+    """Return the account of a source's messages; None if it keeps none."""
     return source.account() if isinstance(source, Accounting) else None
 
 
 def interrupt(source: Source) -> None:
-    """Wake a source that may be waiting for a frame; one that never waits need not be able to."""
+    """Wake a source that may wait for a frame."""
     if isinstance(source, Interruptible):
         source.interrupt()
 
 
 def poses_by(source: Source) -> str:
-    """Return what estimates the poses of a source, "" where they are in its log."""
+    """Return the estimator of a source's poses, "" for poses of the log."""
     return source.poses_by if isinstance(source, Estimating) else ""
 
 
 def continue_from(source: Source, stamp_ns: int, world_from_camera: NDArray[np.float64]) -> None:
-    """Tell a source which pose its last frame had; one whose poses are in the log need not be told."""
+    """Give a source that estimates poses the pose of its last frame."""
     if isinstance(source, Estimating):
         source.continue_from(stamp_ns, world_from_camera)
 
 
 def num_seeks(source: Source) -> int:
-    """Return how often somebody sought in a source."""
+    """Return the number of seeks in a source."""
     return source.num_seeks if isinstance(source, Seekable) else 0
 
 
 class SourceAround:
-    """A `Source` that plays another one; what a subclass does not change is passed on, optional abilities included."""
+    """A `Source` that plays another one; whatever a subclass does not override is passed on, optional abilities too."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
 
     @property
     def info(self) -> SourceInfo:
-        """That of the other one."""
+        """The other source's."""
         return self._source.info
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames of the other one."""
+        """Yield the other source's frames."""
         return self._source.frames()
 
     def ledger(self) -> Mapping[str, int]:
-        """Return that of the other one."""
+        """Return the other source's ledger."""
         return self._source.ledger()
 
     def account(self) -> MessageAccount | None:
-        """Return where the messages went, where the other source keeps account of them."""
+        """Return the other source's account, if it keeps one."""
         return account_of(self._source)
 
     def interrupt(self) -> None:
-        """Wake the other source, where it may be waiting."""
+        """Wake the other source."""
         interrupt(self._source)
 
     @property
     def poses_by(self) -> str:
-        """What estimates the poses of the other source."""
+        """Estimator of the other source's poses."""
         return poses_by(self._source)
 
     def continue_from(self, stamp_ns: int, world_from_camera: NDArray[np.float64]) -> None:
-        """Tell the other source which pose its last frame had."""
+        """Give the other source the pose of its last frame."""
         continue_from(self._source, stamp_ns, world_from_camera)
 
     @property
     def num_seeks(self) -> int:
-        """How often somebody sought in the other source."""
+        """Number of seeks in the other source."""
         return num_seeks(self._source)
 
     def close(self) -> None:
-        """Close the other one."""
+        """Close the other source."""
         self._source.close()
 
 
@@ -186,28 +176,22 @@ class Segmenter(Protocol):
     """Finds the instances in a frame."""
 
     def prepare(self, frame: Frame) -> object:
-        """Return what can be computed of a frame without the map; called ahead, on another thread than `segment`."""
-        ...
+        """Return what needs no map; called ahead, on another thread than `segment`."""
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances and the structure of a frame.
-
-        `prior` is what the map knows so far; `prepared` is what `prepare` returned, or None.
-        """
-        ...
+        """Return the instances and the structure of a frame; `prepared` is the result of `prepare`, or None."""
 
 
 @runtime_checkable
 class Moving(Protocol):
-    """An ability of a segmenter: what it has prepared of a frame need not be prepared anew where the pose changes."""
+    """An optional ability of a segmenter: its preparation of a frame survives a change of the pose."""
 
     def moved(self, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
-        """Return what was prepared of a frame for another pose (4, 4) of it; None where that must be done anew."""
-        ...
+        """Return a frame's preparation for another pose (4, 4); None if it must be repeated."""
 
 
 def prepared_at(segmenter: Segmenter, prepared: object, world_from_camera: NDArray[np.float64]) -> object:
-    """Return what a segmenter has prepared of a frame, for another pose (4, 4) of it; None: `segment` prepares."""
+    """Return a frame's preparation for another pose (4, 4); None: `segment` prepares."""
     return segmenter.moved(prepared, world_from_camera) if isinstance(segmenter, Moving) else None
 
 
@@ -216,43 +200,36 @@ class FeatureExtractor(Protocol):
 
     @property
     def name(self) -> str:
-        """What tells this extractor's features from those of others: cosines between two extractors mean nothing."""
-        ...
+        """Identity of the features: cosines between two extractors mean nothing."""
 
     @property
     def patch_px(self) -> int:
         """The side of a patch."""
-        ...
 
     @property
     def dim(self) -> int:
         """The length D of a feature."""
-        ...
 
     def extract(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return (h, w, D) float32 features of unit norm, one per patch; h = ceil(H / patch), w = ceil(W / patch)."""
-        ...
 
 
 class SemanticModel(Protocol):
-    """Names what pixels show: what is structure, and what moves of itself."""
+    """Names the classes of pixels, for structure and self-moving things."""
 
     @property
     def labels(self) -> tuple[str, ...]:
         """The names of its classes, by their ids."""
-        ...
 
     def classify(self, rgb: NDArray[np.uint8]) -> SemanticImage:
         """Return the class of every pixel of an image (H, W, 3)."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Crop:
-    """The pixels of a kept view: a cut-out of a frame with its own camera.
+    """The pixels of a kept view: a cut-out of a frame with its own camera and pose (4, 4).
 
-    `rgb` (h, w, 3) uint8, `depth_m` (h, w) float32 with NaN, `mask` (h, w) bool; `world_from_camera` (4, 4); the
-    depth is worth what `sensor` says.
+    `rgb` (h, w, 3) uint8, `depth_m` (h, w) float32 with NaN, `mask` (h, w) bool; `sensor` models the depth.
     """
 
     rgb: NDArray[np.uint8]
@@ -272,10 +249,7 @@ class Crop:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ShapeInputs:
-    """All that a reconstructor may use: `crops` (the best view first), layer 1, the box, and the height of the support.
-
-    `points_world` (N, 3) float32, `colors` (N, 3) uint8.
-    """
+    """All input of a reconstructor: `crops` (the best view first), layer 1, the box, and the height of the support."""
 
     crops: tuple[Crop, ...]
     points_world: NDArray[np.float32]
@@ -290,16 +264,14 @@ class ShapeInputs:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Reconstruction:
-    """Layer 2: a mesh in the object frame, and its place `world_from_object` (4, 4).
-
-    Of a reconstructor that chooses between shapes `made_by` says whose this is, and `verdict` why; "" of others.
-    `hit_limit`: something was given up at a limit of time or memory, so that it may come out otherwise again.
-    """
+    """Layer 2: a mesh in the object frame, and its place `world_from_object` (4, 4)."""
 
     mesh: Mesh
     world_from_object: NDArray[np.float64]
+    #: Maker of the chosen shape, "" without a choice; `verdict` gives the reason.
     made_by: str = ""
     verdict: str = ""
+    #: A step was given up at a limit of time or memory, so that a repetition may differ.
     hit_limit: bool = False
 
     def __post_init__(self) -> None:
@@ -308,7 +280,7 @@ class Reconstruction:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoShape:
-    """No shape can be made of this input: an expected outcome; `hit_limit` as in `Reconstruction`."""
+    """No shape for this input: an expected outcome; `hit_limit` as in `Reconstruction`."""
 
     reason: str
     hit_limit: bool = False
@@ -316,14 +288,12 @@ class NoShape:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class GeneratedMesh:
-    """What a generator made: a mesh in a frame and scale of its own.
-
-    `camera_from_mesh` (4, 4), a similarity, is where it says that it lies in the best view's camera, None where it does
-    not say. `num_views` are the views that it was shown, the best ones first.
-    """
+    """A generator's mesh, in its own frame and scale."""
 
     mesh: Mesh
+    #: (4, 4), a similarity: its place in the best view's camera, None if unknown.
     camera_from_mesh: NDArray[np.float64] | None = None
+    #: Number of views that it was shown, the best ones first.
     num_views: int = 1
 
     def __post_init__(self) -> None:
@@ -332,26 +302,24 @@ class GeneratedMesh:
 
 
 class MeshGenerator(Protocol):
-    """Makes a whole mesh of an object from images of it, in no particular place and size."""
+    """Makes a whole mesh of an object from images, in any place and size."""
 
     @property
     def name(self) -> str:
-        """What the map says that a shape is by."""
-        ...
+        """The map names it as the maker of a shape."""
 
     def generate(self, inputs: ShapeInputs) -> GeneratedMesh | NoShape:
         """Return the mesh, or why there is none."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MeshPlacement:
-    """Where a mesh of unknown place and size lies: `world_from_mesh` (4, 4), affine.
+    """Place of a mesh of unknown pose and size: `world_from_mesh` (4, 4), affine.
 
-    It enlarges by `scale`, and by `stretch` (3,), whose product is 1, along `stretch_axes` (3, 3), columns in the
-    mesh's frame. `cost` is what contradicts it, 0 for nothing. `sigma_m`, `sigma_rad` and `sigma_scale` (a share) say
-    how sharply the evidence determines it. `is_symmetric`: turned otherwise the mesh fits as well and is the same
-    surface; `margin` in 0..1 is by how much less the best pose with another surface fits, 0 for not at all.
+    It enlarges by `scale`, and by `stretch` (3,), of product 1, along `stretch_axes` (3, 3), columns in the mesh's
+    frame. `cost` measures contradiction, 0 for none. `sigma_...` are standard deviations (`sigma_scale`: a share).
+    `is_symmetric`: another rotation gives the same surface. `margin` in 0..1: how much worse the best pose with another
+    surface fits.
     """
 
     world_from_mesh: NDArray[np.float64]
@@ -373,24 +341,22 @@ class MeshPlacement:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NotPlaced:
-    """It cannot be said where a mesh lies: an expected outcome."""
+    """The place of a mesh is unknown: an expected outcome."""
 
     reason: str
 
 
 class PoseRefiner(Protocol):
-    """Places a mesh of unknown place and size in the world."""
+    """Places a mesh of unknown pose and size in the world."""
 
     @property
     def name(self) -> str:
-        """The name by which the configuration chooses it."""
-        ...
+        """Its name in the configuration."""
 
     def place(
         self, mesh: Mesh, inputs: ShapeInputs, guess: NDArray[np.float64] | None = None
     ) -> MeshPlacement | NotPlaced:
-        """Return where the mesh lies by what was seen of the object; `guess` is world_from_mesh as somebody has it."""
-        ...
+        """Return the mesh's place by the views of the object; `guess` is a first world_from_mesh."""
 
 
 class Reconstructor(Protocol):
@@ -398,27 +364,22 @@ class Reconstructor(Protocol):
 
     @property
     def name(self) -> str:
-        """The name by which the configuration chooses it."""
-        ...
+        """Its name in the configuration."""
 
     def reconstruct(self, inputs: ShapeInputs) -> Reconstruction | NoShape:
         """Return a complete, closed, coloured mesh, or why there is none. Deterministic."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BuiltShape:
-    """Layers 2 to 4 as one job makes them; superquadrics in the world.
-
-    `seen_share` (N,) and `fit_kind` are as in `ObjectShape`.
-    `timings_s` are for people, not for the map.
-    """
+    """Layers 2 to 4 of one job, superquadrics in the world; `seen_share` (N,) and `fit_kind` as in `ObjectShape`."""
 
     reconstruction: Reconstruction
     fitted: Superquadrics
     inflated: Superquadrics
     seen_share: NDArray[np.float64]
     containment: Containment
+    #: For people, not for the map.
     timings_s: Mapping[str, float]
     fit_kind: FitKind = "solid"
 
@@ -428,16 +389,13 @@ class BuiltShape:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Registered:
-    """Where a scan was taken: `start_from_sensor` (4, 4), the sensor's pose in its frame at the first scan.
-
-    `information` (6, 6) is that of the pose's error in the sensor's frame, rotation (rad) first, then translation (m);
-    None where the method does not say. `degenerate` (K, 6) are unit directions, in the same order, along which the scan
-    says nothing: there the pose is the predicted one.
-    """
+    """A registered scan: `start_from_sensor` (4, 4), the sensor's pose in its frame at the first scan."""
 
     stamp_ns: int
     start_from_sensor: NDArray[np.float64]
+    #: (6, 6) of the pose's error in the sensor's frame, rotation (rad), then translation (m), or None.
     information: NDArray[np.float64] | None
+    #: (K, 6) unit directions, same order, without information: there the pose is predicted.
     degenerate: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -449,34 +407,30 @@ class Registered:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NotRegistered:
-    """It cannot be said where a scan was taken: an expected outcome."""
+    """The pose of a scan is unknown: an expected outcome."""
 
     reason: str
 
 
 class Odometry(Protocol):
-    """Estimates the motion of a sensor from its scans; the same scans in the same order give the same poses."""
+    """Estimates the motion of a sensor from its scans, deterministically."""
 
     @property
     def name(self) -> str:
-        """The name by which `--odometry` chooses it."""
-        ...
+        """Its name for `--odometry`."""
 
     def register(self, scan: Scan, last_from_scan: NDArray[np.float64] | None = None) -> Registered | NotRegistered:
-        """Return where a scan was taken; `last_from_scan` (4, 4) is the motion since the last, where somebody knows.
+        """Return the pose of a scan; `last_from_scan` (4, 4) is the motion since the last scan, if known.
 
-        The first scan is where the poses start, at the identity. A scan that cannot be registered changes nothing.
+        The first scan is at the identity. A scan that cannot be registered changes nothing.
         """
-        ...
 
 
 class Sink(Protocol):
-    """Shows or stores what happened. Called from one thread of its own, in the order of the frames."""
+    """Shows or stores reports, on one thread of its own, in the order of frames."""
 
     def show(self, report: FrameReport) -> None:
-        """Take one report."""
-        ...
+        """Show or store one report."""
 
     def close(self) -> None:
-        """Finish what was begun; no `show` follows."""
-        ...
+        """Finish; no `show` follows."""

@@ -1,7 +1,8 @@
-"""How long work shows itself: a bar on a terminal, a plain line now and then elsewhere, JSON lines for machines."""
+"""Progress of long work: a bar on a terminal, plain lines elsewhere, JSON lines for machines."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 import time
@@ -23,16 +24,13 @@ _BAR_EVERY_S = 0.1
 _EVENT_EVERY_S = 0.5
 _WIDTH = 30
 _RATE_OVER_S = 15.0
-# Before that the time that is left could not be told: the first frames load what later ones have.
+# Before that the rate is unknown: the first frames load modules and kernels.
 _RATE_AFTER_S = 3.0
 _RATE_AFTER_FRAMES = 8
 
 
 class ProgressPrinter:
-    """Prints progress to standard error; a call costs nothing when it is not yet time to print.
-
-    `part` says which of several runs it is, such as "2 of 5".
-    """
+    """Prints progress to standard error, rarely; `part` names one of several runs, such as "2 of 5"."""
 
     def __init__(
         self,
@@ -53,7 +51,7 @@ class ProgressPrinter:
         self._recent: deque[tuple[float, int]] = deque()
 
     def __call__(self, progress: Progress) -> None:
-        """Take note of where the run is."""
+        """Update the progress of the run."""
         now_s = self._clock()
         self._note(progress, now_s)
         every_s = {"bar": _BAR_EVERY_S, "json": _EVENT_EVERY_S}.get(self._style, _LINE_EVERY_S)
@@ -63,9 +61,7 @@ class ProgressPrinter:
         text = self._json(progress) if self._style == "json" else self._text(progress, now_s)
         if self._style == "bar":
             clear_line()
-            sys.stderr.write(text)
-        else:
-            sys.stderr.write(text + "\n")
+        sys.stderr.write(text if self._style == "bar" else f"{text}\n")
         sys.stderr.flush()
 
     def close(self) -> None:
@@ -74,7 +70,6 @@ class ProgressPrinter:
             sys.stderr.write("\n")
 
     def _note(self, progress: Progress, now_s: float) -> None:
-        """Remember when frames were done."""
         if progress.phase != self._phase:
             self._phase_began_s = now_s
             self._recent.clear()
@@ -84,7 +79,7 @@ class ProgressPrinter:
             self._recent.popleft()
 
     def _rate(self, now_s: float) -> float | None:
-        """Return frames per second of late; None while that means nothing yet."""
+        # Over the latest frames; None while there are too few.
         since_s, since_frames = self._recent[0]
         num_frames = self._recent[-1][1] - since_frames
         if now_s - since_s < _RATE_AFTER_S or num_frames < _RATE_AFTER_FRAMES:
@@ -121,14 +116,7 @@ class ProgressPrinter:
             {
                 "event": "progress",
                 **({"part": self._part} if self._part else {}),
-                "phase": progress.phase,
-                "frames": progress.frames,
-                "total": progress.total,
-                "keyframes": progress.keyframes,
-                "objects": progress.objects,
-                "open_shapes": progress.open_shapes,
-                "num_compiled": progress.num_compiled,
-                "num_kernels": progress.num_kernels,
+                **dataclasses.asdict(progress),
             },
         )
 

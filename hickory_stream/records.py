@@ -1,7 +1,7 @@
-"""The records that the parts of the system hand to each other.
+"""Records that the parts of the system exchange.
 
-All are frozen; array fields are checked for dtype and shape and made read-only on construction, so that a record can be
-shared between threads and kept for ever. Stamps are integer nanoseconds; the world is z up; lengths are metres.
+All are frozen; arrays are checked for dtype and shape and made read-only, so that threads can share them. Stamps are
+integer nanoseconds; the world is z up; lengths are metres.
 """
 
 from __future__ import annotations
@@ -29,17 +29,13 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.superquadric import Superquadrics
 
 
-# ---- what a source yields -------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Frame:
     """A decoded, posed RGB-D frame; colour and depth are registered pixel by pixel.
 
-    `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32 along the optical axis, NaN = no return;
-    `world_from_camera` (4, 4). `sensor` says what the depth is worth; its range and bias are seen to already.
-    `degenerate` (K, 6) are unit directions in the camera's frame, rotation first, along which the scans that the pose
-    was estimated from said nothing; none where it is the log's.
+    `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32 along the optical axis, NaN = no return, range and bias corrected;
+    `world_from_camera` (4, 4). `sensor` models the depth. `degenerate` (K, 6): unit directions in the camera's frame,
+    rotation first, about which the scans of an estimated pose gave no information.
     """
 
     index: int
@@ -61,14 +57,12 @@ class Frame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RawFrame:
-    """A posed frame that is still compressed: only keyframes are ever decoded.
+    """A posed, compressed frame: only keyframes are decoded.
 
-    `decode()` returns the `Frame`, or raises `RecordingError` where an image is torn. `color_bytes` are the log's own
-    compressed colour (JPEG or PNG), for the viewer; None when the log had none. `after_from_before` (4, 4) where the
-    odometry jumped since the frame before: it takes the old world into the new one. The pose itself does not jump: a
-    source that knows of a jump takes it out, so that all its poses are in the first world. `goes_back`: somebody went
-    back in the log to this frame, and wants the map as it was known before it. `is_posed`: False where the pose is none
-    and odometry has yet to put one in, before anybody is handed the source (`players/poses/odometry_source.py`).
+    `decode()` returns the `Frame`; raises `RecordingError` for a torn image. `color_bytes`: the log's own JPEG or PNG,
+    or None. `after_from_before` (4, 4): the odometry jumped since the frame before, from its old world to its new one;
+    poses themselves stay in the first world. `goes_back`: a seek back to this frame; the map becomes that of the time
+    before it. `is_posed`: False while odometry has yet to add the pose (`players/poses/odometry_source.py`).
     """
 
     index: int
@@ -89,14 +83,12 @@ class RawFrame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Scan:
-    """A sweep of a LiDAR, for odometry: `points` (N, 3) float32 in the sensor's `frame`, all finite.
-
-    `times_s` (N,) float32 is when each was measured, since the stamp; None where the log does not say.
-    """
+    """A sweep of a LiDAR, for odometry: `points` (N, 3) float32 in the sensor's `frame`, all finite."""
 
     stamp_ns: int
     frame: str
     points: NDArray[np.float32]
+    #: (N,) float32 since the stamp; None if the log lacks them.
     times_s: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
@@ -107,34 +99,27 @@ class Scan:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceInfo:
-    """What a source found: for the operator, the progress bar and the manifest.
-
-    `num_frames`, `start_ns` and `end_ns` are None where they are not known beforehand. `streams` maps a role
-    (color, depth, camera_info, pose, ...) to the topic or file pattern that plays it. `identity` tells two logs apart.
-    """
+    """Facts about a source, for the operator, the progress bar and the manifest; None if unknown beforehand."""
 
     uri: str
     kind: str
+    #: Distinguishes logs.
     identity: str
     camera: Camera
     num_frames: int | None
     start_ns: int | None
     end_ns: int | None
+    #: Role (color, depth, camera_info, pose, ...) and its topic or file pattern.
     streams: tuple[tuple[str, str], ...]
-
-
-# ---- perception -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RejectedMask:
-    """A mask that became no observation, and why; `box_px` = (x0, y0, x1, y1), the ends exclusive.
-
-    `mask` (h, w) bool within the box, None where only the box is known.
-    """
+    """A mask that became no observation, and why; `box_px` = (x0, y0, x1, y1), the ends exclusive."""
 
     box_px: tuple[int, int, int, int]
     reason: str
+    #: (h, w) within the box, None if only the box is known.
     mask: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
@@ -145,7 +130,7 @@ class RejectedMask:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SemanticImage:
-    """Which class each pixel is of: `classes` (H, W) int32, places in `labels`, -1 where the model does not say."""
+    """The class of each pixel: `classes` (H, W) int32, places in `labels`, -1 if unknown."""
 
     classes: NDArray[np.int32]
     labels: tuple[str, ...]
@@ -156,13 +141,11 @@ class SemanticImage:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Segmentation:
-    """What a segmenter says of a frame.
+    """The segmentation of a frame; images are (H, W).
 
-    `instances` (H, W) int32, 0 = no object, 1..n = the n instances; `structure` (H, W) bool: floor, walls, ceiling.
-    `structure_shown` (H, W) bool: what of it this frame shows by itself, without what the map knew; None: all of it.
-    Only this is evidence for the map: what it knew, and had told the segmenter, proves nothing again.
-    `alone` (H, W) int32: the instances as this frame has them by itself, each a union of some of `instances`; None: the
-    same. `floor_z_m` is the height of the floor where this frame shows it.
+    `instances` int32, 0 = no object, 1..n; `structure` bool: floor, walls, ceiling. `structure_shown`: the part that
+    this frame shows without the map, None: all; only this is evidence for the map. `alone` int32: instances without the
+    map, each a union of some `instances`, None: the same. `floor_z_m`: height of the floor, if visible.
     """
 
     instances: NDArray[np.int32]
@@ -182,17 +165,16 @@ class Segmentation:
 
     @property
     def own_structure(self) -> NDArray[np.bool_]:
-        """The structure (H, W) that this frame shows by itself."""
+        """The structure (H, W) that this frame shows without the map."""
         return self.structure if self.structure_shown is None else self.structure_shown
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Returns:
-    """The returns that the points of an observation were made of, where depth is in whole millimetres.
+    """The returns behind the points of an observation, for depth in whole millimetres.
 
-    `depth_mm` (h, w) uint16 within the box of the mask, 0 = not used; the points are their means over voxels of
-    `voxel_m`. `checksum` is that of the points and of the pose of the frame: where it still is, the journal has the
-    returns instead of the points.
+    `depth_mm` (h, w) uint16 within the mask's box, 0 = not used; points are their means over voxels of `voxel_m`. While
+    `checksum` fits points and pose, the journal stores the returns instead of the points.
     """
 
     depth_mm: NDArray[np.uint16]
@@ -205,13 +187,12 @@ class Returns:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Observation:
-    """One object in one keyframe, lifted to 3D; it has no feature yet.
+    """One object in one keyframe, lifted to 3D, without a feature yet.
 
-    `index` numbers the observations of the frame from 0. `box_px` = (x0, y0, x1, y1), ends exclusive; `mask` (h, w)
-    bool within it. `points_world` (N, 3) float32 and `colors` (N, 3) uint8, after depth filtering. `r_area` and
-    `r_depth` are the cheap factors of S (Eq. for S in the paper), in 0..1. `is_cut`: the mask touches the border of the
-    image. `group`: observations of one number > 0 are one thing as the frame by itself has it, without the map.
-    `returns` are what the points were made of, where they can be made of it again to the byte.
+    `index` counts in the frame from 0. `box_px` = (x0, y0, x1, y1), ends exclusive; `mask` (h, w) within it.
+    `points_world` (N, 3) float32 and `colors` (N, 3) uint8, after depth filtering. `r_area`, `r_depth`: cheap factors
+    of S (Eq. for S in the paper), in 0..1. `is_cut`: the mask touches the image's border. `group`: equal numbers > 0
+    are one instance without the map. `returns`: if they give the points to the byte.
     """
 
     index: int
@@ -235,9 +216,9 @@ class Observation:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpaceObservation:
-    """What one keyframe by itself says of space, as sorted voxel keys; the floor's height if it shows.
+    """The space that one keyframe shows, as sorted voxel keys; the floor's height if visible.
 
-    `free_keys`: rays passed; `structure_keys`: on structure; `surface_keys`: on something, and on no structure.
+    `free_keys`: passed by rays; `structure_keys`: on structure; `surface_keys`: on other surfaces.
     """
 
     free_keys: NDArray[np.int64]
@@ -265,10 +246,10 @@ class MaskFeature:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CoarseFrame:
-    """What the journal keeps of a keyframe's depth: the middle pixel of every cell of `stride_px` x `stride_px`.
+    """A keyframe's depth in the journal: the middle pixel of every cell of `stride_px` x `stride_px`.
 
-    `depth_mm` (h, w) uint16 along the optical axis, 0 = no return; `structure` (h, w) bool: what was taken for floor,
-    wall or ceiling; `camera` that of the whole image, None in older journals.
+    `depth_mm` (h, w) uint16 along the optical axis, 0 = no return; `structure` (h, w): floor, wall or ceiling; `camera`
+    of the whole image, None in older journals.
     """
 
     stride_px: int
@@ -283,9 +264,6 @@ class CoarseFrame:
             raise ValueError(f"cells of {self.stride_px} pixels, {self.depth_mm.shape} of them")
 
 
-# ---- the map --------------------------------------------------------------------------------------------------------
-
-
 class Phase(StrEnum):
     """The phases of a track; the rules between them are the table in `mapping/rules/lifecycle.py`."""
 
@@ -298,11 +276,10 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class View:
-    """One kept view of an object; its pixels live in the file `name` of the map folder's `views/`.
+    """One kept view of an object; its pixels are the file `name` in the map folder's `views/`.
 
-    `score` is what the chosen strategy gives it (S by default); it, `variance` and `feature` (D,) are None for a view
-    that was kept for its direction alone, whose features were never worth computing. `is_cut`: it touches the image's
-    border.
+    `score` is of the chosen strategy (S by default); it, `variance` and `feature` (D,) are None for a view kept for its
+    direction alone. `is_cut`: it touches the image's border.
     """
 
     object_id: int
@@ -329,18 +306,17 @@ class View:
 
     @property
     def name(self) -> str:
-        """The stem of the files that hold its pixels: frame and observation, which no merge ever changes."""
+        """The stem of its files: frame and observation, which merges never change."""
         return f"{self.frame_index:06d}-{self.observation_index:03d}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Containment:
-    """The certificate of layer 4: what was checked, how much of it lies in no primitive, the largest G of what does.
+    """The certificate of layer 4: what was checked, how much is in no primitive, and the largest G of the rest.
 
-    Checked are the pieces of the surface and the points of layer 1, each with a ball of `margin_m` around it, and the
-    cells of the inside. `is_certified` says that nothing is outside; `is_fallback` that a box around everything took
-    the place of the primitives. Under the surface a shell of `shell_m` was not looked at: 0 for margins from about two
-    hundredths of the longest side.
+    Checked are pieces of the surface and points of layer 1, each with a ball of `margin_m`, and cells of the inside.
+    `is_certified`: nothing is outside. `is_fallback`: one box replaces the primitives. A shell of `shell_m` under the
+    surface is not checked: 0 for margins from about two hundredths of the longest side.
     """
 
     num_checked: int
@@ -361,14 +337,13 @@ EMBEDDED = ("fused", "single_view")
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ObjectShape:
-    """Layers 2 to 4 of an object.
+    """Layers 2 to 4 of an object, made by the job `revision`.
 
-    `mesh_name` is a file in the map folder's `shapes/`, in the object frame; `world_from_object` (4, 4) places it.
-    `fitted` and `inflated` are in the world: the inflated ones in the order of those they hold, then boxes around what
-    the fit left out; or one box around everything. `seen_share` (N,) is the share of each fitted primitive's surface
-    that was seen rather than generated. `revision` is the ticket of the job that made it. `verdict` is why a generated
-    shape took the place of the embedded one, or did not, with its numbers; "" where none was asked for. `fit_kind` says
-    of what `fitted` is: of the solid, of a thing of thin panels, or of a hollow thing's envelope, which is larger.
+    `mesh_name`: a file in `shapes/`, in the object frame, placed by `world_from_object` (4, 4). `fitted`, `inflated`:
+    in the world; inflated ones in the same order, then boxes around the rest, or one box for all. `seen_share` (N,):
+    share of each fitted surface that was seen, not generated. `verdict`: why a generated shape replaced the embedded
+    one or not, "" without one. `fit_kind`: `fitted` is of the solid, of thin panels, or of a hollow thing's envelope,
+    which is larger.
     """
 
     revision: int
@@ -394,18 +369,17 @@ class ObjectShape:
 
     @property
     def is_generated(self) -> bool:
-        """Whether a generator made it: one was asked, and the embedded reconstructors did not have to stand in."""
+        """Whether a generator made it, without fallback to the embedded reconstructors."""
         return bool(self.verdict) and self.reconstructor not in EMBEDDED
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class TrackedObject(GivesUpArrays):
-    """One object of the map: its layer 1, its views, and layers 2 to 4 once they were built.
+    """One object of the map: layer 1, views, and layers 2 to 4 once built.
 
-    `points_world` (N, 3) float32, one per occupied voxel of the fixed lattice, with `colors` (N, 3) uint8; `feature`
-    (D,) is the mean over its kept views, unit norm, or None; `views` is sorted by frame; `best_view` is among them;
-    `merged_ids` are the tracks that were found to be this one. `sketch`, one superquadric in the world, is what the
-    points alone say of its shape: of a confirmed object while it has no `shape`.
+    `points_world` (N, 3) float32, one per occupied lattice voxel, with `colors` (N, 3) uint8; `feature` (D,): mean over
+    kept views, unit norm, or None; `views`: by frame, `best_view` among them; `merged_ids`: tracks merged into it.
+    `sketch`: one superquadric in the world from points alone, of a confirmed object without `shape`.
     """
 
     id: int
@@ -426,7 +400,7 @@ class TrackedObject(GivesUpArrays):
 
     @property
     def superquadrics(self) -> Superquadrics | None:
-        """Layer 3, or the sketch where there is none yet; None where there is neither."""
+        """Layer 3, else the sketch; None without either."""
         return self.shape.fitted if self.shape is not None and len(self.shape.fitted) else self.sketch
 
     def __post_init__(self) -> None:
@@ -440,14 +414,12 @@ class TrackedObject(GivesUpArrays):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class ObservedSpace(GivesUpArrays):
-    """A sparse grid of what was seen: sorted voxel keys `free` and `structure`; everything else is unknown.
-
-    `floor_z_m` is the floor's height, None while no floor was seen. All in the frame of the submap.
-    """
+    """A sparse grid in the submap's frame: sorted voxel keys `free` and `structure`; all else is unknown."""
 
     voxel_m: float
     free: NDArray[np.int64]
     structure: NDArray[np.int64]
+    #: None while no floor was seen.
     floor_z_m: float | None
 
     def __post_init__(self) -> None:
@@ -457,22 +429,20 @@ class ObservedSpace(GivesUpArrays):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MapPrior:
-    """What the map knows before a keyframe, as the odometry has it since it last jumped.
-
-    The observed `space`; the `objects`, tentative ones among them, with one point per voxel of `object_m`.
-    """
+    """The map before a keyframe, in the odometry's world since its last jump."""
 
     space: ObservedSpace
+    #: Tentative ones included, with one point per voxel of `object_m`.
     objects: tuple[TrackedObject, ...]
     points_m: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Submap:
-    """A piece of the map with one rigid place in the world: `world_from_submap` (4, 4), and the space seen in it.
+    """A piece of the map with one rigid pose, `world_from_submap` (4, 4), and the space seen in it.
 
-    Its frame, in which the observed space is, is the world of the raw odometry: `world_from_submap` is the identity
-    until it is corrected. Each voxel, like each object, is in the submap in which it was first seen.
+    Its frame is the world of the raw odometry: the pose is the identity until corrected. Voxels and objects belong to
+    the submap in which they were first seen.
     """
 
     id: int
@@ -486,14 +456,13 @@ class Submap:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, weakref_slot=True)
 class SurveyedSubmap(GivesUpArrays):
-    """A submap as a search for loops has it, when it was asked for.
+    """A submap at the time of a loop search.
 
-    `anchor` (4, 4) is the camera's first pose in its frame, the node of the pose graph; `way_m` and `turn_rad` are how
-    far the camera moved and turned in it, `after_jump` whether the odometry jumped before it. `registered` (6, 6) is
-    the covariance of its least sure keyframe, None if not all were registered. `blind` and `unfixed` (6, 6) are the
-    lengths of its way along which the odometry, and the registration of keyframes, saw nothing
-    (`mapping/entities/submaps.py`); None: of no length. `points` and unit `normals` (N, 3) are its surface, `free` the
-    sorted keys of voxels of `voxel_m` that were seen to be free.
+    `anchor` (4, 4): first camera pose in its frame, the node of the pose graph. `way_m`, `turn_rad`: path length and
+    turns of the camera; `after_jump`: the odometry jumped before it. `registered` (6, 6): covariance of its least
+    certain keyframe, or None. `blind`, `unfixed` (6, 6): path lengths without information of odometry, of registration
+    (`mapping/entities/submaps.py`), None: zero. `points`, unit `normals` (N, 3): its surface; `free`: sorted keys of
+    free voxels of `voxel_m`.
     """
 
     id: int
@@ -524,13 +493,12 @@ class SurveyedSubmap(GivesUpArrays):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Loop:
-    """Where a submap lies in an earlier one, as a search for loops found it, or why the search did not believe it.
+    """The pose of a submap in an earlier one, found by a loop search, or why it was rejected.
 
-    `earlier_from_later` (4, 4) is between the frames of the two submaps, both that of the odometry: the identity where
-    the odometry did not drift. `covariance` (6, 6) is that of a small turn (radians), then shift (metres), of the
-    later submap's anchor, in the frame of that anchor. `method` says what found it: the surfaces, from where the graph
-    had them, or the objects, by an alignment; `score` is the share of the later surface that lies on the earlier one,
-    where they overlap. `reason` says why it is no loop, None where it may be one: that is for the graph to decide.
+    `earlier_from_later` (4, 4): between the submaps' frames, the identity without drift. `covariance` (6, 6): small
+    rotation (rad), then shift (m), of the later anchor in its own frame. `method`: by surfaces from the graph's poses,
+    or by an alignment of objects. `score`: share of the overlapping later surface on the earlier one. `reason`: why it
+    is no loop, None for a candidate, which the graph decides.
     """
 
     earlier: int
@@ -550,11 +518,10 @@ class Loop:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class GraphNode:
-    """A submap in the pose graph: where its first camera pose is, and where odometry alone had put it.
+    """A submap in the pose graph: its first camera pose (4, 4) by the solution (`place`) and by odometry.
 
-    `place` and `uncorrected` (4, 4) are world_from_node; `stamp_ns` is when the submap was opened. `sigma_m` and
-    `sigma_rad` are how uncertain the place is relative to the first node: the root of the summed variances along, and
-    about, the three axes. `covariance_xy` (2, 2), m^2, is that of the place in the plane, along the world's axes.
+    `stamp_ns`: the submap's beginning. `sigma_m`, `sigma_rad`: uncertainty relative to the first node, root of the
+    summed variances along and about three axes. `covariance_xy` (2, 2), m^2: in the plane, along the world's axes.
     """
 
     submap_id: int
@@ -580,11 +547,10 @@ EDGE_STATUSES: tuple[EdgeStatus, ...] = get_args(EdgeStatus)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GraphEdge:
-    """What odometry or a loop says of two submaps, by their ids, and whether the solution believes it.
+    """A constraint of odometry or a loop between two submaps, and whether the solution accepts it.
 
-    `residual_m` and `residual_rad` are how far the solution is from what it says; `score` is what the search said for a
-    loop, None of odometry; `reason` says why a loop is not believed, or what is wrong with odometry, else it is "".
-    `stamp_ns` is when the edge was found.
+    `residual_m`, `residual_rad`: its distance from the solution. `score`: of a loop's search, else None. `reason`: why
+    a loop is rejected, or what is wrong with odometry, else "". `stamp_ns`: when it was found.
     """
 
     kind: EdgeKind
@@ -604,7 +570,7 @@ class GraphEdge:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PoseGraphRecord:
-    """The pose graph as of one moment: `nodes` sorted by submap, `edges` between them."""
+    """The pose graph at one moment: `nodes` by submap, `edges` between them."""
 
     nodes: tuple[GraphNode, ...]
     edges: tuple[GraphEdge, ...]
@@ -624,7 +590,7 @@ class PoseGraphRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MapSnapshot:
-    """The map as of one moment; `objects` sorted by id. `graph` is None of a map without a search for loops."""
+    """The map at one moment; `objects` by id; `graph` is None without loop search."""
 
     revision: int
     stamp_ns: int
@@ -632,8 +598,6 @@ class MapSnapshot:
     objects: tuple[TrackedObject, ...]
     graph: PoseGraphRecord | None = None
 
-
-# ---- what sinks are shown -------------------------------------------------------------------------------------------
 
 DropCause = Literal["structure", "in structure", "looked through", "never confirmed"]
 """Why a track is no object: structure, a piece of some, nothing where it should be, or seen too seldom."""
@@ -663,11 +627,10 @@ DecisionKind = Literal[
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Decision:
-    """One decision and its reason, for people who ask why.
+    """One decision and its reason, for people.
 
-    `text` names the candidates and numbers. `observation_index`: the observation that went to the object (associate,
-    create). `other_id`: the track that is now a part of the object (merge), or off which it was split (split). `cause`:
-    why it was dropped.
+    `text` has candidates and numbers. `observation_index`: the observation of the object (associate, create).
+    `other_id`: the track merged into the object, or the one it was split off. `cause`: of a drop.
     """
 
     kind: DecisionKind
@@ -682,11 +645,10 @@ class Decision:
 class FrameReport:
     """Everything about one frame that a sink may show.
 
-    `keyframe_index` is None between keyframes; then there is no `frame`, no `segmentation`, no `snapshot`.
-    `object_ids` (per observation) says which object each observation went to; `rejected` are the masks that became
-    none; `space` is what the keyframe by itself says of space. `patches` (h, w, D) are the patch features of the frame,
-    None where none were computed. `metrics` are named numbers for plots: stage timings in seconds under `time/...`,
-    queue lengths under `queue/...`, S under `score/ID`.
+    `keyframe_index`: None between keyframes, then without `frame`, `segmentation`, `snapshot`. `object_ids`: the object
+    of each observation; `rejected`: masks without one; `space`: seen by this keyframe. `patches` (h, w, D): features,
+    or None. `metrics`: numbers for plots: seconds under `time/...`, queue lengths under `queue/...`, S under
+    `score/ID`.
     """
 
     index: int

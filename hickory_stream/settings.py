@@ -1,4 +1,4 @@
-"""The whole configuration file: the mapper's sections, and those of the sinks."""
+"""The whole configuration file: sections of the mapper and of the sinks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The storeys of a map: floors that were seen at clearly different heights, and what stands on each of them."""
+"""Storeys of a map: floors at clearly different heights, and the objects on each."""
 
 from __future__ import annotations
 
@@ -19,15 +19,12 @@ _BELOW_M = 0.3
 
 
 def floors_of(snapshot: MapSnapshot) -> tuple[float, ...]:
-    """Return the heights of the floors in the world, one per storey, lowest first; none where no floor was seen.
-
-    The floor of a storey is the median over the submaps that saw it, the lower one of two.
-    """
+    """Return the heights of the floors in the world, one per storey, lowest first: (lower) medians over the submaps."""
     return tuple(_middle(storey) for storey in _storeys(snapshot))
 
 
 def floor_of(snapshot: MapSnapshot) -> float:
-    """Return the floor of the storey that most submaps saw; else the lowest point of an object, else 0."""
+    """Return the floor of the storey of most submaps; else the lowest point of an object, else 0."""
     storeys = _storeys(snapshot)
     if storeys:
         return _middle(max(storeys, key=len))
@@ -35,10 +32,7 @@ def floor_of(snapshot: MapSnapshot) -> float:
 
 
 def newest_floor_of(snapshot: MapSnapshot) -> float:
-    """Return the floor of the storey where a running log is: that of the newest submap that saw one.
-
-    Where no floor was seen it is that of `floor_of`.
-    """
+    """Return the floor of the newest submap that saw one, else `floor_of`."""
     newest = max((item for item in snapshot.submaps if _has_floor(item)), key=lambda item: item.id, default=None)
     if newest is None:
         return floor_of(snapshot)
@@ -46,12 +40,12 @@ def newest_floor_of(snapshot: MapSnapshot) -> float:
 
 
 def floor_beneath(floors_m: Sequence[float], bottom_z_m: float) -> float:
-    """Return the floor (of one or more, lowest first) beneath what begins at a height; the lowest if below all."""
+    """Return the highest floor below a height; the lowest floor if all are above."""
     return max((floor_m for floor_m in floors_m if floor_m <= bottom_z_m + _BELOW_M), default=floors_m[0])
 
 
 def on_storey(snapshot: MapSnapshot, floor_m: float) -> MapSnapshot:
-    """Return the map with only those objects that reach into the storey of this floor; all submaps stay."""
+    """Return the map with only the objects that reach into the storey of this floor; all submaps stay."""
     above_m = min((other for other in floors_of(snapshot) if other > floor_m + _BELOW_M), default=np.inf)
     objects = []
     for tracked in snapshot.objects:
@@ -62,7 +56,7 @@ def on_storey(snapshot: MapSnapshot, floor_m: float) -> MapSnapshot:
 
 
 def floor_height_m(submap: Submap) -> float:
-    """Return the height in the world of the floor that a submap saw; it must have seen one."""
+    """Return the height in the world of the floor of a submap that saw one."""
     place = submap.world_from_submap
     return float(place[2, 2] * (submap.observed_space.floor_z_m or 0.0) + place[2, 3])
 
@@ -72,12 +66,11 @@ def _has_floor(submap: Submap) -> bool:
 
 
 def _middle(sorted_m: Sequence[float]) -> float:
-    """Return the median of sorted heights, always one of them: between a floor and a platform there is no floor."""
+    # The lower of two middle ones: between a floor and a platform there is no floor.
     return sorted_m[(len(sorted_m) - 1) // 2]
 
 
 def _storeys(snapshot: MapSnapshot) -> list[list[float]]:
-    """Return the heights of the floors of all submaps, sorted, storey by storey."""
     storeys: list[list[float]] = []
     for height_m in sorted(floor_height_m(submap) for submap in snapshot.submaps if _has_floor(submap)):
         if not storeys or height_m - storeys[-1][0] > _ANOTHER_STOREY_M:

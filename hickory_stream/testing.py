@@ -1,6 +1,6 @@
-"""In-memory fakes of every port, for tests of your own components and of ours: no file, no network, no weights.
+"""In-memory fakes of every port, for tests: no file, no network, no weights.
 
-The source is that of the three boxes in `box_scene`; `players.faults` makes any source fail.
+`box_scene` has a source, and `players.faults` makes any source fail.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.ports import NoShape, Reconstruction
-from hickory_stream.records import Frame, RawFrame, Segmentation, SourceInfo
+from hickory_stream.ports import NoShape, Reconstruction, SourceAround
+from hickory_stream.records import Frame, RawFrame, Segmentation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -24,21 +24,13 @@ if TYPE_CHECKING:
     from hickory_stream.records import FrameReport, MapPrior
 
 
-# ---- a source --------------------------------------------------------------------------------------------------------
-
-
-class BreakingSource:
+class BreakingSource(SourceAround):
     """A `Source` that plays another one, and raises `error` in place of the frame `at`."""
 
     def __init__(self, source: Source, at: int, error: Exception) -> None:
-        self._source = source
+        super().__init__(source)
         self._at = at
         self._error = error
-
-    @property
-    def info(self) -> SourceInfo:
-        """That of the other one."""
-        return self._source.info
 
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames before the failure."""
@@ -46,17 +38,6 @@ class BreakingSource:
             if frame.index == self._at:
                 raise self._error
             yield frame
-
-    def ledger(self) -> Mapping[str, int]:
-        """Return that of the other one."""
-        return self._source.ledger()
-
-    def close(self) -> None:
-        """Close the other one."""
-        self._source.close()
-
-
-# ---- perception ------------------------------------------------------------------------------------------------------
 
 
 class InstanceSegmenter:
@@ -71,7 +52,7 @@ class InstanceSegmenter:
         return None
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances of the frame's stamp; whatever is none of them and has depth is structure."""
+        """Return the instances by the frame's stamp; other pixels with depth are structure."""
         del prior, prepared
         instances = self._instances[frame.stamp_ns]
         return Segmentation(instances=instances, structure=(instances == 0) & np.isfinite(frame.depth_m), floor_z_m=0.0)
@@ -96,11 +77,8 @@ class MeanColorExtractor:
         return features.astype(np.float32)
 
 
-# ---- shapes ----------------------------------------------------------------------------------------------------------
-
-
 class BoxReconstructor:
-    """A `Reconstructor` that answers at once: the box of the object as a mesh, seen at corners that layer 1 is near."""
+    """A `Reconstructor` that returns the object's box as a mesh at once; corners near layer 1 count as seen."""
 
     name = "box"
 
@@ -122,9 +100,6 @@ class BoxReconstructor:
         return Reconstruction(mesh=mesh, world_from_object=inputs.box.world_from_box)
 
 
-# ---- sinks -----------------------------------------------------------------------------------------------------------
-
-
 class RememberingSink:
     """A `Sink` that keeps every report."""
 
@@ -137,7 +112,7 @@ class RememberingSink:
         self.reports.append(report)
 
     def close(self) -> None:
-        """Note that it was closed."""
+        """Record the call."""
         self.is_closed = True
 
 
@@ -161,17 +136,17 @@ class FailingSink:
 
 
 class SlowSink:
-    """A `Sink` that takes `seconds` for each report before it hands it to another sink."""
+    """A `Sink` that waits `seconds` before it passes a report on."""
 
     def __init__(self, sink: Sink, seconds: float) -> None:
         self._sink = sink
         self._seconds = seconds
 
     def show(self, report: FrameReport) -> None:
-        """Wait, and hand one report on."""
+        """Wait, and pass one report on."""
         time.sleep(self._seconds)
         self._sink.show(report)
 
     def close(self) -> None:
-        """Close the other one."""
+        """Close the other sink."""
         self._sink.close()

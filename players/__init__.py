@@ -1,10 +1,10 @@
 """Sources: recorded logs and image folders as posed RGB-D frames.
 
-`open_source(uri)` is the way in; a source is whatever fulfils `hickory_stream.ports.Source`.
+`open_source(uri)` is the entry point; it returns a `hickory_stream.ports.Source`.
 """
 
 from players.opening import open_source
 from players.options import SourceOptions
-from players.source_note import note_of, open_noted
+from players.source_note import make_source_note, open_from_note
 
-__all__ = ["SourceOptions", "note_of", "open_noted", "open_source"]
+__all__ = ["SourceOptions", "make_source_note", "open_from_note", "open_source"]

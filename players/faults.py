@@ -1,4 +1,4 @@
-"""Fault injection into a source: frames dropped, repeated, late, torn, blind or misplaced, from a seed."""
+"""Fault injection into a source, from a seed."""
 
 from __future__ import annotations
 
@@ -27,23 +27,26 @@ def _without_depth(raw: RawFrame) -> Frame:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Faults:
-    """The share of frames with each kind of fault; `stall_s` is how long a stalled frame takes.
-
-    `drop`, `duplicate`, `delay` (a frame comes three frames later, with its own stamp), `reorder` (two neighbours
-    change places), `corrupt` (decoding raises), `stall`, `freeze` (a frame has the stamp of the one before), `teleport`
-    (the pose is metres off for one frame), `blind` (no return of depth), `shrink` (half the size, once for all).
-    """
+    """The share of frames with each kind of fault."""
 
     drop: float = 0.0
     duplicate: float = 0.0
+    #: A frame comes three frames later, with its own stamp.
     delay: float = 0.0
+    #: Two neighbours change places.
     reorder: float = 0.0
+    #: Decoding raises.
     corrupt: float = 0.0
     stall: float = 0.0
+    #: A frame has the stamp of the one before.
     freeze: float = 0.0
+    #: The pose is metres off for one frame.
     teleport: float = 0.0
+    #: Depth has no return.
     blind: float = 0.0
+    #: Half the size, once for all.
     shrink: float = 0.0
+    #: Duration of a stalled frame.
     stall_s: float = 0.5
 
     def __post_init__(self) -> None:
@@ -60,8 +63,7 @@ FAULTS = ("drop", "duplicate", "delay", "reorder", "corrupt", "stall", "freeze",
 def parse_faults(text: str) -> Faults:
     """Return the faults that a text such as `drop=0.1,teleport=0.02` names.
 
-    Raises:
-        InputError: a name or a number in it is wrong.
+    Raises `InputError`: a name or a number in it is wrong.
     """
     values: dict[str, float] = {}
     for part in text.split(","):
@@ -92,7 +94,6 @@ class FaultySource(SourceAround):
             yield replace(frame, index=index, decode=partial(_renumbered, frame.decode, index))
 
     def _in_disorder(self) -> Iterator[RawFrame]:
-        """Yield the frames in the order that results from delays and swaps."""
         held: list[tuple[int, RawFrame]] = []
         swapped: RawFrame | None = None
         for number, frame in enumerate(self._with_faults()):
@@ -113,7 +114,6 @@ class FaultySource(SourceAround):
         yield from (frame for _, frame in held)
 
     def _with_faults(self) -> Iterator[RawFrame]:
-        """Yield the frames with the faults that concern a single frame."""
         last_ns: int | None = None
         is_small = False
         for number, frame in enumerate(self._source.frames()):
@@ -161,7 +161,6 @@ def _renumbered(decode: Callable[[], Frame], index: int) -> Frame:
 
 
 def _restamped(raw: RawFrame) -> Frame:
-    """Return the decoded frame with the stamp and the pose that the fault gives it."""
     return replace(raw.decode(), stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
 
 

@@ -1,4 +1,4 @@
-"""The beginning of a source: its first frames only, for a quick look."""
+"""The first frames of a source, for a quick look."""
 
 from __future__ import annotations
 

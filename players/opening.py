@@ -1,4 +1,4 @@
-"""Recognition of what a path holds: by its first bytes or by the files of a folder, never by its extension alone."""
+"""Recognition of logs and folders by their first bytes or files, never by extension alone."""
 
 from __future__ import annotations
 
@@ -34,9 +34,8 @@ _KINDS = (
 def open_source(uri: str | Path | Sequence[str | Path], options: SourceOptions | None = None) -> Source:
     """Return the source for a recorded log or an image folder; a list of logs is played as one log.
 
-    Raises:
-        RecordingError: nothing is there, it is of no known kind, or lacks what mapping needs.
-        CalibrationError: intrinsics or extrinsics are missing or contradict the images.
+    Raises `RecordingError`: nothing is there, it is of no known kind, or lacks what mapping needs; `CalibrationError`:
+    intrinsics or extrinsics are missing or contradict the images.
     """
     options = options or SourceOptions()
     if options.odometry == "auto":
@@ -49,10 +48,9 @@ def open_source(uri: str | Path | Sequence[str | Path], options: SourceOptions |
 
 
 def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Source:
-    """Return a source that estimates its poses, by the odometry that was chosen ("auto": LiDAR, else depth).
+    """Return a source that estimates its poses, by the chosen odometry ("auto": LiDAR, else depth).
 
-    Raises:
-        HickoryError: as of `open_source`; or the chosen sensor or method is not available.
+    Raises `HickoryError`: as of `open_source`; or the chosen sensor or method is not available.
     """
     from players.poses.odometry_source import with_odometry
 
@@ -61,31 +59,28 @@ def open_estimating(uri: str | Path | Sequence[str | Path], options: SourceOptio
 
 
 def _open(uri: str | Path | Sequence[str | Path], options: SourceOptions) -> Source:
-    """Return the source of a log or a folder, with its own poses."""
     paths = [Path(uri)] if isinstance(uri, str | Path) else [Path(part) for part in uri]
     if len(paths) == 1 and paths[0].is_dir():
         source = _open_folder(paths[0], options)
         if source is not None:
             if options.robot is not None:
-                raise RecordingError(
-                    f"found --robot {options.robot}, but a folder of images is of no robot; leave it out"
-                )
+                found = f"found --robot {options.robot}"
+                raise RecordingError(f"{found}, but a folder of images is of no robot; leave it out")
             return source
     from players.logs.log_opening import open_log
 
     log = open_log(open_container(*paths), options)
     if options.extrinsics == "log":
         return log
-    from players.poses.extrinsics import with_estimated_mounting
+    from players.poses.extrinsics import with_estimated_extrinsics
 
-    return with_estimated_mounting(log)
+    return with_estimated_extrinsics(log)
 
 
 def open_container(*paths: Path) -> Log:
     """Return the container of a recorded log, or of several logs as one.
 
-    Raises:
-        RecordingError: nothing is there, or it is of no known kind.
+    Raises `RecordingError`: nothing is there, or it is of no known kind.
     """
     if not paths:
         raise RecordingError(f"no log was named; expected {_KINDS}")
@@ -104,7 +99,6 @@ def open_container(*paths: Path) -> Log:
 
 
 def _open_file(path: Path) -> Log:
-    """Return the log in a single file."""
     if not path.exists():
         raise RecordingError(f"no such file or folder: {path}")
     if not path.is_file():
@@ -133,7 +127,6 @@ def _open_file(path: Path) -> Log:
 
 
 def _open_by_suffix(path: Path, suffix: str) -> Log:
-    """Return the log in a file of a known suffix whose first bytes are damaged."""
     from players.logs.mcap_log import McapLog
     from players.logs.ros1_log import Ros1Log
     from players.logs.sqlite_log import SqliteLog
@@ -145,7 +138,6 @@ def _open_by_suffix(path: Path, suffix: str) -> Log:
 
 
 def _open_bag_folder(folder: Path) -> Log:
-    """Return the log of a folder of bag files."""
     from players.logs.ros2_bag import METADATA, bag_files, open_ros2_bag
 
     names = sorted(entry.name for entry in folder.iterdir())
@@ -154,7 +146,8 @@ def _open_bag_folder(folder: Path) -> Log:
     logs = [name for name in names if name.endswith((".mcap", ".bag", ".db3", ".db3.zstd", ".mcap.zstd"))]
     if len(logs) == 1:
         return _open_file(folder / logs[0])
-    if logs and _is_split(logs):
+    # The names of a split recording differ in a single number.
+    if len({re.sub(r"\d+(?=\D*$)", "#", name.split(".")[0]) + name[name.index(".") :] for name in logs}) == 1:
         if len(bag_files(folder)) == len(logs):
             return open_ros2_bag(folder)
         return open_container(*(folder / name for name in logs))
@@ -167,38 +160,23 @@ def _open_bag_folder(folder: Path) -> Log:
     raise RecordingError(f"{folder} is no log that is known; found {found}; expected {_KINDS}")
 
 
-def _is_split(names: list[str]) -> bool:
-    """Return whether names differ in a single number, as those of a split recording do."""
-    return len({re.sub(r"\d+(?=\D*$)", "#", name.split(".")[0]) + name[name.index(".") :] for name in names}) == 1
-
-
 def _open_folder(folder: Path, options: SourceOptions) -> Source | None:
-    """Return the source of a folder of images, recognised by its files; None for a folder of bags."""
     try:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError as error:
         raise RecordingError(f"{folder} cannot be read: {error.strerror or error}") from error
-    from players.logs.folder_layouts import (
-        CAM_PARAMS,
-        CAMERA_POSES,
-        TRAJECTORY,
-        open_hope,
-        open_posed_folder,
-        open_replica,
-        open_seven_scenes,
-        open_tum,
-    )
+    from players.logs import folder_layouts
 
     if "metadata.yaml" in names:
         return None
     if any(name.startswith("frame-") and ".color." in name for name in names):
-        return open_seven_scenes(folder, options)
+        return folder_layouts.open_seven_scenes(folder, options)
     if "rgb.txt" in names:
-        return open_tum(folder, options)
-    if TRAJECTORY in names and "results" in names:
-        return open_replica(folder, options)
+        return folder_layouts.open_tum(folder, options)
+    if folder_layouts.TRAJECTORY in names and "results" in names:
+        return folder_layouts.open_replica(folder, options)
     if any(name.endswith(("_rgb.jpg", "_rgb.png")) for name in names):
-        return open_hope(folder, options)
-    if CAM_PARAMS in names or CAMERA_POSES in names:
-        return open_posed_folder(folder, options)
+        return folder_layouts.open_hope(folder, options)
+    if folder_layouts.CAM_PARAMS in names or folder_layouts.CAMERA_POSES in names:
+        return folder_layouts.open_posed_folder(folder, options)
     return None

@@ -21,39 +21,30 @@ NO_TOPIC = "none"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceOptions(Ranged):
-    """Topics, tolerances and calibration of a source; None is the profile's value, or as stated here.
-
-    Attributes:
-        color_topic, depth_topic, color_info_topic, depth_info_topic, pose_topic: for logs only; None discovers them.
-        pose_frame: the frame whose pose the pose topic gives; None is the message's child frame.
-        sync_tolerance_ns: the largest difference of stamps within a pair of colour and depth; None is half the period
-            of the slower stream.
-        max_pose_gap_ns: the widest gap between two poses across which poses are interpolated; None is 0.5 s.
-        profile: a name in `players/profiles` or a path; None is the profile that fits the topics or the layout, "none"
-            is no profile.
-        robot: the robot's name in the topics, for profiles with one.
-        pose_file: poses as text (TUM, or CSV with a header) in place of a pose topic.
-        clock: the stamps that are used: of the headers ("header"), of the recording ("log"), or of the headers unless
-            they are unusable ("auto").
-        odometry: the origin of the poses: the pose topic ("topic"), estimates from "lidar" or "depth", or from the
-            method of that name, on the LiDAR if there is one, else on depth; "auto" estimates if the log has no poses.
-        extrinsics: the camera's pose on the body of the pose topic: from TF or the profile ("log"), or estimated from
-            the motion ("estimate").
-    """
+    """Topics, tolerances and calibration of a source; None discovers the value, or takes the profile's."""
 
     color_topic: str | None = None
     depth_topic: str | None = None
     color_info_topic: str | None = None
     depth_info_topic: str | None = None
     pose_topic: str | None = None
+    #: The frame whose pose the pose topic gives; None is the message's child frame.
     pose_frame: str | None = None
+    #: Largest difference of stamps in a pair; None is half the period of the slower stream.
     sync_tolerance_ns: int | None = number(None, 0, MAX_GAP_NS, "ns")
+    #: Widest gap across which poses are interpolated; None is 0.5 s.
     max_pose_gap_ns: int | None = number(None, 1, MAX_GAP_NS, "ns")
+    #: A name in `players/profiles` or a path; None fits the topics or the layout, "none" is no profile.
     profile: str | None = None
+    #: The robot's name in the topics, for profiles with one.
     robot: str | None = None
+    #: Poses as text (TUM, or CSV with a header) in place of a pose topic.
     pose_file: Path | None = None
+    #: Stamps of the headers ("header"), of the recording ("log"), or of usable headers, else the log ("auto").
     clock: Clock = "auto"
+    #: "topic", a sensor ("lidar", "depth") or a method; "auto" estimates if the log has no poses.
     odometry: OdometryChoice = "auto"
+    #: The camera's pose on the body: of TF or the profile ("log"), or estimated from motion ("estimate").
     extrinsics: Literal["log", "estimate"] = "log"
 
     @property

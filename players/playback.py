@@ -1,7 +1,6 @@
 """The playback clock, and a source that follows it: rate, pause, step, seek, from any thread.
 
-A `PlayedSource` yields a frame when it is due by the clock. The time comes from a function that tests replace;
-`PlaybackClock.due_in_s` alone decides how long to wait.
+`PlaybackClock.due_in_s` alone decides how long to wait; tests replace the function of the time.
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ class PlaybackClock:
     def __init__(self, rate: float | None = None, now_s: Callable[[], float] = time.monotonic) -> None:
         self._changed = threading.Condition()
         self._now_s = now_s
-        self._rate = rate
-        self._is_paused = False
+        self.rate = rate
+        self.is_paused = False
         self._steps: dict[Step, int] = {"frame": 0, "keyframe": 0}
         self._origin: tuple[int, float] | None = None
         self._seek_ns: int | None = None
@@ -44,33 +43,23 @@ class PlaybackClock:
         self.position_ns = 0
         self.first_ns: int | None = None
 
-    @property
-    def rate(self) -> float | None:
-        """The factor of real time; None is as fast as possible."""
-        return self._rate
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether playback is paused, so that frames pass by `step` only."""
-        return self._is_paused
-
     def set_rate(self, rate: float | None) -> None:
         """Play at another rate from here on."""
         with self._changed:
-            self._rate, self._origin = rate, None
+            self.rate, self._origin = rate, None
             self._changed.notify_all()
 
     def pause(self, paused: bool | None = None) -> None:
         """Pause (True), continue (False), or toggle (None)."""
         with self._changed:
-            self._is_paused = not self._is_paused if paused is None else paused
+            self.is_paused = not self.is_paused if paused is None else paused
             self._origin = None
             self._changed.notify_all()
 
     def step(self, to: Step = "frame") -> None:
         """Pause, and let one more frame through, or all up to the next keyframe."""
         with self._changed:
-            self._is_paused = True
+            self.is_paused = True
             self._steps[to] += 1
             self._changed.notify_all()
 
@@ -101,7 +90,7 @@ class PlaybackClock:
         """
         if self._is_stopped or self._seek_ns is not None:
             return 0.0
-        if self._is_paused:
+        if self.is_paused:
             if self._steps["frame"]:
                 self._steps["frame"] -= 1
                 return 0.0
@@ -109,12 +98,12 @@ class PlaybackClock:
                 self._steps["keyframe"] -= is_keyframe
                 return 0.0
             return None
-        if self._rate is None:
+        if self.rate is None:
             return 0.0
         now_s = self._now_s()
         if self._origin is None or stamp_ns < self._origin[0]:
             self._origin = (stamp_ns, now_s)
-        return max(0.0, self._origin[1] + (stamp_ns - self._origin[0]) / 1e9 / self._rate - now_s)
+        return max(0.0, self._origin[1] + (stamp_ns - self._origin[0]) / 1e9 / self.rate - now_s)
 
     def wait(self, stamp_ns: int, *, is_keyframe: bool = False) -> None:
         """Return when a frame is due."""
@@ -127,7 +116,7 @@ class PlaybackClock:
     def describe(self) -> str:
         """Return the state of playback as text for the progress bar."""
         seconds = 0.0 if self.first_ns is None else (self.position_ns - self.first_ns) / 1e9
-        state = "paused" if self._is_paused else "max" if self._rate is None else f"{self._rate:g}x"
+        state = "paused" if self.is_paused else "max" if self.rate is None else f"{self.rate:g}x"
         return f"at {seconds:.1f} s, {state}"
 
 
@@ -160,10 +149,7 @@ class PlayedSource(SourceAround):
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames when they are due; the first one after a seek back is marked, and has an earlier stamp.
 
-        A jump of the odometry in a skipped part is attached to the next frame.
-
-        Raises:
-            InputError: the log ends before the start.
+        A jump of the odometry in a skipped part moves to the next frame. Raises `InputError`: the log is too short.
         """
         self._num_skipped = 0
         index, last, goes_back = 0, None, False
@@ -209,9 +195,8 @@ class PlayedSource(SourceAround):
                 )
                 index, goes_back, jump = index + 1, False, None
             if index == 0 and first_ns is not None and self._start_s > (length_s := (end_ns - first_ns) / 1e9):
-                raise InputError(
-                    f"found --start {self._start_s:g}, but the log is only {length_s:.1f} s long; begin earlier"
-                )
+                found = f"found --start {self._start_s:g}"
+                raise InputError(f"{found}, but the log is only {length_s:.1f} s long; begin earlier")
 
     def ledger(self) -> Mapping[str, int]:
         """Return the ledger of the other source, and the numbers of skipped frames and of seeks."""
@@ -228,13 +213,12 @@ class PlayedSource(SourceAround):
         self._clock.stop()
 
     def close(self) -> None:
-        """Close the other one."""
+        """Close the other source."""
         self._clock.stop()
         self._source.close()
 
 
 def _joined(first: NDArray[np.float64] | None, second: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    """Return two consecutive jumps of the odometry as one; None if there is none."""
     return second if first is None else first if second is None else compose(second, first)
 
 

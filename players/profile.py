@@ -1,7 +1,6 @@
 """Profiles of data sets and robots (`players/profiles/*.toml`): what their logs do not contain.
 
-A profile names the topics, the links between the body of the poses and the camera if the logs have no TF, and the
-tolerances of the sensors; the files have comments. It is chosen with `--profile`, or recognised by its topics.
+A profile names topics, links between body and camera, and tolerances. Topics identify it, or `--profile`.
 """
 
 from __future__ import annotations
@@ -58,15 +57,13 @@ class Intrinsics(Ranged):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RigLinks:
-    """The rig of a data set without TF: static links in a tree of their own, with the `body` of the pose topic.
-
-    `lidar` is the frame of the point clouds, "" if none is connected.
-    """
+    """The rig of a data set without TF: static links in a tree of their own, with the `body` of the pose topic."""
 
     body: str
     color: str
     depth: str
     links: tuple[Edge, ...]
+    #: The frame of the point clouds, "" if none is connected.
     lidar: str = ""
 
 
@@ -81,30 +78,29 @@ class PoseColumns:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Profile(Ranged):
-    """The properties of a kind of log.
-
-    For folders: `color` are the intrinsics of a colour camera separate from the depth camera; `depth` are the usual
-    intrinsics of the depth camera, for an image without a folder; `color_from_depth_m` is the translation between the
-    two, in metres: P_color = P_depth + color_from_depth_m. For logs: `topics` by role (the first that the log has is
-    used), `rig`, tolerances in ns. `parameters` are the values of `{robot}` and other placeholders. `sensor` is the
-    noise model of the depth camera.
-    """
+    """The properties of a kind of log."""
 
     name: str = ""
     title: str = ""
     depth_units_per_m: float = number(1000.0, 1e-3, 1e9, "1/m")
+    #: Noise model of the depth camera.
     sensor: DepthSensor = field(default_factory=DepthSensor)
     frame_rate_hz: int = number(30, 1, 1000, "Hz")
     extrinsics_units_per_m: float = number(1.0, 1e-3, 1e9, "1/m")
+    #: Intrinsics of a colour camera separate from the depth camera (folders).
     color: Intrinsics | None = None
+    #: Usual intrinsics of the depth camera, for an image without a folder.
     depth: Intrinsics | None = None
+    #: P_color = P_depth + color_from_depth_m (folders).
     color_from_depth_m: tuple[float, float, float] = number((0.0, 0.0, 0.0), -100, 100, "m")
+    #: By role; the first that the log has is used.
     topics: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     rig: RigLinks | None = None
     sync_tolerance_ns: int | None = number(None, 1, MAX_GAP_NS, "ns")
     max_pose_gap_ns: int | None = number(None, 1, MAX_GAP_NS, "ns")
     jump_limits: JumpLimits = field(default_factory=JumpLimits)
     pose_file: PoseColumns | None = None
+    #: Values of `{robot}` and other placeholders.
     parameters: Mapping[str, str] = field(default_factory=dict)
     patterns: tuple[str, ...] = ()
 
@@ -115,12 +111,9 @@ class Profile(Ranged):
 
 
 def load_profile(name_or_path: str, topics: Sequence[Topic] = (), robot: str | None = None) -> Profile:
-    """Return a profile of this package by its name, or one from a TOML file.
+    """Return a profile by name or TOML file; `{robot}` is `robot`, or the name found in the `topics`.
 
-    `{robot}` in it is replaced by `robot`, or by the name found in the `topics`.
-
-    Raises:
-        CalibrationError: there is no such profile, a key or value in it is wrong, or its robot is not known.
+    Raises `CalibrationError`: there is no such profile, a key or value in it is wrong, or its robot is not known.
     """
     built_in = _FOLDER / f"{name_or_path}.toml"
     path = built_in if built_in.is_file() else Path(name_or_path)
@@ -145,7 +138,7 @@ def profile_names() -> tuple[str, ...]:
 
 
 def profiles_with_robots() -> tuple[str, ...]:
-    """Return the names of those profiles whose topics contain the name of a robot."""
+    """Return the names of the profiles whose topics contain the name of a robot."""
     tables = {name: tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8")) for name in profile_names()}
     return tuple(name for name, table in tables.items() if _name_robots(table.get("match", {}).get("topics", ())))
 
@@ -171,7 +164,6 @@ def _name_robots(patterns: Sequence[str]) -> bool:
 
 
 def _match(table: Mapping[str, Any], topics: Sequence[Topic]) -> dict[str, str] | None:
-    """Return the parameters if every topic pattern of the profile matches a topic, else None."""
     patterns = table.get("match", {}).get("topics", [])
     parameters: dict[str, str] = {}
     for pattern in patterns:
@@ -187,11 +179,9 @@ def _match(table: Mapping[str, Any], topics: Sequence[Topic]) -> dict[str, str] 
 
 
 def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Profile:
-    """Return the profile of a TOML table; unknown keys raise TypeError."""
     patterns = tuple(table.pop("match", {}).get("topics", ()))
     color, depth = table.pop("color", None), table.pop("depth", None)
-    sensor = table.pop("sensor", {})
-    time = table.pop("time", {})
+    sensor, time = table.pop("sensor", {}), table.pop("time", {})
     rig, robots = table.pop("rig", None), table.pop("robots", {})
     topics = {role: _filled(table.get("streams", {}).get(role, ()), parameters) for role in _ROLES}
     unknown = table.pop("streams", {}).keys() - set(_ROLES)
@@ -221,23 +211,18 @@ def _parse(name: str, table: dict[str, Any], parameters: dict[str, str]) -> Prof
 
 
 def _ns(time: dict[str, Any], name: str) -> int | None:
-    """Remove a tolerance in milliseconds from the table of times, and return it in ns; None if it has none."""
-    milliseconds = time.pop(name, None)
-    if milliseconds is None:
+    # Removes the value from `time`.
+    if name not in time:
         return None
-    _TOLERANCE.check(name, milliseconds)
-    return round(milliseconds * 1e6)
+    _TOLERANCE.check(name, time[name])
+    return round(time.pop(name) * 1e6)
 
 
 def _filled(names: Sequence[str] | str, parameters: Mapping[str, str]) -> tuple[str, ...]:
-    """Return topic names with the parameters filled in; names with unknown parameters are left out."""
+    # Names with unknown parameters are left out.
     names = (names,) if isinstance(names, str) else names
-    filled = []
-    for name in names:
-        wanted = re.findall(r"\{(\w+)\}", name)
-        if all(word in parameters for word in wanted):
-            filled.append(re.sub(r"\{(\w+)\}", lambda hit: parameters[hit.group(1)], name))
-    return tuple(filled)
+    known = (name for name in names if all(word in parameters for word in re.findall(r"\{(\w+)\}", name)))
+    return tuple(re.sub(r"\{(\w+)\}", lambda hit: parameters[hit.group(1)], name) for name in known)
 
 
 def _rig(rig: Mapping[str, Any], robots: Mapping[str, Any], parameters: Mapping[str, str]) -> RigLinks:
@@ -254,7 +239,6 @@ def _rig(rig: Mapping[str, Any], robots: Mapping[str, Any], parameters: Mapping[
 
 
 def _transform(link: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Return parent_from_child of a link: a matrix, or a translation with a quaternion or the name of a rotation."""
     if "matrix" in link:
         rigid = nearest_rigid(np.asarray(link["matrix"], dtype=np.float64))
         if rigid is None:

@@ -1,7 +1,7 @@
-"""A record of how a source was opened, from which it can be opened again in the same way.
+"""Record of how a source was opened, to open it again in the same way.
 
-The record is kept in the map folder, which may come from an untrusted source: its paths are only read, and only if they
-are files or folders of this machine. The identity of the log is compared before anything of it is mapped.
+The record is in the map folder, which may be untrusted: its paths are only read, and only if they are local files.
+The identity of the log is compared before it is mapped.
 """
 
 from __future__ import annotations
@@ -25,17 +25,12 @@ if TYPE_CHECKING:
 
 
 _KINDS: dict[str, Any] = {
-    "uris": list,
-    "options": dict,
-    "first_frames": int,
-    "start_s": (int, float),
-    "end_s": (int, float),
-    "faults": str,
-    "fault_seed": int,
+    **{"uris": list, "options": dict, "faults": str},
+    **{"first_frames": int, "fault_seed": int, "start_s": (int, float), "end_s": (int, float)},
 }
 
 
-def note_of(
+def make_source_note(
     uris: Sequence[str | Path],
     options: SourceOptions,
     *,
@@ -45,7 +40,7 @@ def note_of(
     faults: str | None = None,
     fault_seed: int = 0,
 ) -> dict[str, Any]:
-    """Return the arguments of `open_noted` as JSON values; relative paths become absolute ones."""
+    """Return the arguments of `open_from_note` as JSON values; relative paths become absolute ones."""
     said = asdict(options)
     if options.pose_file is not None:
         said["pose_file"] = str(options.pose_file.absolute())
@@ -62,15 +57,13 @@ def note_of(
     }
 
 
-def open_noted(
+def open_from_note(
     note: Mapping[str, Any], clock: PlaybackClock | None = None, keyframes: KeyframeConfig | None = None
 ) -> Source:
-    """Return the source that was noted, following a clock (None: as fast as possible) that steps by `keyframes`.
+    """Return the noted source, following a clock (None: as fast as possible) that steps by `keyframes`.
 
-    Raises:
-        RecordingError: nothing is there, it is of no known kind, or lacks what mapping needs; or the note is damaged.
-        CalibrationError: intrinsics or extrinsics are missing or contradict the images.
-        InputError: the faults are invalid, or the log ends before the start.
+    Raises as `open_source`; `RecordingError`: the note is damaged; `InputError`: the faults are invalid, or the log
+    ends before the start.
     """
     _check(note)
     known = {field.name for field in fields(SourceOptions)}
@@ -91,7 +84,6 @@ def open_noted(
 
 
 def _check(note: Mapping[str, Any]) -> None:
-    """Check that `note_of` can have made a note, and that its paths are files or folders of this machine."""
     for name, kinds in _KINDS.items():
         value = note.get(name)
         is_missing = value is None and name != "uris"

@@ -67,8 +67,8 @@ def test_a_robot_that_is_carried_away_is_said_to_be_elsewhere_and_goes_on_in_a_s
     told = [compose(away, pose) if i >= carried_at else pose for i, pose in enumerate(seen)]
     ended = play(log_of(tmp_path / "log", seen, told, ROOM), tmp_path / "map")
     assert ended.status == 0, ended.stderr
-    assert f"frame {carried_at} and what follows is kept out of the map" in ended.stderr
-    assert "the robot is somewhere else than its odometry says, and a new submap begins" in ended.stderr
+    assert f"frame {carried_at} and following ones are kept out of the map" in ended.stderr
+    assert "the robot is not where its odometry says, and a new submap begins" in ended.stderr
     assert "1 time(s) the robot was elsewhere than its odometry says" in ended.stdout
     assert len(open_map(tmp_path / "map").snapshot.submaps) == 2
 

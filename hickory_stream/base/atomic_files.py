@@ -1,7 +1,7 @@
 """Files that are either the old ones or the new ones, never half of each.
 
-A file is written beside its place, synced and renamed. What the disk refuses becomes a `MapFolderError` here and
-nowhere else, so that a full disk reads the same whichever part of the map met it.
+A file is written beside its place, synced and renamed. Only here errors of the disk become `MapFolderError`, so that a
+full disk gives the same message everywhere.
 """
 
 from __future__ import annotations
@@ -54,11 +54,7 @@ def outside_errors() -> Iterator[None]:
 
 
 def link_or_copy(source: Path, target: Path) -> None:
-    """Make `target`, which is not there, the same file, or a copy where the file system has no hard links.
-
-    Raises:
-        OSError: the disk refused.
-    """
+    """Make the new file `target` a hard link, or a copy if the file system has none. Raises `OSError`."""
     try:
         os.link(source, target)
     except OSError:
@@ -66,12 +62,11 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 
 def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
-    """Replace the file `path` by `data`; without `sync` it survives a killed process, but not yet a lost power supply.
+    """Replace the file `path` by `data`; without `sync` a killed process is harmless, a lost power supply is not.
 
-    Raises:
-        OSError: the disk refused; the old file, if any, is untouched.
+    Raises `OSError`: the disk refused; the old file, if any, is untouched.
     """
-    # Thousands of small files are written so: text costs a fifth of what path objects do.
+    # Text costs a fifth of what path objects do, over thousands of small files.
     folder, name = os.path.split(os.fspath(path))
     partial = os.path.join(folder, f".{name}{PARTIAL_SUFFIX}")  # noqa: PTH118
     try:
@@ -90,12 +85,9 @@ def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
 
 
 def write_output(path: Path, data: bytes) -> None:
-    """Write a file that a person asked for: whole, or the one that was there before stays.
+    """Write a requested file as a whole, or leave the old one. Pipes and devices are written directly, links followed.
 
-    What is no file, like a pipe or a device, is written as it is, and a link goes on pointing to its file.
-
-    Raises:
-        OSError: the disk refused.
+    Raises `OSError`: the disk refused.
     """
     if path.exists() and not path.is_file():
         path.write_bytes(data)
@@ -104,14 +96,10 @@ def write_output(path: Path, data: bytes) -> None:
 
 
 def sync(path: Path) -> None:
-    """Wait until a file, or the entries of a folder, have reached the disk.
-
-    Raises:
-        OSError: the disk refused, or there is no such file.
-    """
+    """Wait until a file, or the entries of a folder, have reached the disk. Raises `OSError`."""
     if os.name != "posix" and path.is_dir():
         return  # only POSIX opens folders
-    # In a map that came from somebody else a link may lead out of it, and a pipe would be waited for.
+    # In a foreign map, a link may lead out of it, and opening a pipe would block.
     flags, no_link = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0), getattr(os, "O_NOFOLLOW", 0)
     if not no_link and path.is_symlink():
         raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))

@@ -1,8 +1,7 @@
-"""The caches: compiled kernels, shapes, recordings; they may be removed at any moment.
+"""Caches of compiled kernels, shapes and recordings, which may be removed at any moment.
 
-All of it lies in one folder, `$HICKORY_CACHE` or `hickory-stream` in the user's caches. Where that cannot be written (a
-service without a home, a read-only disk) a temporary folder stands in for it, and the user is told once. It is capped
-by bytes: what was not used for the longest time goes first.
+They lie in `$HICKORY_CACHE` or `hickory-stream` in the user's caches; if that cannot be written, in a temporary folder,
+with one message. Beyond a cap in bytes, the least recently used entries are removed.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ logger = logging.getLogger(__name__)
 Kind = Literal["kernels", "shapes", "recordings", "true-shapes", "image-features"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 _DEFAULT_CAP_MB = 4000.0
-# So that not every call has something to remove.
+# Below 1, so that not every call removes files.
 _PRUNED_SHARE = 0.8
 _TOUCH_EVERY_S = 3600.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CacheEntry:
-    """What is kept and removed as one: its files, their bytes, and when it was last used (seconds since 1970)."""
+    """Files that are removed together, their bytes, and the time of their last use (seconds since 1970)."""
 
     kind: Kind
     paths: tuple[Path, ...]
@@ -45,28 +44,20 @@ class CacheEntry:
 
 
 def cache_folder(kind: Kind) -> Path:
-    """Return the folder of a kind, which is there.
-
-    Raises:
-        ConfigError: there is no folder at all that can be written.
-    """
+    """Return the existing folder of a kind. Raises `ConfigError`: no folder can be written."""
     folder = cache_root() / kind
-    with contextlib.suppress(OSError):  # a full disk: whoever writes there will say so
+    with contextlib.suppress(OSError):  # a full disk: the first write reports it
         folder.mkdir(exist_ok=True)
     return folder
 
 
 def cache_root() -> Path:
-    """Return the folder of all caches: as configured, or, where that cannot be written, a temporary one.
-
-    Raises:
-        ConfigError: there is no folder at all that can be written.
-    """
+    """Return the folder of all caches, a temporary one if necessary. Raises `ConfigError`: no folder can be written."""
     return _usable_root(wanted_root())
 
 
 def wanted_root() -> Path:
-    """Return where the caches are to be: `$HICKORY_CACHE`, else in the user's caches."""
+    """Return the configured folder: `$HICKORY_CACHE`, else in the user's caches."""
     named = os.environ.get("HICKORY_CACHE")
     if named:
         return Path(named).absolute()
@@ -80,10 +71,9 @@ def wanted_root() -> Path:
 
 
 def cap_mb() -> float:
-    """Return how much may be kept, in megabytes: `$HICKORY_CACHE_MB`, by default 4000.
+    """Return the cap in megabytes: `$HICKORY_CACHE_MB`, by default 4000.
 
-    Raises:
-        ConfigError: it is no number of 0 or more.
+    Raises `ConfigError`: it is negative or no number.
     """
     named = os.environ.get("HICKORY_CACHE_MB", "")
     if not named:
@@ -98,7 +88,7 @@ def cap_mb() -> float:
 
 
 def entries() -> Iterator[CacheEntry]:
-    """Yield everything that is kept."""
+    """Yield all entries."""
     for kind in KINDS:
         for paths in _GROUPS[kind](cache_root() / kind):
             with contextlib.suppress(OSError):  # another process has just removed it
@@ -108,7 +98,7 @@ def entries() -> Iterator[CacheEntry]:
 
 
 def _num_bytes(path: str | Path) -> int:
-    """Return the bytes of a file, or of the files in a folder; every run asks, of thousands: no `Path` for each."""
+    # No `Path` for each of thousands of files.
     if not os.path.isdir(path):  # noqa: PTH112
         return os.stat(path).st_size  # noqa: PTH116
     with os.scandir(path) as found:
@@ -118,7 +108,7 @@ def _num_bytes(path: str | Path) -> int:
 
 
 def clear(kinds: Iterable[Kind] = KINDS) -> int:
-    """Remove all of these kinds; return how many bytes that were."""
+    """Remove all entries of these kinds; return their bytes."""
     root, wanted = cache_root(), list(kinds)
     num_bytes = sum(entry.num_bytes for entry in entries() if entry.kind in wanted)
     for kind in wanted:
@@ -127,7 +117,7 @@ def clear(kinds: Iterable[Kind] = KINDS) -> int:
 
 
 def prune() -> int:
-    """Remove what was not used for the longest time, where more is kept than may be; return how many bytes."""
+    """Remove the least recently used entries beyond the cap; return their bytes."""
     cap = cap_mb() * 1e6
     kept = sorted(entries(), key=lambda entry: entry.used_s)
     total = sum(entry.num_bytes for entry in kept)
@@ -141,30 +131,26 @@ def prune() -> int:
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
             else:
-                with contextlib.suppress(OSError):  # what cannot be removed is no reason to fail
+                with contextlib.suppress(OSError):
                     path.unlink(missing_ok=True)
         removed += entry.num_bytes
     return removed
 
 
 def mark_used(*paths: Path) -> None:
-    """Note that an entry is in use; cheap where it was noted within the hour."""
+    """Record the use of an entry, at most once an hour."""
     with contextlib.suppress(OSError):  # it is a cache
         for path in paths:
             if time.time() - path.stat().st_mtime > _TOUCH_EVERY_S:
                 os.utime(path)
 
 
-# ---- what belongs together ------------------------------------------------------------------------------------------
-
-
 def _two_levels(folder: Path) -> Iterator[tuple[Path, ...]]:
-    """Yield what lies two levels down, each for itself."""
     yield from ((path,) for path in sorted(folder.glob("*/*")))
 
 
 def _by_stem(folder: Path) -> Iterator[tuple[Path, ...]]:
-    """Yield the files and folders of one name, whatever comes after its first dot: a log and its truth."""
+    # A log and its truth have one name up to the first dot.
     groups: dict[str, list[Path]] = {}
     for path in sorted(folder.glob("*")):
         groups.setdefault(path.name.lstrip(".").partition(".")[0], []).append(path)
@@ -180,13 +166,9 @@ _GROUPS = {
 }
 
 
-# ---- where ----------------------------------------------------------------------------------------------------------
-
-
 @cache
 def _usable_root(wanted: Path) -> Path:
-    refusal = _refusal(wanted)
-    if refusal is None:
+    if (refusal := _refusal(wanted)) is None:
         return wanted
     found = _temporary_root()
     logger.warning(
@@ -196,7 +178,6 @@ def _usable_root(wanted: Path) -> Path:
 
 
 def _refusal(folder: Path) -> str | None:
-    """Return why a folder cannot be made and written, None where it can."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
@@ -207,7 +188,7 @@ def _refusal(folder: Path) -> str | None:
 
 
 def _temporary_root() -> Path:
-    """Return a folder of this user alone: what is read from it is executed."""
+    # Only this user can write it: what is read from it is executed.
     try:
         base = Path(tempfile.gettempdir())
         if os.name != "posix":

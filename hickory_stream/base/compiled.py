@@ -1,8 +1,7 @@
-"""numba, as every module with kernels imports it: compiled kernels are cached by a hash of all their sources.
+"""The `kernel` decorator: numba kernels, cached by a hash of all their sources.
 
-numba itself looks at the file of a function only, and would go on with a kernel whose callees have changed; and it
-writes beside the modules, which an installation may not allow. Here the name of a kernel's folder is a hash of its
-file and of every file that it takes kernels and constants from: other code is another folder.
+numba compares only a function's own file, and writes beside modules, which an installation may forbid. Here the name of
+a kernel's folder is a hash of its file and of all files that it takes kernels and constants from.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["KernelLocator", "compiler_name", "kernel", "kernels_folder", "numba", "source_hash"]
 
-# The ray caster brings a TBB that is too old for numba, which warns of it wherever it finds one in the process.
+# The ray caster brings a TBB that is too old for numba, which warns of it.
 numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 
 _OURS = ("hickory_stream", "players")
@@ -39,7 +38,7 @@ _CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]*")
 
 
 class KernelLocator:
-    """Tells numba where the kernels of our packages are kept; of the interface that its own locators have."""
+    """Locates the cached kernels of our packages; has the interface of numba's own locators."""
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
         self._py_file = py_file
@@ -50,7 +49,7 @@ class KernelLocator:
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> KernelLocator | None:
-        """Return the locator of a function; None where it is not ours, or has no file."""
+        """Return the locator of a function; None for foreign functions, or without a file."""
         if not _is_ours(py_func) or not Path(py_file).is_file():
             return None
         return cls(py_func, py_file)
@@ -60,11 +59,11 @@ class KernelLocator:
         return str(self._folder)
 
     def get_source_stamp(self) -> str:
-        """Return what must be as it was when the kernel was compiled."""
+        """Return the state of the source for which the kernel was compiled."""
         return self._stamp
 
     def get_disambiguator(self) -> str:
-        """Return what tells functions of one name apart."""
+        """Return the distinction of functions of one name."""
         return str(self._line)
 
     def ensure_cache_path(self) -> None:
@@ -78,12 +77,10 @@ def kernel(
     error_model: Literal["python", "numpy"] = "python",
     parallel: bool = False,
 ) -> Any:
-    """Compile a function that holds no lock of the interpreter, and cache it.
+    """Compile a function of arrays and numbers, without the interpreter's lock, and cache it.
 
-    Args:
-        function: takes and returns arrays and numbers; numba infers their types from the call.
-        error_model: "numpy" divides by zero without an error, and the compiler then vectorises the loop.
-        parallel: spreads the loops over `numba.prange` over threads.
+    `error_model` "numpy" divides by zero without an error, which lets the compiler vectorise. `parallel` spreads loops
+    over `numba.prange` over threads.
     """
     compiled = numba.njit(cache=True, nogil=True, error_model=error_model, parallel=parallel)
     return compiled if function is None else compiled(function)
@@ -110,7 +107,7 @@ def compiler_name() -> str:
 
 @cache
 def source_hash(module: str, file: Path) -> str:
-    """Return the sha256 of a module's file and of those that its kernels can take kernels and constants from."""
+    """Return the sha256 of a module's file and of the files whose kernels and constants it may use."""
     base = file.parents[module.count(".") + (file.stem == "__init__")]
     known: dict[Path, bytes] = {}
     waiting = [file]
@@ -127,7 +124,7 @@ def source_hash(module: str, file: Path) -> str:
 
 @cache
 def _read(file: Path, base: Path) -> tuple[bytes, tuple[Path, ...]]:
-    """Return the hash of a file, and the files whose content can be in its kernels."""
+    # The hash of a file, and the files whose kernels and constants it may use.
     needed: list[Path] = []
     content = file.read_bytes()
     for module, listed in _IMPORT.findall(content.decode()):
@@ -150,8 +147,6 @@ def _is_ours(function: Callable[..., Any]) -> bool:
 
 
 class _Compiles(event.Listener):  # type: ignore[misc] # numba has no types
-    """Passes on what numba says of itself."""
-
     def on_start(self, event: Any) -> None:
         function = event.data["dispatcher"].py_func
         if _is_ours(function):
@@ -162,7 +157,7 @@ class _Compiles(event.Listener):  # type: ignore[misc] # numba has no types
 
 
 if not numba.config.CACHE_LOCATOR_CLASSES:
-    # Ours first, then those that numba asks by default: functions of others stay where they are kept.
+    # Ours first, then numba's defaults.
     numba.config.CACHE_LOCATOR_CLASSES = (
         "hickory_stream.base.compiled.KernelLocator,UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,"
         "IPythonCacheLocator,ZipCacheLocator"

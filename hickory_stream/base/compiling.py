@@ -1,7 +1,4 @@
-"""Notification that a kernel is being compiled, which takes seconds, once after an installation or an update.
-
-Apart from `compiled`, so that one can ask to be told without loading the compiler.
-"""
+"""Notification of the compilation of a kernel, without loading the compiler."""
 
 from __future__ import annotations
 
@@ -10,19 +7,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_told: list[Callable[[str], None]] = []
+_listeners: list[Callable[[str], None]] = []
 
 
-def tell_when_compiling(listener: Callable[[str], None]) -> Callable[[], None]:
-    """Have `listener` called with a kernel's name when it begins to be compiled, from any thread; return what ends it.
-
-    Kernels that are loaded from the cache are not told of.
-    """
-    _told.append(listener)
-    return lambda: _told.remove(listener)
+def on_compile(listener: Callable[[str], None]) -> Callable[[], None]:
+    """Call `listener`, from any thread, with the name of each kernel to be compiled; return a function that ends it."""
+    _listeners.append(listener)
+    return lambda: _listeners.remove(listener)
 
 
 def compile_begins(kernel: str) -> None:
     """Notify the listeners."""
-    for listener in tuple(_told):
+    for listener in tuple(_listeners):
         listener(kernel)

@@ -1,7 +1,6 @@
-"""Checks of untrusted names, numbers and paths: what a map, a log, a job or a truth folder may refer to.
+"""Checks of untrusted names, numbers and paths of maps, logs, jobs and truth folders.
 
-A folder that came from somebody else may name only plain files within itself. Whatever is read or written under a name
-that a file gives goes through here; the rest of the code then never joins a foreign text to a path.
+A foreign folder may name only plain files within itself. All reads and writes under foreign names go through here.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ import os
 import re
 import stat
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,32 +22,23 @@ _FOLLOW_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 
 class OutsideError(ValueError):
-    """A name that is none, or that leads out of its folder."""
+    """An invalid name, or one that leads out of its folder."""
 
 
 def plain_name(text: object, suffix: str = "") -> str:
-    """Return a file's name as it is: letters, digits, `_`, `-` and single points between them, ending in `suffix`.
+    """Return a plain file name: letters, digits, `_`, `-` and single points between them, ending in `suffix`.
 
-    Raises:
-        OutsideError: it is anything else.
+    Raises `OutsideError`: it is anything else.
     """
-    if (
-        not isinstance(text, str)
-        or len(text) > _LONGEST_NAME
-        or not text.endswith(suffix)
-        or not _PLAIN.fullmatch(text)
-    ):
+    is_plain = isinstance(text, str) and len(text) <= _LONGEST_NAME and _PLAIN.fullmatch(text)
+    if not isinstance(text, str) or not is_plain or not text.endswith(suffix):
         wanted = f"a plain file name{f' ending in {suffix}' if suffix else ''}"
         raise OutsideError(f"found the name {_shown(text)}, expected {wanted}")
     return text
 
 
 def whole_number(value: object, what: str, low: int = 0) -> int:
-    """Return an integer of at least `low`, e.g. an id.
-
-    Raises:
-        OutsideError: it is none (a bool, a text and a float are none), or too large.
-    """
+    """Return an integer of at least `low`, e.g. an id. Raises `OutsideError`: another type, or too large."""
     # NumPy's integers have an index, too; a bool has one by accident.
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise OutsideError(f"found {what} {_shown(value)}, expected a whole number")
@@ -61,14 +51,13 @@ def whole_number(value: object, what: str, low: int = 0) -> int:
 def path_within(root: Path, name: object) -> Path:
     """Return the path of `name`, e.g. `meshes/3.glb`, under a folder; links are followed, and must not lead out.
 
-    Raises:
-        OutsideError: the name is no relative path, or leads out of the folder.
+    Raises `OutsideError`: the name is no relative path, or leads out of the folder.
     """
     is_relative = isinstance(name, str) and name and not re.search(r"[\\:\0]", name)
     if not isinstance(name, str) or not is_relative or name.startswith("/") or ".." in PurePosixPath(name).parts:
         raise OutsideError(f"found the path {_shown(name)}, expected one within {root}")
     path = root / name
-    # Without a link on the way it cannot lead out; to follow it takes ten times as long, and a map has thousands.
+    # Without a link it cannot lead out; `resolve` takes ten times as long, and a map has thousands of files.
     if os.name == "posix" and not _has_link(root, name):
         return path
     try:
@@ -81,7 +70,6 @@ def path_within(root: Path, name: object) -> Path:
 
 
 def _has_link(root: Path, name: str) -> bool:
-    """Return whether a relative path has a link in it, below the folder."""
     at = os.fspath(root)
     for part in name.split("/"):
         at = f"{at}/{part}"
@@ -91,19 +79,12 @@ def _has_link(root: Path, name: str) -> bool:
 
 
 def open_within(root: Path, name: object) -> BinaryIO:
-    """Return a regular file under a folder, open to be read.
+    """Return an open regular file under a folder.
 
-    Raises:
-        OutsideError: the name leads out of the folder, or is that of a pipe, a device or a folder.
-        OSError: there is no such file, or it cannot be read.
+    Raises `OutsideError`: the name leads out of the folder, or is a pipe, a device or a folder; `OSError`: no such
+    file.
     """
-    path = path_within(root, name)
-    # A pipe without a writer would be waited for.
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
-        raise OutsideError(f"{path} is no regular file")
-    return os.fdopen(descriptor, "rb")
+    return _regular(path_within(root, name), os.O_RDONLY, "rb")
 
 
 def read_within(root: Path, name: object) -> bytes:
@@ -113,11 +94,7 @@ def read_within(root: Path, name: object) -> bytes:
 
 
 def open_new(path: Path | str) -> int:
-    """Return the descriptor of a new, empty file to write and read; what was there, a link above all, is removed.
-
-    Raises:
-        OSError: the disk refused.
-    """
+    """Return the descriptor of a new, empty file; an old file or link there is removed. Raises `OSError`."""
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _FOLLOW_NO_LINK | getattr(os, "O_BINARY", 0)
     try:
         return os.open(path, flags, 0o666)
@@ -127,26 +104,24 @@ def open_new(path: Path | str) -> int:
 
 
 def open_to_change(path: Path) -> BinaryIO:
-    """Return a regular file to read and to write, as it is; a link is not followed.
+    """Return a regular file to read and write; a link is not followed.
 
-    Raises:
-        OutsideError: it is a pipe, a device or a folder.
-        OSError: there is no such file, it is a link, or the disk refused.
+    Raises `OutsideError`: it is a pipe, a device or a folder; `OSError`: there is no such file, or it is a link.
     """
-    flags = os.O_RDWR | _FOLLOW_NO_LINK | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-    descriptor = os.open(path, flags)
+    return _regular(path, os.O_RDWR | _FOLLOW_NO_LINK, "r+b")
+
+
+def _regular(path: Path, flags: int, mode: str) -> Any:
+    # Opening a pipe without a writer would block.
+    descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise OutsideError(f"{path} is no regular file")
-    return os.fdopen(descriptor, "r+b")
+    return os.fdopen(descriptor, mode)
 
 
 def refuse_links(root: Path, names: Iterable[str]) -> None:
-    """Refuse a folder of which one of these entries is a link: what it holds, or would hold, lies elsewhere.
-
-    Raises:
-        OutsideError: naming it.
-    """
+    """Raise `OutsideError`, with its name, if one of these entries of a folder is a link."""
     for name in names:
         if (root / name).is_symlink():
             raise OutsideError(f"{root / name} is a link; replace it by what it points to")

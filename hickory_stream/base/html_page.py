@@ -1,4 +1,4 @@
-"""One HTML file without network access: the frame and the style that all pages share, and pictures within the file."""
+"""One HTML file without network access: frame, style and pictures of all pages."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ td.n, th.n { font-variant-numeric: tabular-nums; white-space: nowrap; }
 
 
 def page(title: str, body: str, style: str = "") -> str:
-    """Return a page of `body`, which is HTML; `title` is plain text, `style` is CSS beyond what all pages share.
+    """Return a page of `body`, which is HTML; `title` is plain text, `style` is further CSS.
 
-    Control characters, which may come from names in logs, are shown as text (`hickory_stream.base.terminal`).
+    Control characters, e.g. of names in logs, are escaped (`base.terminal`).
     """
     head = '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
     shown = f"<title>{html.escape(title)}</title><style>{_STYLE}{style}</style><body>{body}</body></html>\n"
@@ -41,7 +41,7 @@ def page(title: str, body: str, style: str = "") -> str:
 
 
 def picture(rgb: NDArray[np.uint8], alt: str, longest_px: int) -> str:
-    """Return an img element that holds the picture (H x W x 3), made smaller where a side exceeds `longest_px`."""
+    """Return an img element with the picture (H x W x 3), reduced to `longest_px` a side."""
     scale = longest_px / max(rgb.shape[:2])
     if scale < 1:
         size = (max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))

@@ -1,6 +1,6 @@
-"""JSON as every reader takes it: NaN and infinity, which JSON does not know, never appear.
+"""JSON for every reader, without NaN and infinity; the only place where JSON is written.
 
-The only place where JSON is written. Characters beyond ASCII are escaped, so that none of them commands a terminal.
+Characters beyond ASCII are escaped, so that none of them commands a terminal.
 """
 
 from __future__ import annotations
@@ -13,19 +13,12 @@ from hickory_stream.base.terminal import UNSAFE
 
 
 def dumps(data: Any, *, indent: int | None = None, sort_keys: bool = False) -> str:
-    """Return data as JSON for people and programs: a number that has no value, NaN or infinite, is null.
-
-    numpy's scalars and arrays are numbers and lists.
-    """
+    """Return JSON for people and programs; NaN and infinity become null, numpy's values plain ones."""
     return json.dumps(_with_nulls(data), indent=indent, sort_keys=sort_keys, allow_nan=False)
 
 
 def dumps_exactly(data: Any, *, indent: int | None = None) -> str:
-    """Return data as JSON that is read back as it was.
-
-    Raises:
-        ValueError: a number is NaN or infinite.
-    """
+    """Return JSON that is read back unchanged. Raises `ValueError`: a number is NaN or infinite."""
     return json.dumps(data, indent=indent, allow_nan=False)
 
 
@@ -42,6 +35,6 @@ def _with_nulls(data: Any) -> Any:
 
 
 def toml_string(text: str) -> str:
-    """Return text as a basic string of TOML, which knows the escapes of JSON, but not its pairs for one character."""
+    """Return text as a basic string of TOML, which has JSON's escapes except surrogate pairs."""
     quoted = json.dumps(text, ensure_ascii=False)
     return UNSAFE.sub(lambda found: f"\\u{ord(found[0]):04x}", quoted)

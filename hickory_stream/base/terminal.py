@@ -1,8 +1,7 @@
 r"""Safe text on a terminal: control sequences in names from a log or a map are shown, not executed.
 
-Names of topics and frames, messages and paths come from strangers. A terminal obeys control characters in them, and
-turns the order of a line where they change the direction of writing. `visible` replaces those by what a programmer
-would write, like `\x1b`; the command line sends all that it prints through it (`shown_safely`).
+The command line prints everything through `shown_safely`, which shows control characters and changes of the writing
+direction as escapes, like `\x1b`.
 """
 
 from __future__ import annotations
@@ -23,24 +22,24 @@ _CLEAR_LINE = "\r\x1b[K"
 
 
 def visible(text: str) -> str:
-    r"""Return text with what a terminal would obey replaced by its escape, like `\x1b` or `\u202e`."""
+    r"""Return text with control characters as escapes, like `\x1b` or `\u202e`."""
     return UNSAFE.sub(_escape, text)
 
 
 def clear_line() -> None:
-    """Begin the last line of standard error anew, as a bar of progress does."""
+    """Return to the beginning of the last line of standard error, as a progress bar does."""
     stream = sys.stderr
     (stream.plain if isinstance(stream, VisibleStream) else stream).write(_CLEAR_LINE)
 
 
 class VisibleStream:
-    """A text stream whose text is made visible before it is written to `plain`."""
+    """A text stream that makes text visible before writing it to `plain`."""
 
     def __init__(self, plain: TextIO) -> None:
         self.plain = plain
 
     def write(self, text: str) -> int:
-        """Write text, made visible; return how many characters it had."""
+        """Write visible text; return the number of its characters."""
         self.plain.write(visible(text))
         return len(text)
 
@@ -55,7 +54,7 @@ class VisibleStream:
 
 @contextlib.contextmanager
 def shown_safely() -> Iterator[None]:
-    """Make visible whatever is written to standard output and standard error within the block."""
+    """Make everything visible that the block writes to standard output and standard error."""
     with contextlib.ExitStack() as stack:
         for redirect, stream in ((contextlib.redirect_stdout, sys.stdout), (contextlib.redirect_stderr, sys.stderr)):
             if stream is not None and not isinstance(stream, VisibleStream):

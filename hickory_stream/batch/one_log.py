@@ -91,9 +91,9 @@ def _mapped(task: LogTask, *, resumes: bool) -> Played:
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.sinks.disk_sink import DiskSink
-    from players import open_noted
+    from players import open_from_note
 
-    source = open_noted(dict(task.note), keyframes=task.mapper.keyframes)
+    source = open_from_note(dict(task.note), keyframes=task.mapper.keyframes)
     try:
         if resumes:
             mapper = Mapper.resuming(task.out, machine=task.mapper.run)

@@ -24,7 +24,7 @@ from hickory_stream.batch.result import BatchResult, Joined, MergedMap, Overlap,
 from hickory_stream.batch.tasks import LogOutcome, LogTask, names_of, software
 from hickory_stream.errors import InputError, MapFolderError, WorkerError
 from hickory_stream.fleet.finish import finish
-from players import note_of
+from players import make_source_note
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
@@ -170,7 +170,7 @@ def _worked(plan: BatchPlan, tasks: Sequence[LogTask]) -> Generator[LogOutcome, 
 def _task(plan: BatchPlan, folder: BatchFolder, name: str, uri: str) -> LogTask:
     return LogTask(
         name=name,
-        note=note_of([uri], plan.options),
+        note=make_source_note([uri], plan.options),
         out=folder.map_path(name).resolve(),
         mapper=plan.mapper,
         disk=plan.disk,
@@ -191,7 +191,7 @@ def _told_plan(plan: BatchPlan, names: Sequence[str]) -> dict[str, Any]:
     """Return what a batch is known again by; how it is carried out is no part of it."""
     config = asdict(plan.mapper)
     del config["run"]
-    made = dumps([config, asdict(plan.disk), {**note_of([], plan.options)}], sort_keys=True)
+    made = dumps([config, asdict(plan.disk), {**make_source_note([], plan.options)}], sort_keys=True)
     logs = {
         name: {"path": str(Path(uri).absolute()), "bytes": _num_bytes(Path(uri))}
         for name, uri in zip(names, plan.uris, strict=True)

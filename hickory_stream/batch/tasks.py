@@ -28,7 +28,7 @@ State = Literal["mapped", "failed", "disk full"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogTask:
-    """One log: its `note` (`players.open_noted`), the map folder to make, and how.
+    """One log: its `note` (`players.open_from_note`), the map folder to make, and how.
 
     `software` is the version that is to make it. `cores` are the processors that its processes may use, () for all.
     """

@@ -18,7 +18,7 @@ import time
 import traceback
 from typing import TYPE_CHECKING
 
-from hickory_stream.base.compiling import tell_when_compiling
+from hickory_stream.base.compiling import on_compile
 from hickory_stream.base.terminal import shown_safely
 from hickory_stream.cli.exit_status import STOPPED
 from hickory_stream.cli.output_files import outputs_of, refuse_taken, written_text
@@ -37,7 +37,7 @@ _EVERY_S = 5.0
 
 
 class CompileNotice:
-    """A listener of `compiling.tell_when_compiling`; as JSON lines where `as_json`."""
+    """A listener of `compiling.on_compile`; as JSON lines where `as_json`."""
 
     def __init__(self, *, as_json: bool, clock: Callable[[], float] = time.monotonic) -> None:
         self._as_json = as_json
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     options = make_parser().parse_args(arguments)
     logging.basicConfig(level=logging.DEBUG if options.debug else logging.WARNING, format="%(levelname)s: %(message)s")
-    told_no_more = tell_when_compiling(CompileNotice(as_json=getattr(options, "json", False)))
+    told_no_more = on_compile(CompileNotice(as_json=getattr(options, "json", False)))
     try:
         refuse_taken(outputs_of(options), overwrite=getattr(options, "overwrite", False))
         status: int = options.run(options)

@@ -1,9 +1,6 @@
-"""The accounts of a run: metrics for plots, the ledger of messages, frames and jobs, and where the time went.
+"""Accounts of a run: metrics, ledgers of messages, frames and jobs, and timings.
 
-The account of all messages of a log, each in one bucket: that of the source, completed by the run's use of frames.
-
-The source counts the images of all frames as used. The run did not need those of frames that were no keyframes, and
-some of its keyframes may have been unreadable.
+A source counts the images of all frames as used; the run moves those of unused frames to their own buckets.
 """
 
 from __future__ import annotations
@@ -19,15 +16,15 @@ if TYPE_CHECKING:
 
     from hickory_stream.ports import Source
 
-
+_PROCESS = psutil.Process()
 _IMAGES_PER_FRAME = 2
 
 
 def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
-    """Return the account of a source's messages, {} where it keeps none.
+    """Return the account of a source's messages, {} if it keeps none.
 
     `frames` are the run's counts: `read`, `keyframes`, `keyframes_kept_out`, `frames_undecodable`. After several rounds
-    of a log the account is that of the last round, in which the images are not told apart.
+    of a log, the account is of the last round, and images are not divided by use.
     """
     kept = account_of(source)
     if kept is None:
@@ -38,7 +35,7 @@ def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
     if frames.get("read", 0) != found - dropped + doubled:
         return account
     torn = frames.get("frames_undecodable", 0)
-    # What was kept out of the map was looked at.
+    # Rejected keyframes were decoded too.
     needed = frames.get("keyframes", 0) + frames.get("keyframes_kept_out", 0)
     skipped = _IMAGES_PER_FRAME * max(0, found - needed - torn)
     account["not_keyframe"] = skipped
@@ -46,9 +43,6 @@ def message_ledger(source: Source, frames: Mapping[str, int]) -> dict[str, Any]:
     account["unreadable"] += _IMAGES_PER_FRAME * torn
     account["used"] -= skipped + _IMAGES_PER_FRAME * torn
     return account
-
-
-_PROCESS = psutil.Process()
 
 
 def run_ledger(
@@ -60,10 +54,10 @@ def run_ledger(
     shapes: dict[str, int],
     num_not_shown: int,
 ) -> dict[str, dict[str, Any]]:
-    """Return what became of every message, frame and job; `counts` are of frames, by what became of them."""
-    told = {name: count for name, count in counts.items() if count}
-    read = told.pop("read", num_frames + told.get("frames_late", 0))
-    frames = {"read": read, "keyframes": num_keyframes, **told}
+    """Return the use of every message, frame and job; `counts` are frames by outcome."""
+    outcomes = {name: count for name, count in counts.items() if count}
+    read = outcomes.pop("read", num_frames + outcomes.get("frames_late", 0))
+    frames = {"read": read, "keyframes": num_keyframes, **outcomes}
     if num_not_shown:
         frames["reports_not_shown"] = num_not_shown
     kept = {"source": dict(source.ledger()), "frames": frames, "shapes": shapes}
@@ -94,7 +88,7 @@ def engine_metrics(
     source_ledger: Mapping[str, int],
     num_dropped: int,
 ) -> tuple[tuple[str, float], ...]:
-    """Return the named numbers of a keyframe's report that are the engine's: stages, queues, memory, ledger."""
+    """Return the engine's metrics of a keyframe: stages, queues, memory, ledger."""
     return (
         *((f"time/{name}", seconds) for name, seconds in times_s.items()),
         *((f"queue/{name}", float(length)) for name, length in queues.items()),

@@ -1,15 +1,4 @@
-"""Whatever takes longer than a millisecond runs on a thread, one for what must come in order.
-
-A bounded, closable channel between two tasks of the loop; a full one makes the sender wait, or drops the oldest.
-
-The end of the stream is an exception of its own, not a value in the stream.
-
-The delay of the event loop: how late it runs what is due, and so whether anything blocks it.
-
-Pacing of a playback: frames are due at a multiple of the rate of their stamps, or at once.
-
-The request to end a run, and the grace period in which work that was begun may finish.
-"""
+"""Tools for the event loop: threads, channels, loop delay, pacing, and the stop request."""
 
 from __future__ import annotations
 
@@ -24,12 +13,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
     from concurrent.futures import ThreadPoolExecutor
 
-
 T = TypeVar("T")
 
 
 async def on_thread(executor: ThreadPoolExecutor, function: Callable[..., T], *arguments: object) -> T:
-    """Return what a function gives that runs on a thread of an executor."""
+    """Return the result of a function that runs on a thread of an executor."""
     return await asyncio.get_running_loop().run_in_executor(executor, function, *arguments)
 
 
@@ -37,12 +25,12 @@ WhenFull = Literal["wait", "drop_oldest"]
 
 
 class ChannelClosed(Exception):
-    """The channel was closed, and everything in it was taken."""
+    """The channel is closed and empty."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelStatistics:
-    """Items in the channel, its capacity, the most that it ever held, and how many were dropped."""
+    """Items in a channel now, its capacity, the largest number so far, and the number of dropped items."""
 
     length: int
     capacity: int
@@ -51,9 +39,9 @@ class ChannelStatistics:
 
 
 class Channel(Generic[T]):
-    """Buffered to `capacity`; one or more senders and receivers on one loop.
+    """A closable channel of `capacity` items between tasks of one loop.
 
-    `when_full` says what `send` does then: "wait" for room, or "drop_oldest" and never wait.
+    `when_full`: `send` waits ("wait"), or replaces the oldest item ("drop_oldest").
     """
 
     def __init__(self, capacity: int, when_full: WhenFull = "wait") -> None:
@@ -68,11 +56,7 @@ class Channel(Generic[T]):
         self._changed = asyncio.Condition()
 
     async def send(self, item: T) -> T | None:
-        """Put an item in; return the one that was dropped for it, None if none was.
-
-        Raises:
-            ChannelClosed: the channel was closed.
-        """
+        """Put an item in; return the item that it replaced, or None. Raises `ChannelClosed`."""
         async with self._changed:
             if self._when_full == "wait":
                 await self._changed.wait_for(lambda: len(self._items) < self._capacity or self._is_closed)
@@ -86,11 +70,7 @@ class Channel(Generic[T]):
             return dropped
 
     async def receive(self) -> T:
-        """Take the oldest item out, waiting for one.
-
-        Raises:
-            ChannelClosed: the channel was closed and is empty.
-        """
+        """Take the oldest item, waiting for one. Raises `ChannelClosed`."""
         async with self._changed:
             await self._wait_for_items()
             item = self._items.popleft()
@@ -98,11 +78,7 @@ class Channel(Generic[T]):
             return item
 
     async def receive_all(self) -> list[T]:
-        """Take out everything that is in the channel, the oldest first, waiting for at least one item.
-
-        Raises:
-            ChannelClosed: the channel was closed and is empty.
-        """
+        """Take all items, the oldest first, waiting for at least one. Raises `ChannelClosed`."""
         async with self._changed:
             await self._wait_for_items()
             items = list(self._items)
@@ -111,16 +87,15 @@ class Channel(Generic[T]):
             return items
 
     async def close(self) -> None:
-        """End the stream: what is in it can still be taken."""
+        """End the stream; items in the channel can still be taken."""
         async with self._changed:
             self._is_closed = True
             self._changed.notify_all()
 
     def statistics(self) -> ChannelStatistics:
-        """Return how full the channel is, and was."""
-        return ChannelStatistics(
-            length=len(self._items), capacity=self._capacity, peak=self._peak, dropped=self._dropped
-        )
+        """Return current and largest number of items."""
+        length = len(self._items)
+        return ChannelStatistics(length=length, capacity=self._capacity, peak=self._peak, dropped=self._dropped)
 
     async def _wait_for_items(self) -> None:
         await self._changed.wait_for(lambda: self._items or self._is_closed)
@@ -135,7 +110,7 @@ _NUM_BINS = 20_000
 
 
 class LoopDelay:
-    """A histogram of delays in steps of 0.1 ms up to 2 s, fed by `watch` every 25 ms."""
+    """Histogram of the event loop's delays, in steps of 0.1 ms up to 2 s, measured every 25 ms by `watch`."""
 
     def __init__(self) -> None:
         self._counts = [0] * (_NUM_BINS + 1)
@@ -150,13 +125,13 @@ class LoopDelay:
             self.add(time.monotonic() - due_s)
 
     def add(self, delay_s: float) -> None:
-        """Note one delay."""
+        """Add one delay."""
         self._counts[min(_NUM_BINS, max(0, int(delay_s / _BIN_S)))] += 1
         self._num += 1
         self._recent_s = max(self._recent_s, delay_s)
 
     def quantile_s(self, share: float) -> float:
-        """Return the delay that this share of all was no longer than, to 0.1 ms; 0 before the first."""
+        """Return a quantile of the delays, to 0.1 ms; 0 before the first."""
         wanted, seen = share * self._num, 0
         for i, count in enumerate(self._counts):
             seen += count
@@ -172,19 +147,17 @@ class LoopDelay:
 
 @dataclass(slots=True)
 class Pacer:
-    """Paces frames by their stamps: `rate` 1.0 is real time, None is as fast as possible.
-
-    A gap of more than `longest_gap_s` in the stamps is a time jump, for which it does not wait.
-    """
+    """Paces frames by their stamps: `rate` 1.0 is real time, None is as fast as possible."""
 
     rate: float | None
+    #: A longer gap of stamps is a time jump, without waiting.
     longest_gap_s: float = 60.0
     _first_ns: int | None = None
     _last_ns: int = 0
     _started_s: float = 0.0
 
     async def wait(self, stamp_ns: int, stopped: asyncio.Event | None = None) -> None:
-        """Return when the frame of this stamp is due, or the run is `stopped`; a jump starts the clock anew."""
+        """Return when the frame of this stamp is due, or the run is `stopped`; a jump restarts the clock."""
         if self.rate is None:
             return
         now_s = time.monotonic()
@@ -202,8 +175,8 @@ class Pacer:
             await asyncio.wait_for(stopped.wait(), due_s - now_s)
 
 
-class Stop:
-    """Requested once, by any task; whoever waits for something does so until the grace after the request is over."""
+class StopRequest:
+    """A request to end the run, from any task; waits end when the grace period after it is over."""
 
     def __init__(self) -> None:
         self.event = asyncio.Event()
@@ -211,17 +184,17 @@ class Stop:
 
     @property
     def is_requested(self) -> bool:
-        """Whether the run is to end."""
+        """Whether the run is ending."""
         return self.event.is_set()
 
     def request(self) -> None:
-        """End the run after the frame at hand."""
+        """End the run after the current frame."""
         if not self.event.is_set():
             self._requested_s = time.monotonic()
             self.event.set()
 
     async def within_grace(self, coroutine: Coroutine[Any, Any, T], name: str, grace_s: float = 0.0) -> T | None:
-        """Return what a coroutine gives; it is cancelled, and None, where it takes longer than the grace."""
+        """Return a coroutine's result; None, after cancelling it, if it takes longer than the grace period."""
         task = asyncio.create_task(coroutine, name=name)
         requested = asyncio.create_task(self.event.wait(), name="stopped")
         try:

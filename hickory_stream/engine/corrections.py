@@ -1,27 +1,25 @@
-"""Corrections of submaps' poses in a run: those that somebody gives, checked at once, and those that loops make.
+"""Pose corrections in a run, and registration of its keyframes.
 
-Both are applied before a frame is mapped: first what was given since the last one, then the loops that are due.
-
-Keyframes placed in a run: registered on a thread, and what came of it told to the core and to people.
+Corrections from outside and from loops are applied before a frame is mapped.
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from collections import deque
+from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.engine.async_tools import on_thread
-from hickory_stream.engine.keyframe_places import KeyframePlaces
+from hickory_stream.engine.keyframe_places import RegistrationFilter
 from hickory_stream.errors import InputError
 from hickory_stream.events import KeyframeKeptOut, PoseJumped, PosesCorrected
 from hickory_stream.geometry.rigid import is_rigid
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, MutableMapping, Sequence
+    from collections.abc import Mapping, Sequence
     from concurrent.futures import ThreadPoolExecutor
 
     from numpy.typing import NDArray
@@ -33,82 +31,71 @@ if TYPE_CHECKING:
     from hickory_stream.poses.surface_image import SurfaceImage
     from hickory_stream.records import Frame
 
-
 logger = logging.getLogger(__name__)
 
 
 class Corrections:
-    """Those that the core has not been told of yet, in the order in which they were given, and those of loops.
+    """Pending corrections in the order of their arrival; `counts` are applied ones."""
 
-    `counts` are those of the run.
-    """
-
-    def __init__(
-        self, effects: EffectRunner, loops: LoopCloser, thread: ThreadPoolExecutor, counts: MutableMapping[str, int]
-    ) -> None:
+    def __init__(self, effects: EffectRunner, loops: LoopCloser, thread: ThreadPoolExecutor) -> None:
         self._effects = effects
         self._loops = loops
         self._thread = thread
-        self._counts = counts
+        self.counts: Counter[str] = Counter()
         self._waiting: deque[dict[int, NDArray[np.float64]]] = deque()
         self._is_closed = False
 
     def give(self, world_from_submap: Mapping[int, NDArray[np.float64]], known: Sequence[int]) -> None:
-        """Have submaps placed anew; `known` are the ids of the submaps that the map has.
+        """Place submaps at new poses; `known` are the ids of the map's submaps.
 
-        Raises:
-            InputError: there is no such submap, a transform is not rigid, or the map is finished; nothing is moved.
+        Raises `InputError`: there is no such submap, a transform is not rigid, or the map is finished; nothing is
+        moved.
         """
         if self._is_closed:
             raise InputError("the map is finished: poses can be corrected while it is being made")
         self._waiting.append(checked_places(world_from_submap, known))
 
     async def apply(self, stamp_ns: int) -> None:
-        """Place submaps where they were said to lie since the last frame."""
+        """Send pending corrections to the core."""
         while self._waiting:
             places = self._waiting.popleft()
-            self._counts["pose_corrections"] += 1
-            await self._effects.handle(
-                PosesCorrected(
-                    stamp_ns=stamp_ns,
-                    submap_ids=tuple(places),
-                    world_from_submap=np.array(list(places.values())).reshape(-1, 4, 4),
-                )
-            )
+            self.counts["pose_corrections"] += 1
+            poses = np.array(list(places.values())).reshape(-1, 4, 4)
+            event = PosesCorrected(stamp_ns=stamp_ns, submap_ids=tuple(places), world_from_submap=poses)
+            await self._effects.handle(event)
 
     async def close_loops(self, stamp_ns: int, *, all_of_them: bool = False) -> None:
-        """Tell the core of the loops that are due at a stamp, and place the submaps as the graph then has them."""
+        """Send loops that are due at a stamp to the core, then the poses of submaps that the graph's solution moves."""
         while (event := await self._loops.next_due(None if all_of_them else stamp_ns)) is not None:
             await self._effects.handle(event)
-            self._counts["loops"] += sum(loop.reason is None for loop in event.loops)
+            self.counts["loops"] += sum(loop.reason is None for loop in event.loops)
             corrected = None
             if event.loops:
                 corrected = await on_thread(self._thread, self._loops.correction, self._effects.core, stamp_ns)
             if corrected is not None:
-                self._counts["loop_corrections"] += len(corrected.submap_ids) > 0
+                self.counts["loop_corrections"] += len(corrected.submap_ids) > 0
                 await self._effects.handle(corrected)
 
     def __len__(self) -> int:
         return len(self._waiting)
 
     def forget(self) -> None:
-        """Forget those that wait, as somebody went back in the log: their submaps may not be there yet."""
+        """Drop pending corrections after a seek back: their submaps may not exist yet."""
         if self._waiting:
-            logger.warning("%d corrections of poses were for what somebody went back from", len(self._waiting))
+            logger.warning("%d corrections of poses are dropped after a seek back", len(self._waiting))
             self._waiting.clear()
 
     def close(self) -> None:
-        """Take no more."""
+        """Refuse further corrections."""
         self._is_closed = True
 
 
 def checked_places(
     world_from_submap: Mapping[int, NDArray[np.float64]], known: Sequence[int]
 ) -> dict[int, NDArray[np.float64]]:
-    """Return copies of the (4, 4) places by submap; `known` are the ids of the submaps that the map has.
+    """Return copies of the (4, 4) poses by submap; `known` are the ids of the map's submaps.
 
-    Raises:
-        InputError: there is no such submap, or a transform is not rigid.
+    Raises `InputError`: there is no such submap, or a transform is not rigid.
     """
     for submap_id, pose in world_from_submap.items():
         if submap_id not in known:
@@ -119,67 +106,56 @@ def checked_places(
     return {i: np.array(pose, dtype=np.float64) for i, pose in world_from_submap.items()}
 
 
-class Placing:
-    """Places the keyframes of a run in their order; what does not fit the map is kept out, and said once in a row.
+class KeyframeRegistrar:
+    """Registers keyframes on a thread, in their order; a series of rejected keyframes is logged once."""
 
-    `counts` and `timings_s` are those of the run.
-    """
-
-    def __init__(
-        self,
-        config: RegistrationConfig,
-        effects: EffectRunner,
-        thread: ThreadPoolExecutor,
-        *,
-        counts: MutableMapping[str, int],
-        timings_s: MutableMapping[str, float],
-    ) -> None:
-        self._places = KeyframePlaces(config)
+    def __init__(self, config: RegistrationConfig, effects: EffectRunner, thread: ThreadPoolExecutor) -> None:
+        self._places = RegistrationFilter(config)
         self._effects = effects
         self._thread = thread
-        self._counts = counts
-        self._timings_s = timings_s
+        self.counts: Counter[str] = Counter()
+        self.seconds = 0.0
         self._is_keeping_out = False
 
     def where(self, odometry_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where a camera is in the map (4, 4) that the odometry has at `odometry_from_camera`."""
+        """Return the camera's pose (4, 4) in the map, from its pose by odometry."""
         return self._places.where(odometry_from_camera)
 
     def jumped(self, *, is_loop: bool = False) -> None:
-        """Take note of a jump of the odometry or the stamps; `is_loop`: the log begins anew, and so do its poses."""
+        """Record a jump of the odometry or the stamps; `is_loop`: the log begins again, and so do its poses."""
         self._places.jumped(is_loop=is_loop)
 
     def restore(self, history: RegistrationHistory | None) -> None:
-        """Go on as after some step of a run; None: as at its beginning."""
+        """Continue from a recorded step, None: from the beginning."""
         self._places.restore(history)
 
     async def place(self, frame: Frame, surface: SurfaceImage | None = None) -> Frame | None:
-        """Return a keyframe at the pose at which it is mapped, None where it does not fit the map.
+        """Return a keyframe at its registered pose, None if it does not fit the map.
 
-        `surface` is its `keyframe_surface`, None where nobody found it ahead.
+        `surface` is its `keyframe_surface`, None if it was not computed ahead.
         """
         started = time.perf_counter()
         found = await on_thread(self._thread, self._places.place, frame, surface)
-        self._timings_s["register"] += time.perf_counter() - started
+        self.seconds += time.perf_counter() - started
         if found is None:
             return frame
         if isinstance(found, KeyframeKeptOut):
             if not self._is_keeping_out:
-                logger.warning("frame %d and what follows is kept out of the map: %s", frame.index, found.reason)
+                logger.warning("frame %d and following ones are kept out of the map: %s", frame.index, found.reason)
             self._is_keeping_out = True
             await self._effects.handle(found)
             return None
         if found.event.how == "begun anew":
             logger.warning(
-                "frame %d does not fit the map, nor do those before it: the robot is somewhere else than its odometry "
-                "says, and a new submap begins",
+                "frame %d does not fit the map, nor do the frames before it: the robot is not where its odometry says, "
+                "and a new submap begins",
                 frame.index,
             )
-            self._counts["carried_away"] += 1
+            self.counts["carried_away"] += 1
             await self._effects.handle(PoseJumped(stamp_ns=frame.stamp_ns, after_from_before=np.eye(4)))
         elif self._is_keeping_out:
             logger.warning("frame %d fits the map again", frame.index)
         self._is_keeping_out = False
-        self._counts["keyframes_corrected"] += found.event.corrects
+        self.counts["keyframes_corrected"] += found.event.corrects
         await self._effects.handle(found.event)
         return found.frame

@@ -1,9 +1,4 @@
-"""Carries out effects: gives the core an event, then does what its effects ask for until none is left.
-
-What is kept of a keyframe's images: cut-outs around observations, and the colour image, compressed.
-
-Commits results of shape jobs to the core: when they are due (playback) or have arrived (live), and at the end.
-"""
+"""Carries out the core's effects, crops views, and commits the results of shape jobs."""
 
 from __future__ import annotations
 
@@ -31,19 +26,18 @@ from hickory_stream.perception.perceive import features_of
 from hickory_stream.ports import Crop
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Awaitable, Callable, Sequence
     from concurrent.futures import ThreadPoolExecutor
 
     from numpy.typing import NDArray
 
     from hickory_stream.config import JournalConfig, RunConfig
-    from hickory_stream.engine.async_tools import Stop
+    from hickory_stream.engine.async_tools import StopRequest
     from hickory_stream.engine.loop_closing import LoopCloser
     from hickory_stream.engine.modes import Mode
     from hickory_stream.engine.shape_jobs.queue import ShapeQueue
     from hickory_stream.engine.step_writer import Recorder, StepWriter
     from hickory_stream.events import ShapeFailed
-    from hickory_stream.journal.step import StepKind
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.mapping.core import MapperCore
     from hickory_stream.ports import FeatureExtractor
@@ -55,7 +49,7 @@ _JPEG_QUALITY = 80
 
 
 def crop_of(frame: Frame, observation: Observation, margin: float) -> Crop:
-    """Return the cut-out of a frame around an observation, with `margin` of its box more on every side."""
+    """Return the crop of a frame around an observation, its box enlarged by `margin` on every side."""
     x0, y0, x1, y1 = observation.box_px
     dx, dy = round((x1 - x0) * margin) + 2, round((y1 - y0) * margin) + 2
     left, top = max(0, x0 - dx), max(0, y0 - dy)
@@ -73,7 +67,7 @@ def crop_of(frame: Frame, observation: Observation, margin: float) -> Crop:
 
 
 def color_of(raw: RawFrame, frame: Frame, config: JournalConfig) -> bytes | None:
-    """Return the compressed image of a keyframe: the log's own, else a JPEG; None where none are to be kept."""
+    """Return the compressed image of a keyframe: the log's own, else a JPEG; None if images are not kept."""
     if not config.keep_images:
         return None
     if raw.color_bytes is not None:
@@ -86,32 +80,29 @@ def color_of(raw: RawFrame, frame: Frame, config: JournalConfig) -> bytes | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class AtHand:
-    """The keyframe that an event is about: its pixels and observations, which some effects need.
-
-    `patches` (h, w, D) are the features of its colours; None where nobody found them ahead.
-    """
+class CurrentKeyframe:
+    """The keyframe of an event: pixels and observations, which some effects need."""
 
     frame: Frame
     observations: Sequence[Observation]
+    #: (h, w, D) features of its colours, None if not computed yet.
     patches: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Handled:
-    """What an event led to: what the core published, and the patch features (h, w, D); None where there is nothing.
-
-    `effects` are those that nobody waits for who wants to see the map: shape jobs, and what they make superfluous.
-    """
+    """The result of an event."""
 
     published: Publish | None
+    #: (h, w, D), None if no effect needed features.
     patches: NDArray[np.float32] | None
+    #: To carry out after the map is published: shape jobs and clean-up.
     effects: tuple[Effect, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class EffectTargets:
-    """Whom effects concern: `folder` the pixels of views, `recorder` and `steps` the disk, `shapes` the workers."""
+    """Receivers of effects: `folder` gets the pixels of views, `recorder` and `steps` write the journal."""
 
     folder: MapFolder
     recorder: Recorder
@@ -123,37 +114,37 @@ class EffectTargets:
 
 
 class EffectRunner:
-    """Owns the core; all that it decides, and all that it is told, goes through `handle`, on the thread `thinker`."""
+    """Owns the core; every event goes through `handle`, on the mapping thread."""
 
     def __init__(
-        self, core: MapperCore, targets: EffectTargets, thinker: ThreadPoolExecutor, config: RunConfig
+        self, core: MapperCore, targets: EffectTargets, mapping_thread: ThreadPoolExecutor, config: RunConfig
     ) -> None:
         self.core = core
         self._to = targets
-        self._thinker = thinker
+        self._mapping_thread = mapping_thread
         self._config = config
 
-    async def handle(self, event: Event, at_hand: AtHand | None = None) -> Handled:
-        """Give the core an event, and carry out its effects and those that follow from them."""
-        handled = await self.decide(event, at_hand)
+    async def handle(self, event: Event, current: CurrentKeyframe | None = None) -> Handled:
+        """Send an event to the core, and carry out its effects and those that follow from them."""
+        handled = await self.decide(event, current)
         await self.carry_out(handled.effects)
         return handled
 
-    async def decide(self, event: Event, at_hand: AtHand | None = None) -> Handled:
-        """Give the core an event, and publish the map after it; the effects that are left are for `carry_out`."""
+    async def decide(self, event: Event, current: CurrentKeyframe | None = None) -> Handled:
+        """Send an event to the core, and publish the map; the remaining effects are for `carry_out`."""
         published: Publish | None = None
         patches: NDArray[np.float32] | None = None
         left: list[Effect] = []
         asked: Event | None = event
         while asked is not None:
             self._to.steps.add_event(asked)
-            effects = await on_thread(self._thinker, self.core.handle, asked)
+            effects = await on_thread(self._mapping_thread, self.core.handle, asked)
             asked = None
             # Pixels first: a job may need them.
-            await self._keep_views([effect for effect in effects if isinstance(effect, KeepView)], at_hand)
+            await self._keep_views([effect for effect in effects if isinstance(effect, KeepView)], current)
             for effect in effects:
                 if isinstance(effect, ComputeFeatures):
-                    asked, patches = await self._features(effect, at_hand)
+                    asked, patches = await self._features(effect, current)
                 elif isinstance(effect, Publish):
                     published = effect
                 else:
@@ -164,47 +155,37 @@ class EffectRunner:
         return Handled(published=published, patches=patches, effects=tuple(left))
 
     async def carry_out(self, effects: Sequence[Effect]) -> None:
-        """Carry out what was left of an event, in its order."""
+        """Carry out the remaining effects of an event, in order."""
         for effect in effects:
-            await self._carry_out(effect)
-
-    async def _carry_out(self, effect: Effect) -> None:
-        match effect:
-            case KeepView() | ComputeFeatures() | Publish():
-                return
-            case DropView():
-                self._to.steps.drop_view(effect.name)
-            case RequestShape():
-                await self._to.recorder.written()
-                await self._to.shapes.request(effect)
-            case SearchLoops():
-                self._to.loops.request(effect)
-            case CancelShape():
-                self._to.shapes.cancel(effect.ticket)
-                self._to.steps.end_job(effect.ticket)
-            case _:
-                assert_never(effect)
+            match effect:
+                case KeepView() | ComputeFeatures() | Publish():
+                    pass
+                case DropView():
+                    self._to.steps.drop_view(effect.name)
+                case RequestShape():
+                    await self._to.recorder.written()
+                    await self._to.shapes.request(effect)
+                case SearchLoops():
+                    self._to.loops.request(effect)
+                case CancelShape():
+                    self._to.shapes.cancel(effect.ticket)
+                    self._to.steps.end_job(effect.ticket)
+                case _:
+                    assert_never(effect)
 
     async def _features(
-        self, effect: ComputeFeatures, at_hand: AtHand | None
+        self, effect: ComputeFeatures, current: CurrentKeyframe | None
     ) -> tuple[FeaturesReady, NDArray[np.float32]]:
-        assert at_hand is not None, "features are asked for while the frame is at hand"
-        features, patches = await on_thread(
-            self._thinker,
-            features_of,
-            at_hand.frame,
-            at_hand.observations,
-            effect.observation_indices,
-            self._to.extractor,
-            at_hand.patches,
-        )
+        assert current is not None, "features are requested for the current frame"
+        asked = (current.frame, current.observations, effect.observation_indices, self._to.extractor, current.patches)
+        features, patches = await on_thread(self._mapping_thread, features_of, *asked)
         return FeaturesReady(frame_index=effect.frame_index, features=features), patches
 
-    async def _keep_views(self, keeps: Sequence[KeepView], at_hand: AtHand | None) -> None:
+    async def _keep_views(self, keeps: Sequence[KeepView], current: CurrentKeyframe | None) -> None:
         if not keeps:
             return
-        assert at_hand is not None, "views are kept while the frame is at hand"
-        frame, observations, views = at_hand.frame, at_hand.observations, self._to.folder.views
+        assert current is not None, "views are kept of the current frame"
+        frame, observations, views = current.frame, current.observations, self._to.folder.views
 
         def write() -> None:
             for keep in keeps:
@@ -214,59 +195,49 @@ class EffectRunner:
         await self._to.recorder.write_views(write)
 
 
-class OutOfPatienceError(Exception):
+class GraceExpired(Exception):
     """The grace period of a stopped run is over."""
 
 
 class DueShapes:
-    """Commits results of shape jobs: each is an event for the core, and its job is over with the step that has it."""
+    """Commits results of shape jobs: each is an event, and its job ends with the step of this event.
+
+    Results are committed when they are due (playback) or have arrived (live), and at the end.
+    """
 
     def __init__(
-        self,
-        shapes: ShapeQueue,
-        effects: EffectRunner,
-        steps: StepWriter,
-        folder: MapFolder,
-        stop: Stop,
-        *,
-        mode: Mode,
-        grace_s: float,
+        self, effects: EffectRunner, targets: EffectTargets, stop: StopRequest, *, mode: Mode, grace_s: float
     ) -> None:
-        self._shapes = shapes
         self._effects = effects
-        self._steps = steps
-        self._folder = folder
+        self._to = targets
         self._stop = stop
         self._mode = mode
         self._grace_s = grace_s
 
     async def commit(self, stamp_ns: int | None) -> None:
-        """Tell the core of the shapes that are due at a stamp, None: of all that are open.
+        """Send shapes that are due at a stamp to the core, None: all open ones.
 
-        Raises:
-            OutOfPatienceError: the run was stopped and one of them is not there yet: what came after this would not be
-                what an uninterrupted run does.
+        Raises `GraceExpired`: the run was stopped while one was missing: what follows would not be reproducible.
         """
         while (event := await self._next(stamp_ns)) is not None:
             await self._ended(event)
-        if self._mode == "playback" and self._shapes.has_due(stamp_ns):
-            raise OutOfPatienceError
+        if self._mode == "playback" and self._to.shapes.has_due(stamp_ns):
+            raise GraceExpired
 
-    async def commit_last(self, kind: StepKind, stamp_ns: int, tell: Callable[[], None]) -> None:
-        """Tell the core of the shapes that are open, or those that come within the grace of a stop; each is a step."""
+    async def commit_last(self, commit: Callable[[], Awaitable[None]]) -> None:
+        """Send open shapes to the core, or those that arrive within the grace of a stop; `commit` a step after each."""
         while (event := await self._next(None)) is not None:
             await self._ended(event)
-            await self._steps.commit(kind, stamp_ns)
-            tell()
+            await commit()
 
     async def _ended(self, event: ShapeReady | ShapeFailed) -> None:
         await self._effects.handle(event)
-        self._steps.end_job(event.ticket)
+        self._to.steps.end_job(event.ticket)
         if isinstance(event, ShapeReady):
-            self._folder.keep_shape(event.shape.mesh_name)
+            self._to.folder.keep_shape(event.shape.mesh_name)
 
     async def _next(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
-        """Return the next shape that is due; None where none is, or where a stop has no patience left for it."""
+        # None also where a stop leaves no time for the next shape.
         if self._mode == "live" and stamp_ns is not None:
-            return await self._shapes.next_arrived(stamp_ns)
-        return await self._stop.within_grace(self._shapes.next_due(stamp_ns), "next-shape", self._grace_s)
+            return await self._to.shapes.next_arrived(stamp_ns)
+        return await self._stop.within_grace(self._to.shapes.next_due(stamp_ns), "next-shape", self._grace_s)

@@ -1,7 +1,6 @@
-"""The first run after an installation or an update: kernels are compiled before anything is played, and it is told.
+"""The first run after an installation or update: kernels are compiled before anything is played.
 
-Child processes compile them, each a part of them, into the cache that the run then loads from. Where that does not
-work, a kernel is compiled when it is first called.
+Child processes compile one part each into the cache. If that fails, a kernel is compiled at its first call.
 """
 
 from __future__ import annotations
@@ -30,18 +29,15 @@ logger = logging.getLogger(__name__)
 _ROOT = Path(__file__).resolve().parents[1]
 _PACKAGES = ("geometry", "perception", "mapping", "shapes")
 _LEFT_OUT = "models"  # networks have kernels that few runs need
-_TELL_EVERY_S = 1.0
+_REPORT_EVERY_S = 1.0
 _DECORATOR = "\n@kernel"
 
 
-async def compile_kernels(tell: Callable[[int, int], None]) -> None:
-    """Have the kernels of a run in the cache; `tell` hears how many are compiled, and of about how many.
-
-    Returns at once where they are there already.
-    """
+async def compile_kernels(report: Callable[[int, int], None]) -> None:
+    """Compile missing kernels of a run into the cache; `report` receives the numbers compiled and estimated."""
     if await asyncio.to_thread(are_compiled):
         return
-    # What it imports is needed this once.
+    # Its imports are needed only here.
     from hickory_stream.engine.warm_up import PARTS
 
     total = sum(text.count(_DECORATOR) for text in (file.read_text(encoding="utf-8") for file in _files()))
@@ -49,38 +45,34 @@ async def compile_kernels(tell: Callable[[int, int], None]) -> None:
 
     def add(kernel: str) -> None:
         known.add(kernel)
-        tell(min(len(known), total), total)
+        report(min(len(known), total), total)
 
-    async def keep_telling() -> None:
+    async def keep_reporting() -> None:
         while True:
-            tell(min(len(known), total), total)
-            await asyncio.sleep(_TELL_EVERY_S)
+            report(min(len(known), total), total)
+            await asyncio.sleep(_REPORT_EVERY_S)
 
-    # A kernel takes seconds, and another process may be at them: time goes by all the same.
-    telling = asyncio.create_task(keep_telling(), name="tell")
+    # A kernel takes seconds, and another process may compile it.
+    reporting = asyncio.create_task(keep_reporting(), name="report-kernels")
     try:
         done = await asyncio.gather(*(_compile_part(part, add) for part in PARTS))
     finally:
-        telling.cancel()
+        reporting.cancel()
     if all(done):
         await asyncio.to_thread(_note_compiled)
 
 
 def are_compiled() -> bool:
-    """Return whether the kernels of this code, compiler and processor were compiled by an earlier run."""
+    """Return whether an earlier run compiled the kernels of this code, compiler and processor."""
     mark = kernels_folder() / _mark()
     mark_used(mark)
     return mark.exists()
 
 
 async def _compile_part(part: str, add: Callable[[str], None]) -> bool:
-    """Have a child compile a part; return whether it came to its end."""
     try:
         process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "hickory_stream.engine.warm_up",
-            part,
+            *(sys.executable, "-m", "hickory_stream.engine.warm_up", part),
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.DEVNULL,
@@ -112,14 +104,9 @@ def _note_compiled() -> None:
 
 @cache
 def _mark() -> str:
-    """Return the name of the empty file that says that all is there, for this code and this processor."""
-    binding = llvmlite.binding
-    processor = (
-        binding.get_host_cpu_name(),
-        sorted(binding.get_host_cpu_features().items()),
-        numba.config.CPU_NAME,
-        numba.config.CPU_FEATURES,
-    )
+    # An empty file of this name says that all kernels of this code and processor are compiled.
+    host = (llvmlite.binding.get_host_cpu_name(), sorted(llvmlite.binding.get_host_cpu_features().items()))
+    processor = (*host, numba.config.CPU_NAME, numba.config.CPU_FEATURES)
     digest = hashlib.sha256(repr(processor).encode())
     for file in _files():
         module = ".".join(("hickory_stream", *file.relative_to(_ROOT).with_suffix("").parts))
@@ -128,7 +115,6 @@ def _mark() -> str:
 
 
 def _files() -> Iterator[Path]:
-    """Yield the files whose kernels a run needs."""
     for package in _PACKAGES:
         for file in sorted((_ROOT / package).rglob("*.py")):
             if _LEFT_OUT not in file.parts and _DECORATOR in file.read_text(encoding="utf-8"):

@@ -1,7 +1,4 @@
-"""Where a run stands: the last frame, its round of the log, and what became of all frames so far.
-
-What becomes of frames that have come: each has one outcome, and is counted once.
-"""
+"""Position of a run in its log, and the outcome of every frame."""
 
 from __future__ import annotations
 
@@ -17,16 +14,16 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from hickory_stream.engine.modes import Mode
-    from hickory_stream.engine.reading import Read
+    from hickory_stream.engine.reading import QueuedFrame
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.map_folder.history.resume import ResumePoint
     from hickory_stream.mapping.rules.keyframes import KeyframeConfig
 
 
 class RunClock:
-    """Goes on with every frame, and tells where the stamps have jumped; a gap of up to `time_jump_s` is no jump.
+    """The last frame, its round of the log, and totals; detects jumps of the stamps.
 
-    `counts` are of frames, by what became of them; `num_frames` and `num_keyframes` are totals.
+    A gap of up to `time_jump_s` is no jump. `counts` are frames by outcome.
     """
 
     def __init__(self, time_jump_s: float) -> None:
@@ -41,17 +38,15 @@ class RunClock:
         self.counts: Counter[str] = Counter()
 
     def resume(self, point: ResumePoint) -> None:
-        """Go on where an interrupted run stood."""
+        """Continue from an interrupted run."""
         step = point.step
-        self.last = point.last_frame
-        self.camera = step.camera
-        self.first_ns = step.first_ns
+        self.last, self.camera, self.first_ns = point.last_frame, step.camera, step.first_ns
         self.round_index, self.first_index = step.round_index, step.first_index
         self.num_frames, self.num_keyframes = step.num_frames, step.num_keyframes
         self.counts.update(step.counts)
 
-    def jump_before(self, read: Read) -> TimeJumped | None:
-        """Return the jump of time before a frame, None where its stamp follows that of the frame before."""
+    def jump_before(self, read: QueuedFrame) -> TimeJumped | None:
+        """Return the jump of time before a frame, None if its stamp follows the one before."""
         if self.last is None or self.first_ns is None:
             return None
         from_ns, to_ns = self.last.stamp_ns, read.raw.stamp_ns
@@ -61,8 +56,8 @@ class RunClock:
             return None
         return TimeJumped(from_ns=from_ns, to_ns=to_ns, kind="restart" if to_ns < self.first_ns else "seek")
 
-    def advance(self, read: Read) -> FramePose:
-        """Go on to a frame, and return its pose."""
+    def advance(self, read: QueuedFrame) -> FramePose:
+        """Advance to a frame, and return its pose."""
         raw = read.raw
         self.num_frames += 1
         self.round_index, self.first_index = read.round_index, read.first_index
@@ -73,10 +68,10 @@ class RunClock:
 
 
 class FrameOutcome(StrEnum):
-    """What becomes of a frame; the values are the names of the counts.
+    """The outcome of a frame; the values are the names of the counts.
 
-    `DROPPED`: a keyframe that was left out because mapping could not keep up. `UNDECODABLE`: it was to be one, and its
-    images are torn. `KEPT_OUT`: it was to be one, and does not fit the map.
+    `DROPPED`: mapping could not keep up. `UNDECODABLE`: the images of a keyframe are torn. `KEPT_OUT`: a keyframe does
+    not fit the map.
     """
 
     MAPPED = "keyframes"
@@ -87,36 +82,29 @@ class FrameOutcome(StrEnum):
 
 
 class KeyframeChoice:
-    """Chooses which of the frames that have come is mapped: in a live run the newest that makes a keyframe."""
+    """Chooses the frame to map among arrived frames: in a live run the newest that is a keyframe."""
 
     def __init__(self, mode: Mode, config: KeyframeConfig) -> None:
         self._mode = mode
         self._config = config
         self._mapped: Keyframe | None = None
 
-    def outcomes(self, reads: Sequence[Read]) -> list[FrameOutcome]:
-        """Return what becomes of each frame, as far as is known before any is decoded in a live run."""
+    def outcomes(self, reads: Sequence[QueuedFrame]) -> list[FrameOutcome]:
+        """Return the outcome of each frame, as far as it is known before decoding."""
         if self._mode == "playback":
-            return [
-                FrameOutcome.MAPPED
-                if r.is_candidate
-                else FrameOutcome.UNDECODABLE
-                if r.is_torn
-                else FrameOutcome.BETWEEN
-                for r in reads
-            ]
-        chosen = next((i for i in range(len(reads) - 1, -1, -1) if self._makes_keyframe(reads[i])), None)
+            between = {True: FrameOutcome.UNDECODABLE, False: FrameOutcome.BETWEEN}
+            return [FrameOutcome.MAPPED if r.is_candidate else between[r.is_corrupt] for r in reads]
+        poses = [(read.raw.stamp_ns, read.raw.world_from_camera) for read in reads]
+        keyframes = [i for i, pose in enumerate(poses) if is_keyframe(self._mapped, *pose, self._config)]
+        chosen = keyframes[-1] if keyframes else None
         dropped = [i for i, read in enumerate(reads) if read.is_candidate and i != chosen]
         if chosen is not None:
             raw = reads[chosen].raw
             self._mapped = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
             if not reads[chosen].is_candidate:
-                # It is mapped in the place of a candidate, the newest.
+                # It replaces the newest candidate.
                 dropped = dropped[:-1]
         outcomes = [FrameOutcome.DROPPED if i in dropped else FrameOutcome.BETWEEN for i in range(len(reads))]
         if chosen is not None:
             outcomes[chosen] = FrameOutcome.MAPPED
         return outcomes
-
-    def _makes_keyframe(self, read: Read) -> bool:
-        return is_keyframe(self._mapped, read.raw.stamp_ns, read.raw.world_from_camera, self._config)

@@ -1,4 +1,4 @@
-"""Where keyframes are mapped: their registration to the surface of those before, as a step of a run."""
+"""Poses at which keyframes are mapped: registration to the surface of earlier keyframes."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _MAX_DEPTH_SIGMA_M = 0.1
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlacedFrame:
-    """A keyframe at the pose at which it is mapped, and the event that says how that was found."""
+    """A keyframe at its registered pose, and the event of the registration."""
 
     frame: Frame
     event: KeyframeRegistered
 
 
-class KeyframePlaces:
-    """Places keyframes one after the other; a frame between them is where the last one's correction takes it."""
+class RegistrationFilter:
+    """Registers keyframes one after the other; frames between them get the last correction."""
 
     def __init__(self, config: RegistrationConfig) -> None:
         self._config = config
@@ -44,25 +44,23 @@ class KeyframePlaces:
 
     @property
     def map_from_odometry(self) -> NDArray[np.float64]:
-        """Where the odometry's world lies in the map's, (4, 4)."""
+        """The odometry's world in the map's, (4, 4)."""
         return self._registration.map_from_odometry
 
     def where(self, odometry_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where a camera is in the map (4, 4) that the odometry has at `odometry_from_camera`."""
+        """Return the camera's pose (4, 4) in the map, from its pose by odometry."""
         if np.array_equal(self.map_from_odometry, np.eye(4)):
             return odometry_from_camera
         return compose(self.map_from_odometry, odometry_from_camera)
 
     def place(self, frame: Frame, surface: SurfaceImage | None = None) -> PlacedFrame | KeyframeKeptOut | None:
-        """Return a keyframe where it is mapped, or why it is not; None: keyframes are mapped where odometry has them.
+        """Return a registered keyframe, or why it is rejected; None: registration is off.
 
-        So they are where registration is off. `surface` is what `keyframe_surface` gives for this frame, None if it was
-        not asked.
+        `surface` is its `keyframe_surface`, None if it was not computed.
         """
         if not self._config.enabled:
             return None
         odometry_from_camera = frame.world_from_camera
-        spread_per_m = frame.sensor.spread_per_m
         image = keyframe_surface(frame) if surface is None else surface
         found = self._registration.place(image, odometry_from_camera, frame.degenerate)
         if isinstance(found, KeptOut):
@@ -81,21 +79,21 @@ class KeyframePlaces:
                 corrects=found.belief.corrects,
                 num_against=found.belief.num_against,
                 is_anchor=found.is_anchor,
-                spread_per_m=spread_per_m,
+                spread_per_m=frame.sensor.spread_per_m,
                 fit=found.fit,
                 degenerate=found.degenerate,
             ),
         )
 
     def jumped(self, *, is_loop: bool = False) -> None:
-        """Take note of a jump of the odometry or the stamps; `is_loop`: the log begins anew, and so do its poses."""
+        """Record a jump of the odometry or the stamps; `is_loop`: the log begins again, and so do its poses."""
         if is_loop:
             self._registration.began_again()
         else:
             self._registration.jumped()
 
     def restore(self, history: RegistrationHistory | None) -> None:
-        """Go on as after some step of a run; None: as at its beginning."""
+        """Continue from a recorded step, None: from the beginning."""
         self._registration = KeyframeRegistration(self._config)
         if history is None:
             return

@@ -1,8 +1,8 @@
-"""Loops in a run: searches on frozen snapshots beside the mapping, answers when they are due, and the graph's solution.
+"""Loops in a run: searches on frozen snapshots beside mapping, answers by due stamp, and the graph's solution.
 
-In a playback an answer is committed at the first keyframe at or after its due stamp, and the run waits for one that is
-late; in a live run it is committed when it is there. The graph is solved anew whenever a loop comes, from what the core
-has of submaps and loops, which the journal has too: a run that is resumed needs nothing else.
+A playback commits an answer at the first keyframe at or after its due stamp, and waits for a late one; a live run
+commits it on arrival. The graph is solved again for each loop, from records of the core, so a resumed run needs no
+more.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MIN_SUBMAPS_APART = 2
 
 
 class LoopCloser:
-    """The searches that are open, by the submap that is searched; one runs at a time."""
+    """Open searches by submap; one runs at a time."""
 
     def __init__(self, loops: LoopConfig, graph: GraphConfig, *, extractor: str, mode: Mode) -> None:
         self._loops = loops
@@ -49,12 +49,12 @@ class LoopCloser:
         self._thread = ThreadPoolExecutor(1, "loops")
 
     def request(self, search: SearchLoops) -> None:
-        """Begin a search, once those before it have ended."""
+        """Queue a search."""
         answer = asyncio.get_running_loop().run_in_executor(self._thread, self._found, search)
         self._open[search.submap_id] = search, answer
 
     def restart(self, searches: Iterable[SearchLoops]) -> None:
-        """Search what a core that was restored waits for, and nothing else."""
+        """Replace all searches by those that a restored core waits for."""
         for _, answer in self._open.values():
             answer.cancel()
         self._open.clear()
@@ -62,7 +62,7 @@ class LoopCloser:
             self.request(search)
 
     async def next_due(self, stamp_ns: int | None) -> LoopsSearched | None:
-        """Return the next answer that is to be committed at a stamp (None: any), waiting for it; None if none is."""
+        """Return the next answer that is due at a stamp (None: any), waiting for it; None if none is."""
         due = [
             (search.due_ns, submap_id)
             for submap_id, (search, answer) in self._open.items()
@@ -76,7 +76,7 @@ class LoopCloser:
         return LoopsSearched(submap_id=submap_id, stamp_ns=due_ns if stamp_ns is None else stamp_ns, loops=loops)
 
     def correction(self, core: MapperCore, stamp_ns: int) -> PosesCorrected | None:
-        """Return the pose graph, and where the submaps lie in it if not where they are; None: there is no loop."""
+        """Return the pose graph, and the poses of submaps that it moves; None without a loop."""
         from hickory_stream.graph.solve import solve
 
         submaps = [submap for submap in core.submaps if submap.anchor is not None]
@@ -96,17 +96,14 @@ class LoopCloser:
         # A submap that was opened and has no keyframe yet goes on from the last one.
         ids = [submap.id for submap in core.submaps]
         places += [places[-1]] * (len(ids) - len(places))
-        return PosesCorrected(
-            stamp_ns=stamp_ns, submap_ids=tuple(ids), world_from_submap=np.array(places), graph=record
-        )
+        moved = np.array(places)
+        return PosesCorrected(stamp_ns=stamp_ns, submap_ids=tuple(ids), world_from_submap=moved, graph=record)
 
     def close(self) -> None:
-        """Wait for the search that runs, and forget the others."""
+        """Wait for the running search, and drop the others."""
         for _, answer in self._open.values():
             answer.cancel()
         self._thread.shutdown(wait=True, cancel_futures=True)
-
-    # ---- on the thread of searches -----------------------------------------------------------------------------------
 
     def _found(self, search: SearchLoops) -> tuple[Loop, ...]:
         submaps = search.submaps
@@ -117,20 +114,18 @@ class LoopCloser:
         if isinstance(predicted, NoSolution):
             logger.warning("loops of submap %d are not searched: %s", later_id, predicted.reason)
             return ()
-        return search_loops(
-            LoopQuery(
-                later_id=later_id,
-                surfaces=Surfaces(submaps),
-                predicted=predicted,
-                snapshot=search.snapshot,
-                extractor=self._extractor,
-            ),
-            self._loops,
+        query = LoopQuery(
+            later_id=later_id,
+            surfaces=Surfaces(submaps),
+            predicted=predicted,
+            snapshot=search.snapshot,
+            extractor=self._extractor,
         )
+        return search_loops(query, self._loops)
 
 
 def _accepted(core: MapperCore) -> list[int]:
-    """Return the numbers of the loops that any solution so far has believed."""
+    # Every loop that any solution so far has believed.
     edges = () if core.graph is None else core.graph.loops
     believed = {(edge.earlier, edge.later) for edge in edges if edge.status in ("accepted", "withdrawn")}
     return [i for i, loop in enumerate(core.loops) if (loop.earlier, loop.later) in believed]

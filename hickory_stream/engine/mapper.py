@@ -1,8 +1,6 @@
-"""The mapper as a Python object.
+"""The mapper as a Python object, and the end of its run.
 
 `async with Mapper(config) as mapper: async for snapshot in mapper.run(source): ...`
-
-The end of a run: its sinks are closed, and the ledger, the timings and the manifest of its map are written.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ if TYPE_CHECKING:
 
 
 class MapSaver:
-    """Keeps the newest snapshot and saves it at the end: the sink of a mapper that was given none."""
+    """Saves the newest snapshot at the end: the sink of a mapper without sinks."""
 
     def __init__(self, folder: MapFolder) -> None:
         self._folder = folder
@@ -71,10 +69,8 @@ async def close_run(
 ) -> None:
     """Close sinks and journal, and finish the map folder.
 
-    Essential sinks are closed first, so that a viewer that hangs cannot keep the map from being finished.
-
-    Raises:
-        Exception: the first error of an essential sink or of the journal, after everything was closed.
+    Essential sinks come first: a viewer that hangs cannot keep the map unfinished. The first error of an essential sink
+    or of the journal is raised after everything is closed.
     """
     failed: BaseException | None = None
     for thread in threads:
@@ -88,7 +84,7 @@ async def close_run(
     except MapFolderError as error:
         failed = failed or error
     if failed is None or not is_clean:
-        # Asked here: what the run counts belongs to the event loop.
+        # The run's counters belong to the event loop.
         ledger, timings, is_reproducible = run.ledger(), run.timings(), run.is_reproducible
         is_finished = is_clean and failed is None
         await asyncio.to_thread(_finish, folder, ledger, timings, is_clean=is_finished, is_reproducible=is_reproducible)
@@ -98,26 +94,21 @@ async def close_run(
 
 
 def why_empty(source: Source, run: Run) -> str | None:
-    """Return why a source that was played to its end has given no map, None if it has or was not played to its end."""
+    """Return why a completely played source gave no map, else None."""
     uri, counts = source.info.uri, run.counts
     if not run.is_complete:
         return None
     if run.num_keyframes == 0:
-        told = ", ".join(f"{name} {count}" for name, count in sorted({**source.ledger(), **counts}.items()))
+        found = ", ".join(f"{name} {count}" for name, count in sorted({**source.ledger(), **counts}.items()))
         needed = "it must hold colour, depth and poses that overlap in time"
-        return f"{uri} gave no usable frame ({told or 'nothing'}); {needed}"
+        return f"{uri} gave no usable frame ({found or 'nothing'}); {needed}"
     if counts.get("keyframes_without_depth", 0) == run.num_keyframes:
         return f"{uri} has no depth in any of {run.num_keyframes} keyframes; mapping needs depth in metres above 0"
     return None
 
 
 def _finish(
-    folder: MapFolder,
-    ledger: Mapping[str, Any],
-    timings: Mapping[str, float],
-    *,
-    is_clean: bool,
-    is_reproducible: bool,
+    folder: MapFolder, ledger: Mapping[str, Any], timings: Mapping[str, float], *, is_clean: bool, is_reproducible: bool
 ) -> None:
     folder.write_json("ledger.json", ledger)
     folder.write_json("timings.json", timings)
@@ -132,24 +123,22 @@ _LIVE_NICENESS = 10
 
 
 class Mapper:
-    """Maps sources into one map folder.
+    """Maps one source into one map folder.
 
     Args:
-        config: everything that the mapper is configured by.
-        out: the map folder to make; None makes one that is removed on leaving.
-        overwrite: replace a map that is in `out`.
-        segmenter, extractor: other perception than the configured one.
-        core: another core than one made from the configuration; it must be new.
-        workers: other shape workers than child processes of this machine.
+        config: the whole configuration.
+        out: the map folder to make; None makes a temporary one.
+        overwrite: replace a map in `out`.
+        segmenter, extractor: perception in place of the configured one.
+        core: a new core in place of the configured one.
+        workers: shape workers in place of child processes.
 
-    Entering makes the shape workers available; leaving ends them, and a run whose loop was left before its end: as
-    `stop` does, with the map saved, or at once where an error or a temporary folder leaves nothing to save. One `run`
-    per mapper. Meanwhile BLAS has one thread in this process: the processors are busy with workers, and sums that
-    are split differently differ in their last bits.
+    Entering starts the shape workers. Leaving ends them, and an unfinished run: like `stop`, with the map saved, unless
+    an error or a temporary folder makes that useless. Meanwhile BLAS has one thread in this process: other splits of a
+    sum differ in the last bits.
 
-    Raises:
-        ConfigError: the configuration asks for what is not there.
-        ModelError: it asks for a network that is missing, damaged, or cannot run here.
+    Raises `ConfigError`: the configuration asks for something that is missing; `ModelError`: a network is missing,
+    damaged, or cannot run here.
     """
 
     def __init__(
@@ -171,21 +160,19 @@ class Mapper:
         self._is_own = segmenter is None and extractor is None
         # What a generator computes depends on the machine as perception of a caller's own does.
         is_shown = self._is_own and self.config.shapes.reconstructor != "external"
-        self._processor = processor_of_run(
-            self.config.perception, is_own=is_shown, has_lossy_views=self.config.run.view_colors != "png"
-        )
+        is_lossy = self.config.run.view_colors != "png"
+        self._processor = processor_of_run(self.config.perception, is_own=is_shown, has_lossy_views=is_lossy)
         self._core = core or MapperCore(self.config.mapping)
         self._workers = workers or make_workers(self.config)
         self._rehearsing = threading.Lock()
-        self._is_rehearsed = False
-        self._resumes = False
+        self._is_rehearsed = self._resumes = False
         self._temporary: Path | None = None
         self._threads: threadpool_limits | None = None
         self._run: Run | None = None
         self._task: asyncio.Task[None] | None = None
         self.folder: MapFolder | None = None
+        #: Why requested files beside the map are incomplete, at the end of the run.
         self.lost_outputs: tuple[str, ...] = ()
-        """Once the run has ended: why files that were asked for beside the map are not there to their end."""
 
     @classmethod
     def resuming(
@@ -200,12 +187,10 @@ class Mapper:
     ) -> Mapper:
         """Return a mapper that continues the interrupted playback of a map folder; `run` it with the same source.
 
-        The configuration is that of the folder; the workers' interpreter and the cluster are those of `machine`,
-        whatever the folder says: where it names others, that is refused unless `ignores_recorded_workers`.
+        The configuration is the folder's; interpreter and cluster of the workers are `machine`'s. If the folder names
+        others, that is refused unless `ignores_recorded_workers`.
 
-        Raises:
-            MapFolderError: there is no map, or nothing to be continued.
-            ConfigError: the map was made with an interpreter or a cluster that `machine` does not name.
+        Raises `MapFolderError`: there is no map, or nothing to continue; `ConfigError`: other workers were recorded.
         """
         config = resumed_config(Path(out), machine or RunConfig(), ignores_recorded=ignores_recorded_workers)
         mapper = cls(config, out=out, segmenter=segmenter, extractor=extractor, workers=workers)
@@ -214,7 +199,7 @@ class Mapper:
 
     @property
     def extractor_name(self) -> str:
-        """What makes the features."""
+        """The name of the feature extractor."""
         return self._extractor.name
 
     async def __aenter__(self) -> Mapper:
@@ -235,7 +220,6 @@ class Mapper:
                 shutil.rmtree(self._temporary, ignore_errors=True)
 
     async def _end_run(self, *, is_in_order: bool) -> None:
-        """End a run whose snapshots are no longer asked for: it needs the workers and the folder that go now."""
         if self._task is None or self._task.done():
             return
         if is_in_order:
@@ -246,10 +230,10 @@ class Mapper:
             await asyncio.gather(self._task, return_exceptions=True)
 
     def rehearse(self) -> None:
-        """Try perception and core out on a small scene; a live run does it once, before its first frame.
+        """Run perception and core on a small scene, so that the first frame takes no longer than others.
 
-        Whoever still waits for a robot can do it meanwhile, on another thread. Perception of one's own is left alone,
-        and so are kernels that are not compiled yet: the run compiles them first.
+        A live run does it once, or its caller while waiting for a robot, on another thread. Perception of the caller
+        and kernels that are not compiled yet are left out.
         """
         with self._rehearsing:
             if self._is_own and not self._is_rehearsed and are_compiled():
@@ -258,23 +242,23 @@ class Mapper:
 
     @property
     def was_stopped(self) -> bool:
-        """Whether the run was ended by `stop`."""
+        """Whether `stop` ended the run."""
         return self._run is not None and not self._run.is_complete
 
     def stop(self) -> None:
-        """End the run after the frame at hand, and save: what the first Ctrl-C does."""
+        """End the run after the current frame, and save, like the first Ctrl-C."""
         if self._run is not None:
             self._run.stop()
 
     def correct_poses(self, world_from_submap: Mapping[int, NDArray[np.float64]]) -> None:
-        """Place submaps anew, e.g. as a pose graph has them: ids (of `snapshot.submaps`) and rigid (4, 4) transforms.
+        """Place submaps at new poses, e.g. of a pose graph: rigid (4, 4) transforms by id (of `snapshot.submaps`).
 
-        It takes effect before the next frame, at the latest before the map is finished, and is kept in the journal. All
-        that belongs to a submap moves with it, nothing is computed anew; identities undo it to the last byte. The map
-        then is not reproducible from the log alone.
+        It takes effect before the next frame or before the map is finished, and is recorded in the journal. All content
+        of a submap moves with it; identities undo it to the last byte. The map is then not reproducible from the log
+        alone.
 
-        Raises:
-            InputError: there is no such submap, a transform is not rigid, or nothing is being mapped; nothing is moved.
+        Raises `InputError`: there is no such submap, a transform is not rigid, or nothing is being mapped; nothing is
+        moved.
         """
         if self._run is None:
             raise InputError("there are no poses to correct: `run` has not begun")
@@ -291,25 +275,21 @@ class Mapper:
         progress: Callable[[Progress], None] = lambda _: None,
         source_note: Mapping[str, Any] | None = None,
     ) -> AsyncIterator[MapSnapshot]:
-        """Yield the map after every keyframe, and last the finished one.
+        """Yield the map after every keyframe, and last the finished one; a slow consumer sees only the newest.
 
-        `sinks` makes the sinks for the map folder, each with whether it is essential; by default none but the saving of
-        the map. `rate` 1.0 is real time, None as fast as can be. A consumer that is slower than the mapping sees the
-        newest snapshot, not every one.
+        `sinks` makes the sinks for the map folder, each with whether it is essential; by default the map is saved.
+        `rate` 1.0 is real time, None as fast as possible. `mode` "playback" waits for everything: one log, one map.
+        "live" never waits: it maps the newest keyframe, takes shapes on arrival, and counts skipped frames in the
+        ledger. `source_note` goes into the manifest, to open the source again. A resuming mapper takes `mode` and
+        `loops` from the folder.
 
-        `mode` "playback" waits wherever something is full: one log, one map. "live" waits for nothing: it maps the
-        newest keyframe, takes shapes as they arrive, and counts in the ledger what it left out. `source_note` is
-        kept in the manifest, for whoever resumes the run and has to open the source again. A mapper that resumes takes
-        `mode` and `loops` from the folder.
-
-        Raises:
-            HickoryError: the source, the disk or the core failed; the folder holds what was mapped so far.
+        Raises `HickoryError`: the source, the disk or the core failed; the folder holds the map so far.
         """
         asked = {"mode": mode, "loops": loops, "source": dict(source_note or {})}
         folder, journal, continued = await asyncio.to_thread(self._open, source, asked)
         mode, loops = folder.manifest.run["mode"], folder.manifest.run["loops"]
         if mode == "live" and isinstance(self._workers, LocalWorkers):
-            # A robot waits for the keyframe, nobody for the shape.
+            # A robot waits for keyframes, not for shapes.
             self._workers.niceness = _LIVE_NICENESS
         if continued is not None:
             continue_from(source, continued.last_frame.stamp_ns, continued.last_frame.world_from_camera)
@@ -322,7 +302,6 @@ class Mapper:
 
         async def play() -> None:
             try:
-                threads = self._make_sinks(folder, sinks)
                 parts = RunParts(
                     config=self.config,
                     mode=mode,
@@ -333,14 +312,14 @@ class Mapper:
                     workers=self._workers,
                     folder=folder,
                     journal=journal,
-                    sinks=threads,
+                    sinks=self._make_sinks(folder, sinks),
                     publish=publish,
                     progress=progress,
                     resumes=continued,
                     rehearse=self.rehearse if mode == "live" else None,
                 )
                 run = self._run = Run(parts)
-                await self._play(run, source, folder, journal, threads, rate, loops)
+                await self._play(run, parts, rate, loops)
             finally:
                 journal.abandon()
                 folder.close()
@@ -362,28 +341,20 @@ class Mapper:
             await asyncio.gather(task, return_exceptions=True)
             raise
 
-    async def _play(
-        self,
-        run: Run,
-        source: Source,
-        folder: MapFolder,
-        journal: JournalWriter,
-        threads: list[SinkThread],
-        rate: float | None,
-        loops: int,
-    ) -> None:
+    async def _play(self, run: Run, parts: RunParts, rate: float | None, loops: int) -> None:
         is_clean = False
         try:
             await run.run(rate=rate, loops=loops)
             is_clean = run.is_complete
         finally:
             try:
-                await close_run(run, folder, journal, threads, is_clean=is_clean)
+                await close_run(run, parts.folder, parts.journal, parts.sinks, is_clean=is_clean)
             finally:
-                self.lost_outputs = tuple(thread.lost_output for thread in threads if thread.lost_output is not None)
-        reason = why_empty(source, run)
+                lost = (thread.lost_output for thread in parts.sinks)
+                self.lost_outputs = tuple(reason for reason in lost if reason is not None)
+        reason = why_empty(parts.source, run)
         if reason is not None:
-            await asyncio.to_thread(shutil.rmtree, folder.path, ignore_errors=True)
+            await asyncio.to_thread(shutil.rmtree, parts.folder.path, ignore_errors=True)
             raise RecordingError(reason)
 
     def _make_sinks(
@@ -398,17 +369,14 @@ class Mapper:
         return [SinkThread(sink, is_essential=essential) for sink, essential in made]
 
     def _open(self, source: Source, asked: Mapping[str, Any]) -> tuple[MapFolder, JournalWriter, ResumePoint | None]:
-        """Return the map folder and its journal, new or to be continued."""
-        flush_s = self.config.journal.flush_s
-        caches.cap_mb()  # what it refuses is refused before anything is played
+        caches.cap_mb()  # an invalid value is refused before anything is played
         if self._resumes:
             assert self._out is not None
             self.folder, journal, continued = reopen(self._out, source.info, self.config, self.extractor_name)
             return self.folder, journal, continued
-        if self._out is None:
-            self._temporary = Path(tempfile.mkdtemp(prefix="hickory-"))
-        place = self._out if self._out is not None else self._temporary
-        assert place is not None
+        place = self._out
+        if place is None:
+            place = self._temporary = Path(tempfile.mkdtemp(prefix="hickory-"))
         self.folder = create_map_folder(
             place,
             config=dataclasses.asdict(self.config),
@@ -420,7 +388,7 @@ class Mapper:
             overwrite=self._overwrite,
         )
         try:
-            return self.folder, JournalWriter(place, flush_s=flush_s), None
+            return self.folder, JournalWriter(place, flush_s=self.config.journal.flush_s), None
         except MapFolderError:
             shutil.rmtree(place, ignore_errors=True)
             self.folder.close()

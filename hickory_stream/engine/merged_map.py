@@ -1,7 +1,6 @@
-"""A merged map as a folder: pixels and meshes of all inputs under their new names, shapes made anew where needed.
+"""A merged map as a folder: pixels and meshes of all inputs renamed, and shapes rebuilt where needed.
 
-The manifest's `source` names every input with its digest, every pair of maps with what became of it, and of every
-object the maps and ids that it was.
+The manifest's `source` lists inputs with digests, the outcome of every pair of maps, and the origins of every object.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from hickory_stream.merging.layout import PairOutcome
     from hickory_stream.merging.merge_maps import Merged
     from hickory_stream.merging.objects import MergedObject
-    from hickory_stream.records import TrackedObject, View
+    from hickory_stream.records import TrackedObject
 
 _MERGED_REVISION = 1_000_000
 
@@ -49,17 +48,11 @@ def write_merged_map(
     overwrite: bool,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Manifest:
-    """Write a merged map into the folder `out`; the inputs are only read.
+    """Write a merged map into the folder `out`; `inputs` are the maps that `merge_maps` merged, in the same order.
 
-    Args:
-        out: where.
-        merged: what `merge_maps` made of the inputs' snapshots.
-        inputs: the maps, in the same order.
-        overwrite: replace a map that is there.
-        progress: told how many of the shapes to be made anew are done.
+    `overwrite` replaces an existing map. `progress` receives the numbers of rebuilt and of all shapes to rebuild.
 
-    Raises:
-        MapFolderError: the place is taken or cannot be written, or a file of an input is damaged.
+    Raises `MapFolderError`: the place is taken or cannot be written, or a file of an input is damaged.
     """
     used = [saved for i, saved in enumerate(inputs) if i not in merged.left_out]
     # What ran on the machine where the first one was made is no part of this map.
@@ -70,7 +63,6 @@ def write_merged_map(
         out,
         config=config,
         source=_source(merged, inputs),
-        # Of several nothing is known.
         extractor=names.pop() if len(names) == 1 else "",
         processor=processor_kind(),
         overwrite=overwrite,
@@ -94,11 +86,11 @@ def write_merged_map(
 
 
 def outcome_text(pair: PairOutcome) -> str:
-    """Return in a few words what became of a pair of maps."""
+    """Return the outcome of a pair of maps in a few words."""
     if not isinstance(pair.answer, Alignment):
         return f"not aligned ({pair.answer.refusal.value}): {pair.answer.reason}"
-    told = f"{len(pair.answer.pairs)} pairs, chance 10^{pair.answer.log10_chance:.0f}"
-    return told if pair.is_believed else f"REJECTED, the other alignments contradict it: {told}"
+    text = f"{len(pair.answer.pairs)} pairs, chance 10^{pair.answer.log10_chance:.0f}"
+    return text if pair.is_believed else f"REJECTED, the other alignments contradict it: {text}"
 
 
 def _source(merged: Merged, inputs: Sequence[SavedMap]) -> dict[str, Any]:
@@ -125,29 +117,22 @@ def _source(merged: Merged, inputs: Sequence[SavedMap]) -> dict[str, Any]:
     }
 
 
-def _origin(view: View, merged: Merged) -> int:
-    """Return the index of the map that a view came from."""
-    known = [i for i, pose in enumerate(merged.world_from_map) if pose is not None]
-    return max(i for i in known if merged.first_frames[i] <= view.frame_index)
-
-
 def _copy_views(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: Sequence[SavedMap]) -> None:
+    known = [i for i, pose in enumerate(merged.world_from_map) if pose is not None]
     for view in item.views:
-        origin = _origin(view, merged)
+        origin = max(i for i in known if merged.first_frames[i] <= view.frame_index)
         old_name = replace(view, frame_index=view.frame_index - merged.first_frames[origin]).name
         *images, description = crop_files(inputs[origin].views, old_name)
         for image in images:
             new_name = f"{view.name}{image.name.removeprefix(old_name)}"
             _copied(inputs[origin].folder, f"views/{image.name}", folder.views / new_name)
-        told = read_json(inputs[origin].views, description.name) | {
-            "world_from_camera": view.world_from_camera.tolist()
-        }
+        described = read_json(inputs[origin].views, description.name)
+        described["world_from_camera"] = view.world_from_camera.tolist()
         with disk_errors(folder.path):
-            write_atomically(folder.views / f"{view.name}.json", dumps_exactly(told).encode(), sync=False)
+            write_atomically(folder.views / f"{view.name}.json", dumps_exactly(described).encode(), sync=False)
 
 
 def _with_mesh(folder: MapFolder, item: TrackedObject, merged: Merged, inputs: Sequence[SavedMap]) -> TrackedObject:
-    """Return the object with its mesh in the new folder, under a name of its own."""
     if item.shape is None:
         return item
     origin = next(i for i, old in merged.provenance[item.id] if _has_mesh(inputs[i], old, item.shape))
@@ -162,7 +147,6 @@ def _has_mesh(saved: SavedMap, object_id: int, shape: ObjectShape) -> bool:
 
 
 def _reshaped(folder: MapFolder, one: MergedObject, item: TrackedObject, config: ShapeConfig) -> TrackedObject:
-    """Return the object with layers 2 to 4 made of all that is known of it; with its old ones where that fails."""
     first = [item.best_view] if item.best_view is not None else []
     others = [view for view in item.views if not first or view.name != first[0].name]
     floors = [float(item.points_world[:, 2].min())] if len(item.points_world) else [None]
@@ -198,7 +182,7 @@ def _reshaped(folder: MapFolder, one: MergedObject, item: TrackedObject, config:
 
 
 def _copied(folder: Path, name: str, target: Path) -> None:
-    """Make `target` the same file as one of a map: a hard link where the disk can, as neither is changed in place."""
+    # A hard link where the disk can: neither file is changed in place.
     with outside_errors():
         source = path_within(folder, name)
     with disk_errors(target):

@@ -1,7 +1,4 @@
-"""The two ways to run: a "playback" waits wherever something is full, a "live" run waits for nothing.
-
-Where a run is, for whoever waits for it.
-"""
+"""The two modes of a run, and its progress: a "playback" waits for everything, a "live" run never waits."""
 
 from __future__ import annotations
 
@@ -13,16 +10,15 @@ Mode = Literal["playback", "live"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Progress:
-    """Where a run is: for the bar. `frames` of `total` (None: unknown), `phase` in a word.
-
-    While the phase is `compiling`, `num_compiled` kernels of about `num_kernels` are.
-    """
+    """Progress of a run, for the bar."""
 
     phase: str
     frames: int
+    #: None if unknown.
     total: int | None
     keyframes: int
     objects: int
     open_shapes: int
+    #: Compiled kernels of about `num_kernels`, in the phase `compiling`.
     num_compiled: int = 0
     num_kernels: int = 0

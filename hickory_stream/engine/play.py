@@ -1,4 +1,4 @@
-"""One playback from the outside: blocking, with the signals that a person sends."""
+"""One run from outside the event loop: blocking, with signals."""
 
 from __future__ import annotations
 
@@ -22,17 +22,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Played:
-    """What a playback left: the last snapshot (None if it was stopped before the first), and how it ended.
+    """The result of a run."""
 
-    `lost_outputs` says why files that were asked for beside the map are not there to their end.
-    """
-
+    #: The last one, None if the run was stopped before the first.
     snapshot: MapSnapshot | None
     finished_cleanly: bool
     was_stopped: bool
     is_reproducible: bool
     processor: str
     digest: str | None
+    #: Why requested files beside the map are incomplete.
     lost_outputs: tuple[str, ...] = ()
 
 
@@ -49,19 +48,10 @@ def play(
 ) -> Played:
     """Map a source. The first SIGINT or SIGTERM ends the run in order and saves it, the second cancels it.
 
-    Args:
-        mapper: a new one with a folder, or one that resumes an interrupted playback (`Mapper.resuming`).
-        source: what is mapped; closed by the caller.
-        sinks: makes the sinks for the map folder, each with whether it is essential.
-        progress: told where the run is.
-        rate: 1.0 is real time, None as fast as can be.
-        mode: whether the run waits for the map, or the map for the run.
-        loops: how many rounds of the source.
-        source_note: kept in the manifest, for whoever resumes the run.
+    Arguments as of `Mapper.run`; the caller closes the source.
 
-    Raises:
-        HickoryError: the source, the disk or the core failed; the folder holds what was mapped so far.
-        KeyboardInterrupt: it was cancelled by a second signal.
+    Raises `HickoryError`: the source, the disk or the core failed; the folder holds the map so far;
+    `KeyboardInterrupt`: a second signal cancelled the run.
     """
     try:
         snapshots = mapper.run(
@@ -98,8 +88,6 @@ async def _play(mapper: Mapper, snapshots: AsyncIterator[MapSnapshot], source: S
 
 
 class _Signals:
-    """While entered: the first signal stops the mapper, the second cancels its task."""
-
     def __init__(self, mapper: Mapper, source: Source) -> None:
         self._mapper = mapper
         self._source = source

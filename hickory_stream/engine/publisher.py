@@ -1,9 +1,7 @@
-"""Publishes what a run does: to sinks, to the consumer that iterates over the snapshots, and to the progress bar.
+"""Publishes reports to sinks, snapshots to the consumer, and progress to the bar.
 
-Sinks on threads of their own, each behind a bounded queue.
-
-The sink that keeps the map is essential: when it fails, the run must stop and say so. Any other is for looking: when it
-fails, it is set aside with a warning and the mapping goes on.
+Each sink has a thread behind a bounded queue. If an essential sink fails, the run stops; any other is dropped with
+a warning.
 """
 
 from __future__ import annotations
@@ -26,12 +24,11 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Sink
     from hickory_stream.records import FrameReport, MapSnapshot
 
-
 logger = logging.getLogger(__name__)
 
 
-class Announcer:
-    """Keeps the newest `snapshot`, whose pose corrections reports are shown with; `waits`: for sinks that are full."""
+class ReportPublisher:
+    """Publishes the newest `snapshot`, by which it corrects the poses of reports; `waits`: for full sinks."""
 
     def __init__(
         self,
@@ -50,21 +47,21 @@ class Announcer:
 
     @property
     def num_not_shown(self) -> int:
-        """How many reports were left out for sinks that could not keep up."""
+        """Number of reports that slow sinks did not get."""
         return sum(sink.num_dropped for sink in self._sinks)
 
     @property
     def backlogs(self) -> list[int]:
-        """How many reports wait for each sink."""
+        """Number of reports that wait for each sink."""
         return [sink.backlog for sink in self._sinks]
 
     def publish(self, snapshot: MapSnapshot) -> None:
-        """Hand out the map as it is now."""
+        """Publish the current map."""
         self.snapshot = snapshot
         self._publish(snapshot)
 
     async def show(self, report: FrameReport) -> None:
-        """Hand a report to every sink; raises `HickoryError` where an essential one has failed."""
+        """Send a report to every sink; raises `HickoryError` if an essential one has failed."""
         placed = in_map_frame(report, self.snapshot)
         for sink in self._sinks:
             await sink.show(placed, waits=self._waits)
@@ -72,7 +69,7 @@ class Announcer:
     def progress(
         self, phase: str, clock: RunClock, shapes: ShapeQueue, *, num_compiled: int = 0, num_kernels: int = 0
     ) -> None:
-        """Say where the run is, of `total` frames."""
+        """Report the progress of the run."""
         self._progress(
             Progress(
                 phase=phase,
@@ -92,7 +89,7 @@ _CLOSE_TIMEOUT_S = 5.0
 
 
 class SinkThread:
-    """Runs one sink; `show` waits while its queue is full (playback loses nothing), or counts in `num_dropped`."""
+    """Runs one sink; `show` waits while its queue is full (playback), or counts in `num_dropped`."""
 
     def __init__(self, sink: Sink, *, is_essential: bool) -> None:
         self._sink = sink
@@ -104,10 +101,9 @@ class SinkThread:
         self._thread.start()
 
     async def show(self, report: FrameReport, *, waits: bool = True) -> None:
-        """Hand a report over; unless it `waits`, a sink for looking that is behind does not get it.
+        """Queue a report; unless it `waits`, a slow sink that is not essential misses it.
 
-        Raises:
-            HickoryError: an essential sink has failed.
+        Raises `HickoryError`: an essential sink has failed.
         """
         self._raise_if_failed()
         try:
@@ -119,10 +115,9 @@ class SinkThread:
             await asyncio.to_thread(self._queue.put, report)
 
     async def close(self) -> None:
-        """Let the sink finish what it was given; a sink for looking is given up after 5 s.
+        """Let the sink finish its queue, for at most 5 s unless it is essential.
 
-        Raises:
-            HickoryError: an essential sink has failed.
+        Raises `HickoryError`: an essential sink has failed.
         """
         timeout_s = None if self.is_essential else _CLOSE_TIMEOUT_S
         try:
@@ -135,12 +130,12 @@ class SinkThread:
 
     @property
     def lost_output(self) -> str | None:
-        """Why a file that was asked for is not there to its end; None where nothing was lost."""
+        """Why a requested file is incomplete; None if nothing was lost."""
         return str(self._error) if isinstance(self._error, OutputError) else None
 
     @property
     def backlog(self) -> int:
-        """How many reports wait."""
+        """Number of waiting reports."""
         return self._queue.qsize()
 
     def _raise_if_failed(self) -> None:

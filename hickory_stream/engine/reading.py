@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.async_tools import Stop
+    from hickory_stream.engine.async_tools import StopRequest
     from hickory_stream.engine.modes import Mode
     from hickory_stream.geometry.depth_sensor import SensorConfig
     from hickory_stream.map_folder.history.resume import Position
@@ -41,12 +41,10 @@ _LIVE_FRAMES = 32
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Ahead:
-    """What of a keyframe needs no map, and is found while those before it are mapped; None where it was not.
+class Prefetched:
+    """Parts of a keyframe that need no map, computed while earlier keyframes are mapped; None if not computed.
 
-    What the segmenter has `prepared`, the `patches` (h, w, D) of features of its colours, the `surface` by which it is
-    registered, and the keys of the voxels that it sees to be free. `prepared` and `free_keys` hold only for the pose
-    that the frame was read with.
+    `patches` (h, w, D) are features. `prepared` (of the segmenter) and `free_keys` are valid for the pose as read only.
     """
 
     prepared: object = None
@@ -56,65 +54,68 @@ class Ahead:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Read:
-    """One frame on its way.
-
-    `is_candidate`: stamps and poses make it a keyframe. In a playback it then comes with its `frame`, decoded, and with
-    what is known of it `ahead`; one that `is_torn` is no candidate. `counts` is what was lost since the frame before.
-    `arrived_s` is when it was there (monotonic).
-    """
+class QueuedFrame:
+    """A queued frame."""
 
     raw: RawFrame
     round_index: int
     first_index: int
+    #: Stamp and pose make it a keyframe; it is not torn.
     is_candidate: bool
+    #: Decoded, for a candidate of a playback.
     frame: Frame | None = None
-    ahead: Ahead = field(default_factory=Ahead)
-    is_torn: bool = False
+    ahead: Prefetched = field(default_factory=Prefetched)
+    is_corrupt: bool = False
+    #: Losses since the frame before.
     counts: Mapping[str, int] = field(default_factory=dict)
+    #: Monotonic time of arrival.
     arrived_s: float = 0.0
 
 
 class Reader:
-    """Takes frames from a source, on a thread of its own, into a channel until it ends or the run stops.
+    """Reads a source on a thread into a channel, until the source or the run ends.
 
-    A playback has few frames on their way, of which fewer are decoded, and waits while they are not taken. A live run
-    has a second of them, still compressed, the newest.
+    A playback queues few frames, fewer of them decoded, and waits. A live run queues the newest second, compressed.
     """
 
     def __init__(
-        self, config: MapperConfig, segmenter: Segmenter, extractor: FeatureExtractor, stop: Stop, *, mode: Mode
+        self, config: MapperConfig, segmenter: Segmenter, extractor: FeatureExtractor, stop: StopRequest, *, mode: Mode
     ) -> None:
         self._config = config
         self._segmenter = segmenter
         self._extractor = extractor
         self._stop = stop
         self._mode = mode
-        self._channel: Channel[Read] = (
+        self._channel: Channel[QueuedFrame] = (
             Channel(_LIVE_FRAMES, "drop_oldest") if mode == "live" else Channel(_FRAMES_AHEAD)
         )
         self._room = asyncio.Semaphore(_DECODED_AHEAD)
         self._thread = ThreadPoolExecutor(1, "read")
         self.decode_s = 0.0
-        # Since the last frame that was sent.
+        #: Losses since the last queued frame (playback).
         self.lost: Counter[str] = Counter()
+        #: Read and lost frames (live).
+        self.counts: Counter[str] = Counter()
 
     @property
     def num_waiting(self) -> int:
-        """How many frames are on their way."""
+        """Number of queued frames."""
         return self._channel.statistics().length
 
-    async def read(
-        self, source: Source, *, rate: float | None, loops: int, start: Position, counts: Counter[str]
-    ) -> None:
-        """Read `loops` rounds of a source; a playback from a position on, a live run with what it lost in `counts`."""
-        if self._mode == "live":
-            await self._follow(source, Pacer(rate), loops, counts)
-        else:
-            await self._play(source, Pacer(rate), loops, start)
+    async def read(self, source: Source, *, rate: float | None, loops: int, start: Position) -> None:
+        """Read `loops` rounds of a source; a playback begins at a position."""
+        try:
+            if self._mode == "live":
+                await self._follow(source, Pacer(rate), loops)
+            else:
+                await self._play(source, Pacer(rate), loops, start)
+        except ChannelClosed:
+            pass  # the other side has ended
+        finally:
+            await self._channel.close()
 
-    async def take(self) -> list[Read] | None:
-        """Return what has come, one frame in a playback, waiting for the first; None when nothing more will."""
+    async def take(self) -> list[QueuedFrame] | None:
+        """Return queued frames, one in a playback, waiting for the first; None at the end."""
         try:
             if self._mode == "live":
                 return await self._channel.receive_all()
@@ -126,99 +127,85 @@ class Reader:
         return [read]
 
     async def end(self) -> None:
-        """Take no more."""
+        """Accept no more frames."""
         await self._channel.close()
-        self._room.release()  # whoever waits for room finds the channel closed
+        self._room.release()  # a waiting sender finds the channel closed
 
     def close(self) -> None:
         """Wait for the thread to end."""
         self._thread.shutdown(wait=True)
 
     async def _play(self, source: Source, pacer: Pacer, loops: int, start: Position) -> None:
-        """Read `loops` rounds, from a position on, decoding keyframes ahead; waits while there is no room for more."""
         keyframe, last_ns = start.keyframe, start.last_ns
-        offset = start.first_index
-        index = start.last_index
-        lost = self.lost
-        try:
-            for round_index in range(start.round_index, loops):
-                frames = source.frames()
-                while not self._stop.is_requested and (raw := await self._next(frames)) is not None:
-                    index = offset + raw.index
-                    if index <= start.last_index:
-                        continue
-                    if raw.goes_back:
-                        # The map is another one then: what it has seen last is not this.
-                        keyframe, last_ns = None, None
-                    if self._is_late(last_ns, raw.stamp_ns):
-                        lost["frames_late"] += 1
-                        continue
-                    last_ns = raw.stamp_ns
-                    await pacer.wait(raw.stamp_ns, self._stop.event)
-                    frame, ahead, is_torn = None, Ahead(), False
-                    if is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
-                        await self._room.acquire()
-                        frame = await self._decoded(raw, index)
-                        is_torn = frame is None
-                        if is_torn:
-                            self._room.release()
-                    if frame is not None:
-                        keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-                        ahead = await self._ahead(frame)
-                    read = Read(
-                        raw=replace(raw, index=index),
-                        round_index=round_index,
-                        first_index=offset,
-                        is_candidate=frame is not None,
-                        frame=frame,
-                        ahead=ahead,
-                        is_torn=is_torn,
-                        counts=dict(lost),
-                        arrived_s=time.monotonic(),
-                    )
-                    lost.clear()
-                    await self._channel.send(read)
-                offset = index + 1
-                last_ns = None
-        except ChannelClosed:
-            pass  # the other side has ended
-        finally:
-            await self._channel.close()
+        offset, index = start.first_index, start.last_index
+        for round_index in range(start.round_index, loops):
+            frames = source.frames()
+            while not self._stop.is_requested and (raw := await self._next(frames)) is not None:
+                index = offset + raw.index
+                if index <= start.last_index:
+                    continue
+                if raw.goes_back:
+                    # The map goes back, too: it has not seen the last keyframe.
+                    keyframe, last_ns = None, None
+                if self._is_late(last_ns, raw.stamp_ns):
+                    self.lost["frames_late"] += 1
+                    continue
+                last_ns = raw.stamp_ns
+                await pacer.wait(raw.stamp_ns, self._stop.event)
+                frame, ahead, is_corrupt = None, Prefetched(), False
+                if is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes):
+                    await self._room.acquire()
+                    frame = await self._decoded(raw, index)
+                    is_corrupt = frame is None
+                    if is_corrupt:
+                        self._room.release()
+                if frame is not None:
+                    keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+                    ahead = await self._ahead(frame)
+                queued = QueuedFrame(
+                    raw=replace(raw, index=index),
+                    round_index=round_index,
+                    first_index=offset,
+                    is_candidate=frame is not None,
+                    frame=frame,
+                    ahead=ahead,
+                    is_corrupt=is_corrupt,
+                    counts=dict(self.lost),
+                    arrived_s=time.monotonic(),
+                )
+                self.lost.clear()
+                await self._channel.send(queued)
+            offset = index + 1
+            last_ns = None
 
-    async def _follow(self, source: Source, pacer: Pacer, loops: int, counts: Counter[str]) -> None:
-        """Read a source as it comes: never waits for the map, drops the oldest frames, and counts them."""
+    async def _follow(self, source: Source, pacer: Pacer, loops: int) -> None:
         keyframe: Keyframe | None = None
         last_ns: int | None = None
         offset = index = 0
-        try:
-            for round_index in range(loops):
-                frames = source.frames()
-                while not self._stop.is_requested and (raw := await self._next(frames)) is not None:
-                    index = offset + raw.index
-                    await pacer.wait(raw.stamp_ns, self._stop.event)
-                    counts["read"] += 1
-                    if self._is_late(last_ns, raw.stamp_ns):
-                        counts["frames_late"] += 1
-                        continue
-                    last_ns = raw.stamp_ns
-                    wanted = is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes)
-                    if wanted:
-                        keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
-                    read = Read(
-                        raw=replace(raw, index=index),
-                        round_index=round_index,
-                        first_index=offset,
-                        is_candidate=wanted,
-                        arrived_s=time.monotonic(),
-                    )
-                    if await self._channel.send(read) is not None:
-                        counts["frames_dropped"] += 1
-                offset = index + 1
-                last_ns = None
-        except ChannelClosed:
-            pass
-        finally:
-            await self._channel.close()
+        for round_index in range(loops):
+            frames = source.frames()
+            while not self._stop.is_requested and (raw := await self._next(frames)) is not None:
+                index = offset + raw.index
+                await pacer.wait(raw.stamp_ns, self._stop.event)
+                self.counts["read"] += 1
+                if self._is_late(last_ns, raw.stamp_ns):
+                    self.counts["frames_late"] += 1
+                    continue
+                last_ns = raw.stamp_ns
+                wanted = is_keyframe(keyframe, raw.stamp_ns, raw.world_from_camera, self._config.keyframes)
+                if wanted:
+                    keyframe = Keyframe(stamp_ns=raw.stamp_ns, world_from_camera=raw.world_from_camera)
+                queued = QueuedFrame(
+                    raw=replace(raw, index=index),
+                    round_index=round_index,
+                    first_index=offset,
+                    is_candidate=wanted,
+                    arrived_s=time.monotonic(),
+                )
+                if await self._channel.send(queued) is not None:
+                    self.counts["frames_dropped"] += 1
+            offset = index + 1
+            last_ns = None
 
     async def _next(self, frames: Iterator[RawFrame]) -> RawFrame | None:
         raw: RawFrame | None = await on_thread(self._thread, next, frames, None)
@@ -228,14 +215,13 @@ class Reader:
         """Return whether a frame is out of order: older than the one before, but by less than a jump of the clock."""
         return last_ns is not None and 0 < last_ns - stamp_ns <= self._config.run.max_late_s * 1e9
 
-    async def _ahead(self, frame: Frame) -> Ahead:
-        """Return what needs no map; nearly every keyframe is asked for all of it."""
+    async def _ahead(self, frame: Frame) -> Prefetched:
         config = self._config
         space, lattice = config.perception.space, config.mapping.voxels
         surface: SurfaceImage | None = None
         if config.registration.enabled:
             surface = await on_thread(self._thread, keyframe_surface, frame)
-        return Ahead(
+        return Prefetched(
             prepared=await on_thread(self._thread, self._segmenter.prepare, frame),
             patches=await on_thread(self._thread, self._extractor.extract, np.asarray(frame.rgb)),
             surface=surface,
@@ -243,7 +229,6 @@ class Reader:
         )
 
     async def _decoded(self, raw: RawFrame, index: int) -> Frame | None:
-        """Return the frame, None where its images are torn: the next frame is tried as keyframe."""
         started = time.perf_counter()
         try:
             frame = await on_thread(self._thread, raw.decode)
@@ -255,7 +240,7 @@ class Reader:
 
 
 def sensed(frame: Frame, index: int, config: SensorConfig) -> Frame:
-    """Return a decoded frame under its number in the run, its depth as the configured sensor has it."""
+    """Return a decoded frame under its number in the run, with depth by the configured sensor."""
     sensor = config.over(frame.sensor)
     if sensor == frame.sensor:
         return replace(frame, index=index)

@@ -1,6 +1,6 @@
-"""Relocalisation of a running log in a stored map: it is mapped as it plays, and aligned again as its map grows.
+"""Relocalisation of a running log in a stored map: it is mapped, and aligned again as its map grows.
 
-A place is believed when two answers in a row agree: the first one may be chance that a few more objects would undo.
+A pose is confirmed when two consecutive answers agree; the first one may be chance.
 """
 
 from __future__ import annotations
@@ -26,22 +26,20 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.config import MapperConfig
     from hickory_stream.ports import Source
-    from hickory_stream.records import MapSnapshot
 
 _AGREE_M, _AGREE_RAD = 0.3, np.radians(3.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Located:
-    """What is known at one moment: `answer` has `a_from_b`, the stored map's frame from the log's.
-
-    `is_confirmed`: the answer before said the same; `has_jumped`: it said something else.
-    """
+    """One answer: `answer` has `a_from_b`, the stored map's frame from the log's."""
 
     stamp_ns: int
     num_objects: int
     answer: Alignment | NoAlignment
+    #: The answer before agrees.
     is_confirmed: bool
+    #: The answer before differs.
     has_jumped: bool
 
 
@@ -54,24 +52,18 @@ def relocalise(
     stops_when_found: bool,
     report: Callable[[Located], None],
 ) -> Located | None:
-    """Return the last thing that was known when the log ended, None if nothing was ever mapped.
+    """Return the last answer when the log ends, None if nothing was mapped; `report` receives every answer.
 
-    Args:
-        stored: the map to be found in.
-        source: the log; mapped into a folder that is removed afterwards.
-        config: of the mapper.
-        rate: 1.0 is real time, None as fast as can be.
-        stops_when_found: end at the first confirmed place.
-        report: told everything that is learnt, as it is learnt.
+    The log is mapped into a temporary folder. `rate` 1.0 is real time, None as fast as possible. `stops_when_found`
+    ends at the first confirmed pose.
 
-    Raises:
-        HickoryError: the source or the disk failed.
+    Raises `HickoryError`: the source or the disk failed.
     """
     return asyncio.run(_relocalise(stored, source, config, rate, stops_when_found, report))
 
 
 def without(stored: ObjectMap, movable: Collection[int]) -> ObjectMap:
-    """Return a map without the objects that tend to move: they are no landmarks."""
+    """Return a map without objects that tend to move: they are no landmarks."""
     return taken(stored, np.flatnonzero(~np.isin(stored.ids, list(movable))))
 
 
@@ -87,8 +79,8 @@ async def _relocalise(
     known: frozenset[int] = frozenset()
     async with Mapper(config, out=None) as mapper:
         async for snapshot in mapper.run(source, rate=rate):
-            objects = _settled(snapshot)
-            # Nothing new to be found by: until an object comes or goes the answer would be the same.
+            objects = frozenset(item.id for item in snapshot.objects if item.phase is not Phase.TENTATIVE)
+            # Until an object comes or goes, the answer is the same.
             if objects == known and last is not None:
                 continue
             known = objects
@@ -101,10 +93,6 @@ async def _relocalise(
     return last
 
 
-def _settled(snapshot: MapSnapshot) -> frozenset[int]:
-    return frozenset(item.id for item in snapshot.objects if item.phase is not Phase.TENTATIVE)
-
-
 def _located(stored: ObjectMap, here: ObjectMap, stamp_ns: int, last: Located | None) -> Located:
     answer = align(stored, here)
     before = last.answer if last is not None else None
@@ -113,10 +101,5 @@ def _located(stored: ObjectMap, here: ObjectMap, stamp_ns: int, last: Located | 
         center_b = apply(invert(answer.a_from_b), answer.center_a)
         has_jumped = differs(answer.a_from_b, before.a_from_b, center_b, distance_m=_AGREE_M, angle_rad=_AGREE_RAD)
         is_confirmed = not has_jumped
-    return Located(
-        stamp_ns=stamp_ns,
-        num_objects=len(here),
-        answer=answer,
-        is_confirmed=is_confirmed,
-        has_jumped=has_jumped,
-    )
+    flags = {"is_confirmed": is_confirmed, "has_jumped": has_jumped}
+    return Located(stamp_ns=stamp_ns, num_objects=len(here), answer=answer, **flags)

@@ -1,6 +1,6 @@
-"""One run: the asyncio event loop of the system, put together from machines that each do one thing.
+"""One run: the asyncio event loop of the system, composed of parts that each do one thing.
 
-    Reader ──frames──> Run ──reports──> Announcer ──> sinks (a thread each)
+    Reader ──frames──> Run ──reports──> ReportPublisher ──> sinks (a thread each)
                         │ events
                         v
                   EffectRunner ──jobs──> ShapeQueue ──> shape workers (child processes)
@@ -9,12 +9,9 @@
                    StepWriter <────── DueShapes
                         └──> Recorder (a thread) ──> journal, views
 
-`Reader` decides which frames may be keyframes and, in a playback, decodes those ahead and finds what needs no map;
-`Run` perceives a keyframe against the map as it is after the one before. `RunClock` knows where the run stands, `Stop`
-whether it is to end. Whatever takes longer than a millisecond runs on a thread or in a child. A playback waits wherever
-something is full; a live run never does: it maps the newest keyframe and counts what it left out.
-
-The input of a run, as one record.
+`Reader` chooses possible keyframes and, in a playback, decodes them ahead. `Run` perceives each against the current
+map. Work of more than a millisecond runs on a thread or in a child. A playback waits for everything; a live run maps
+the newest keyframe and counts skipped frames.
 """
 
 from __future__ import annotations
@@ -22,23 +19,31 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hickory_stream.base.caches import cache_folder
 from hickory_stream.engine.accounting import engine_metrics, run_ledger, run_timings
-from hickory_stream.engine.async_tools import LoopDelay, Stop, on_thread
-from hickory_stream.engine.corrections import Corrections, Placing
-from hickory_stream.engine.effects import AtHand, DueShapes, EffectRunner, EffectTargets, OutOfPatienceError, color_of
+from hickory_stream.engine.async_tools import LoopDelay, StopRequest, on_thread
+from hickory_stream.engine.corrections import Corrections, KeyframeRegistrar
+from hickory_stream.engine.effects import (
+    CurrentKeyframe,
+    DueShapes,
+    EffectRunner,
+    EffectTargets,
+    GraceExpired,
+    color_of,
+)
 from hickory_stream.engine.first_run import compile_kernels
 from hickory_stream.engine.frame_accounting import FrameOutcome, KeyframeChoice, RunClock
 from hickory_stream.engine.loop_closing import LoopCloser
-from hickory_stream.engine.publisher import Announcer
-from hickory_stream.engine.reading import Ahead, Read, Reader, sensed
+from hickory_stream.engine.publisher import ReportPublisher
+from hickory_stream.engine.reading import Prefetched, QueuedFrame, Reader, sensed
 from hickory_stream.engine.shape_jobs.cache import ShapeCache
 from hickory_stream.engine.shape_jobs.generators.choose import generator_key
 from hickory_stream.engine.shape_jobs.queue import ShapeQueue
@@ -70,35 +75,28 @@ if TYPE_CHECKING:
     from hickory_stream.ports import FeatureExtractor, Segmenter, Source
     from hickory_stream.records import Decision, Frame, MapSnapshot
 
-
 logger = logging.getLogger(__name__)
 
 
 class Run:
-    """Carries one source through the core. `run()` once; `stop()` from any task ends it early, in order."""
+    """Maps one source by `run()`, once; `stop()` from any task ends it early, in order."""
 
     def __init__(self, parts: RunParts) -> None:
         config, folder = parts.config, parts.folder
         self._parts = parts
-        self._stop = Stop()
+        self._stop = StopRequest()
         self._clock = RunClock(config.run.time_jump_s)
         self._reader = Reader(config, parts.segmenter, parts.extractor, self._stop, mode=parts.mode)
         self._choice = KeyframeChoice(parts.mode, config.keyframes)
         cache = ShapeCache(cache_folder("shapes"), generator_key(config)) if config.run.shape_cache else None
         self._shapes = ShapeQueue(folder, parts.workers, config.shapes, cache)
         self._recorder = Recorder(folder, parts.journal)
-        self._steps = StepWriter(
-            self._recorder,
-            self._clock,
-            self._shapes,
-            parts.source,
-            lambda: self._effects.core.snapshot(),
-            checkpoint_keyframes=config.journal.checkpoint_keyframes,
-        )
-        self._announcer = Announcer(parts.sinks, parts.publish, parts.progress, waits=parts.mode == "playback")
+        checkpoint_keyframes = config.journal.checkpoint_keyframes
+        self._steps = StepWriter(self._recorder, self._shapes, parts.source, checkpoint_keyframes=checkpoint_keyframes)
+        self._publisher = ReportPublisher(parts.sinks, parts.publish, parts.progress, waits=parts.mode == "playback")
         self._loops = LoopCloser(config.loops, config.graph, extractor=parts.extractor.name, mode=parts.mode)
-        # One thread reads ahead, one perceives and decides: what must come in order stays in order.
-        self._thinker = ThreadPoolExecutor(1, "think")
+        # One thread reads ahead, one perceives and decides, so that both keep their order.
+        self._mapping_thread = ThreadPoolExecutor(1, "think")
         targets = EffectTargets(
             folder=folder,
             recorder=self._recorder,
@@ -106,48 +104,35 @@ class Run:
             shapes=self._shapes,
             loops=self._loops,
             extractor=parts.extractor,
-            publish=self._announcer.publish,
+            publish=self._publisher.publish,
         )
         self._far = FarArrays(folder.path)
         parts.core.keep_far_arrays(self._far.keep)
-        self._effects = EffectRunner(parts.core, targets, self._thinker, config.run)
-        self._due = DueShapes(
-            self._shapes,
-            self._effects,
-            self._steps,
-            folder,
-            self._stop,
-            mode=parts.mode,
-            grace_s=config.run.grace_s,
-        )
-        self._corrections = Corrections(self._effects, self._loops, self._thinker, self._clock.counts)
+        self._effects = EffectRunner(parts.core, targets, self._mapping_thread, config.run)
+        self._due = DueShapes(self._effects, targets, self._stop, mode=parts.mode, grace_s=config.run.grace_s)
+        self._corrections = Corrections(self._effects, self._loops, self._mapping_thread)
         self._loop_delay = LoopDelay()
-        self.timings_s: defaultdict[str, float] = defaultdict(float)
-        self._placing = Placing(
-            config.registration,
-            self._effects,
-            self._thinker,
-            counts=self._clock.counts,
-            timings_s=self.timings_s,
-        )
+        self._seconds: defaultdict[str, float] = defaultdict(float)
+        self._registrar = KeyframeRegistrar(config.registration, self._effects, self._mapping_thread)
         if parts.resumes is not None:
             self._clock.resume(parts.resumes)
-            self._placing.restore(parts.resumes.registration)
-            self._announcer.snapshot = parts.core.snapshot()
+            self._registrar.restore(parts.resumes.registration)
+            self._publisher.snapshot = parts.core.snapshot()
             for name in parts.resumes.mesh_names:
                 folder.keep_shape(name)
 
-    # ---- from outside ------------------------------------------------------------------------------------------------
-
     @property
     def num_keyframes(self) -> int:
-        """How many keyframes were mapped."""
+        """Number of mapped keyframes."""
         return self._clock.num_keyframes
 
     @property
-    def counts(self) -> Mapping[str, int]:
-        """The frames, by what became of them."""
-        return self._clock.counts
+    def counts(self) -> Counter[str]:
+        """Number of frames by outcome, and of corrections, as each part counts its own."""
+        counts = Counter(self._clock.counts)
+        for part in (self._reader, self._corrections, self._registrar):
+            counts.update(part.counts)
+        return counts
 
     @property
     def is_complete(self) -> bool:
@@ -156,51 +141,52 @@ class Run:
 
     @property
     def is_reproducible(self) -> bool:
-        """Whether the map depends on the log and the configuration alone: no limit was hit, no seek or correction."""
+        """Whether the map depends on log and configuration alone: no limit, seek or correction."""
         by_hand = num_seeks(self._parts.source) + self.counts.get("pose_corrections", 0)
         return self._parts.mode == "playback" and self._shapes.num_limits == 0 and not by_hand
 
     def ledger(self) -> dict[str, dict[str, Any]]:
-        """Return what became of every message, frame and job."""
+        """Return the use of every message, frame and job."""
         return run_ledger(
             self._parts.source,
             num_frames=self._clock.num_frames,
             num_keyframes=self._clock.num_keyframes,
             counts=self.counts,
             shapes=self._shapes.total_counts(),
-            num_not_shown=self._announcer.num_not_shown,
+            num_not_shown=self._publisher.num_not_shown,
         )
 
     def timings(self) -> dict[str, float]:
         """Return seconds of work: by layer as in the paper's table of storage and time, and by stage."""
-        times = {**self.timings_s, "decode": self._reader.decode_s}
+        times = {**self._seconds, "decode": self._reader.decode_s}
+        if self._registrar.seconds:
+            times["register"] = self._registrar.seconds
         return run_timings(times, self._shapes.timings_s, self._loop_delay.quantile_s(0.99))
 
     def stop(self) -> None:
-        """End the run after the frame at hand: no further frames, and no shape that takes longer than the grace."""
+        """End the run after the current frame; shapes may take the grace period."""
         self._stop.request()
 
     def correct_poses(self, world_from_submap: Mapping[int, NDArray[np.float64]]) -> None:
-        """Have submaps placed anew before the next frame; once all frames are mapped, before the map is finished.
+        """Place submaps at new poses before the next frame, or before the map is finished.
 
-        Raises:
-            InputError: there is no such submap, a transform is not rigid, or the map is finished; nothing is moved.
+        Raises `InputError`: there is no such submap, a transform is not rigid, or the map is finished; nothing is
+        moved.
         """
-        snapshot = self._announcer.snapshot
+        snapshot = self._publisher.snapshot
         self._corrections.give(world_from_submap, [submap.id for submap in snapshot.submaps] if snapshot else [])
 
     async def run(self, *, rate: float | None, loops: int) -> None:
         """Play the source `loops` times.
 
-        Raises:
-            HickoryError: the source, the disk or the core failed; what was mapped so far was shown to the sinks.
+        Raises `HickoryError`: the source, the disk or the core failed; sinks have the map so far.
         """
         source, resumes = self._parts.source, self._parts.resumes
         total = source.info.num_frames
-        self._announcer.total = total * loops if total is not None else None
-        await self._stop.within_grace(compile_kernels(self._tell_compiling), "compile")
+        self._publisher.total = total * loops if total is not None else None
+        await self._stop.within_grace(compile_kernels(partial(self._report, "compiling")), "compile")
         if self._parts.rehearse is not None and not self._stop.is_requested:
-            await on_thread(self._thinker, self._parts.rehearse)
+            await on_thread(self._mapping_thread, self._parts.rehearse)
         try:
             async with asyncio.TaskGroup() as group:
                 watching = group.create_task(self._loop_delay.watch(), name="loop-delay")
@@ -211,12 +197,12 @@ class Run:
                     await self._reader.end()
                 else:
                     start = resumes.position if resumes is not None else Position()
-                    reading = self._reader.read(source, rate=rate, loops=loops, start=start, counts=self._clock.counts)
+                    reading = self._reader.read(source, rate=rate, loops=loops, start=start)
                     group.create_task(reading, name="read")
                 await group.create_task(self._map(), name="map")
                 watching.cancel()
         except BaseException as error:
-            # The thread that reads may be waiting for a frame that never comes: a robot that is gone.
+            # The reading thread may wait for a frame that never comes: a robot that is gone.
             interrupt(source)
             if isinstance(error, ExceptionGroup):
                 raise error.exceptions[0] from error
@@ -224,18 +210,14 @@ class Run:
         finally:
             self._reader.close()
             self._loops.close()
-            self._thinker.shutdown(wait=True)
+            self._mapping_thread.shutdown(wait=True)
             self._recorder.close()
 
     @property
     def _is_source_over(self) -> bool:
-        """Whether this continues a run that had read all frames."""
         return self._parts.resumes is not None and self._parts.resumes.step.kind is StepKind.ENDED
 
-    # ---- frame by frame ----------------------------------------------------------------------------------------------
-
     async def _map(self) -> None:
-        """Map what is read, frame by frame in a playback, the newest keyframe of what has come in a live run."""
         while (reads := await self._reader.take()) is not None:
             try:
                 for read, outcome in zip(reads, self._choice.outcomes(reads), strict=True):
@@ -243,18 +225,16 @@ class Run:
                     became = await self._map_keyframe(read) if outcome is FrameOutcome.MAPPED else outcome
                     if became is not FrameOutcome.MAPPED:
                         self._clock.counts[became.value] += 1
-                        await self._announcer.show(
-                            plain_report(read.raw, self._placing.where(read.raw.world_from_camera))
-                        )
-                    self._tell("mapping")
-            except OutOfPatienceError:
+                        pose = self._registrar.where(read.raw.world_from_camera)
+                        await self._publisher.show(plain_report(read.raw, pose))
+                    self._report("mapping")
+            except GraceExpired:
                 await self._reader.end()
                 break
         if self._clock.last is not None:
             await self._end(self._clock.last)
 
-    async def _arrive(self, read: Read) -> None:
-        """Note a frame, and tell the core where its stamp or the odometry has jumped."""
+    async def _arrive(self, read: QueuedFrame) -> None:
         raw, counts = read.raw, self._clock.counts
         await self._corrections.apply(raw.stamp_ns)
         counts.update(read.counts)
@@ -266,72 +246,69 @@ class Run:
             counts["time_jumps"] += 1
             if self._parts.mode == "playback":
                 await self._due.commit(None)
-            self._placing.jumped(is_loop=jump.kind == "loop")
+            self._registrar.jumped(is_loop=jump.kind == "loop")
             await self._effects.handle(jump)
         elif raw.after_from_before is not None:
             counts["pose_jumps"] += 1
-            self._placing.jumped()
+            self._registrar.jumped()
             await self._effects.handle(PoseJumped(stamp_ns=raw.stamp_ns, after_from_before=raw.after_from_before))
         self._steps.add_frame(self._clock.advance(read))
 
     async def _rewind(self, stamp_ns: int) -> None:
-        """Restore the core's state before a stamp; events after it that are not in the journal yet are discarded."""
         self._clock.counts["rewinds"] += 1
         await self._recorder.written()
         folder, config, now = self._parts.folder, self._parts.config, self._effects.core
-        rewound = await on_thread(self._thinker, rewound_to, folder, config, stamp_ns, now)
+        rewound = await on_thread(self._mapping_thread, rewound_to, folder, config, stamp_ns, now)
         self._effects.core = rewound.core
         rewound.core.keep_far_arrays(self._far.keep)
-        self._placing.restore(rewound.registration)
+        self._registrar.restore(rewound.registration)
         self._steps.rewind(rewound, self._shapes.rewind(rewound.open_jobs, rewound.answers))
         self._loops.restart(rewound.core.searches)
         self._corrections.forget()
-        self._announcer.publish(await on_thread(self._thinker, rewound.core.snapshot))
+        self._publisher.publish(await on_thread(self._mapping_thread, rewound.core.snapshot))
 
-    # ---- a keyframe --------------------------------------------------------------------------------------------------
-
-    async def _map_keyframe(self, read: Read) -> FrameOutcome:
-        """Map a keyframe and return what became of it; in a live run it is decoded only now, and may be torn."""
+    async def _map_keyframe(self, read: QueuedFrame) -> FrameOutcome:
+        # A live run decodes the keyframe only now: its images may be torn.
         frame, ahead = read.frame, read.ahead
         if frame is None:
             try:
-                decoded = await on_thread(self._thinker, read.raw.decode)
+                decoded = await on_thread(self._mapping_thread, read.raw.decode)
             except RecordingError as error:
                 logger.warning("frame %d cannot be decoded: %s", read.raw.index, error)
                 return FrameOutcome.UNDECODABLE
             frame = sensed(decoded, read.raw.index, self._parts.config.sensor)
-        placed = await self._placing.place(frame, ahead.surface)
+        placed = await self._registrar.place(frame, ahead.surface)
         if placed is None:
             return FrameOutcome.KEPT_OUT
         if read.frame is None:
-            ahead = Ahead(prepared=await on_thread(self._thinker, self._parts.segmenter.prepare, placed))
+            ahead = Prefetched(prepared=await on_thread(self._mapping_thread, self._parts.segmenter.prepare, placed))
         elif placed is not frame:
             prepared = prepared_at(self._parts.segmenter, ahead.prepared, placed.world_from_camera)
             ahead = replace(ahead, prepared=prepared, free_keys=None)
         await self._keyframe(read, placed, ahead)
         return FrameOutcome.MAPPED
 
-    async def _keyframe(self, read: Read, frame: Frame, ahead: Ahead) -> None:
+    async def _keyframe(self, read: QueuedFrame, frame: Frame, ahead: Prefetched) -> None:
         self._clock.num_keyframes += 1
         started = time.perf_counter()
         await self._due.commit(frame.stamp_ns)
         await self._corrections.close_loops(frame.stamp_ns)
         waited = time.perf_counter()
-        perceived = await on_thread(self._thinker, self._perceived, frame, ahead)
+        perceived = await on_thread(self._mapping_thread, self._perceived, frame, ahead)
         if not np.isfinite(frame.depth_m).any():
             self._clock.counts["keyframes_without_depth"] += 1
         seen = time.perf_counter()
-        at_hand = AtHand(frame=frame, observations=perceived.observations, patches=ahead.patches)
-        decided = await self._effects.decide(perceived.event(frame), at_hand)
+        current = CurrentKeyframe(frame=frame, observations=perceived.observations, patches=ahead.patches)
+        decided = await self._effects.decide(perceived.event(frame), current)
         ended = time.perf_counter()
         times = {"wait_for_shapes": waited - started, "perceive": seen - waited, "decide": ended - seen}
         for stage, seconds in times.items():
-            self.timings_s[stage] += seconds
+            self._seconds[stage] += seconds
         metrics = self._metrics({**times, "latency": time.monotonic() - read.arrived_s})
         if decided.published is not None:
-            # A sink may save a map that names views: they are there by then.
+            # A sink may save a map that names views.
             await self._recorder.written()
-            await self._announcer.show(
+            await self._publisher.show(
                 keyframe_report(
                     read.raw,
                     frame,
@@ -344,15 +321,13 @@ class Run:
             )
         # A robot waits for the map, not for shape jobs and the journal.
         await self._effects.carry_out(decided.effects)
-        await self._steps.commit(
-            StepKind.KEYFRAME,
-            frame.stamp_ns,
-            metrics=metrics,
-            color=lambda: color_of(read.raw, frame, self._parts.config.journal),
-            core=self._effects.core,
-        )
+        color = partial(color_of, read.raw, frame, self._parts.config.journal)
+        await self._commit(StepKind.KEYFRAME, frame.stamp_ns, metrics=metrics, color=color)
 
-    def _perceived(self, frame: Frame, ahead: Ahead) -> Perceived:
+    async def _commit(self, kind: StepKind, stamp_ns: int, **parts: Any) -> None:
+        await self._steps.commit(kind, stamp_ns, self._clock, self._effects.core, counts=self.counts, **parts)
+
+    def _perceived(self, frame: Frame, ahead: Prefetched) -> Perceived:
         config, prior = self._parts.config, self._effects.core.prior()
         return perceive(
             frame,
@@ -364,10 +339,7 @@ class Run:
             free_keys=ahead.free_keys,
         )
 
-    # ---- the end -----------------------------------------------------------------------------------------------------
-
     async def _end(self, last: FramePose) -> None:
-        """Ask for and wait for the last shapes, and show the finished map as one more keyframe."""
         decisions: tuple[Decision, ...] = ()
         self._clock.counts.update(self._reader.lost)
         kind = StepKind.ENDED if self.is_complete else StepKind.CLOSING
@@ -377,58 +349,47 @@ class Run:
             await self._corrections.close_loops(last.stamp_ns, all_of_them=True)
             published = (await self._effects.handle(SourceEnded(stamp_ns=last.stamp_ns))).published
             decisions = published.decisions if published is not None else ()
-        await self._steps.commit(kind, last.stamp_ns)
-        await self._due.commit_last(kind, last.stamp_ns, lambda: self._tell("shapes"))
+        await self._commit(kind, last.stamp_ns)
+
+        async def commit_shape() -> None:
+            await self._commit(kind, last.stamp_ns)
+            self._report("shapes")
+
+        await self._due.commit_last(commit_shape)
         while len(self._corrections):
             await self._corrections.apply(last.stamp_ns)
-            await self._steps.commit(kind, last.stamp_ns)
+            await self._commit(kind, last.stamp_ns)
         self._corrections.close()
         await self._recorder.written()
-        snapshot = await on_thread(self._thinker, self._effects.core.snapshot)
-        self._announcer.publish(snapshot)
-        self._tell("saving")
+        snapshot = await on_thread(self._mapping_thread, self._effects.core.snapshot)
+        self._publisher.publish(snapshot)
+        self._report("saving")
         assert self._clock.camera is not None
-        index = self._clock.num_keyframes
-        await self._announcer.show(
-            final_report(
-                last,
-                self._placing.where(last.world_from_camera),
-                self._clock.camera,
-                snapshot,
-                keyframe_index=index,
-                decisions=decisions,
-            )
+        pose, index = self._registrar.where(last.world_from_camera), self._clock.num_keyframes
+        await self._publisher.show(
+            final_report(last, pose, self._clock.camera, snapshot, keyframe_index=index, decisions=decisions)
         )
 
-    # ---- what others are told ----------------------------------------------------------------------------------------
-
     def _metrics(self, times_s: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
-        backlogs = {f"sink-{i}": length for i, length in enumerate(self._announcer.backlogs)}
+        counts = self.counts
+        backlogs = {f"sink-{i}": length for i, length in enumerate(self._publisher.backlogs)}
         return engine_metrics(
             times_s,
             queues={"frames": self._reader.num_waiting, "shapes": self._shapes.num_open, **backlogs},
             loop_delay_s=self._loop_delay.recent_s(),
             num_workers=self._parts.workers.num_alive,
             source_ledger=self._parts.source.ledger(),
-            num_dropped=self.counts.get("frames_dropped", 0) + self.counts.get("keyframes_dropped", 0),
+            num_dropped=counts["frames_dropped"] + counts["keyframes_dropped"],
         )
 
-    def _tell(self, phase: str) -> None:
-        self._announcer.progress(phase, self._clock, self._shapes)
-
-    def _tell_compiling(self, num_compiled: int, num_kernels: int) -> None:
-        self._announcer.progress(
-            "compiling", self._clock, self._shapes, num_compiled=num_compiled, num_kernels=num_kernels
-        )
+    def _report(self, phase: str, num_compiled: int = 0, num_kernels: int = 0) -> None:
+        kernels = {"num_compiled": num_compiled, "num_kernels": num_kernels}
+        self._publisher.progress(phase, self._clock, self._shapes, **kernels)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RunParts:
-    """The source, the components that map it, the destination of the map, and the receivers of snapshots and progress.
-
-    `resumes` is the state of an interrupted run that this one continues, with its core. `rehearse` has
-    perception and core process a made-up scene before the first frame is read, which then takes no longer than others.
-    """
+    """The components of a run: source, perception, core, destination, and receivers."""
 
     config: MapperConfig
     mode: Mode
@@ -442,5 +403,7 @@ class RunParts:
     sinks: Sequence[SinkThread]
     publish: Callable[[MapSnapshot], None]
     progress: Callable[[Progress], None]
+    #: An interrupted run to continue, with its core.
     resumes: ResumePoint | None = None
+    #: Processes a made-up scene before the first frame, which then takes no longer than others.
     rehearse: Callable[[], None] | None = None

@@ -1,11 +1,6 @@
-"""Collects what happens between two keyframes, and has it written as one step of the journal.
+"""Collects the events between two keyframes, and writes them as one step of the journal, on a thread.
 
-When the state of the core is written: every so many keyframes, and while no search for loops is open.
-
-Writes to the disk while a run goes on: the pixels of kept views, then the step of the journal that needs them.
-
-One thread does it all, in the order in which it was asked for: a step that is in the journal has its views beside it,
-and what it drops is removed only after it is there.
+Writes keep their order: a step in the journal has its views, and dropped files are removed after it.
 """
 
 from __future__ import annotations
@@ -19,7 +14,7 @@ from hickory_stream.journal.step import Checkpoint, JournalEntry, Step, StepKind
 from hickory_stream.ports import num_seeks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from hickory_stream.engine.frame_accounting import RunClock
     from hickory_stream.engine.shape_jobs.queue import ShapeQueue
@@ -32,15 +27,14 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Source
     from hickory_stream.records import MapSnapshot
 
-
 _LONGEST_WAIT = 2
 
 
 class CheckpointTimes:
-    """Counts the keyframes since the last checkpoint; `keyframes`: one is due after so many.
+    """Counts keyframes since the last checkpoint, due after `keyframes`.
 
-    A search that is open has the whole map as it was when it was asked for, and the surfaces of all submaps: in a
-    building that is thirty times what has changed. So one waits until it is answered, at most twice as long.
+    An open search for loops refers to the whole map: in a building thirty times the changes. So a checkpoint waits for
+    its answer, at most twice as long.
     """
 
     def __init__(self, keyframes: int) -> None:
@@ -48,7 +42,7 @@ class CheckpointTimes:
         self._since = 0
 
     def is_due(self, *, searches: bool) -> bool:
-        """Return whether the core is to be written after one more keyframe; `searches`: some search is open."""
+        """Return whether a checkpoint is due after one more keyframe; `searches`: a search is open."""
         self._since += 1
         is_due = self._since >= self._keyframes * (_LONGEST_WAIT if searches else 1)
         if is_due:
@@ -58,9 +52,9 @@ class CheckpointTimes:
 
 @dataclass(slots=True)
 class Unwritten:
-    """What has happened since the last step: events, frames and `told` for the journal, and what to remove after it.
+    """Events, frames and decisions since the last step, and files to remove after it.
 
-    `goes_back_to` and `lost_views` are those of the `Step`.
+    `goes_back_to` and `lost_views` as of `Step`.
     """
 
     events: list[Event] = field(default_factory=list)
@@ -73,7 +67,7 @@ class Unwritten:
 
 
 class Recorder:
-    """Writes behind the run; each method waits for what was asked for before, and raises what went wrong with it."""
+    """Writes on a thread; each method waits for the writes before, and raises their errors."""
 
     def __init__(self, folder: MapFolder, journal: JournalWriter) -> None:
         self._folder = folder
@@ -82,7 +76,7 @@ class Recorder:
         self._writing: asyncio.Future[None] | None = None
 
     async def write_views(self, write: Callable[[], None]) -> None:
-        """Have the pixels of views written."""
+        """Write the pixels of views."""
         await self._begin(write)
 
     async def commit(
@@ -96,10 +90,7 @@ class Recorder:
         ended_jobs: list[int],
         shapes: ShapeQueue,
     ) -> None:
-        """Have a step written, with what `color` gives; then remove the views that it dropped and the ended jobs.
-
-        `known` is the map after it.
-        """
+        """Write a step with the image of `color`, then remove dropped views and ended jobs; `known` is the map."""
 
         def write() -> None:
             self._journal.append(entry, color(), known)
@@ -124,7 +115,7 @@ class Recorder:
     async def _begin(self, write: Callable[[], None]) -> None:
         await self.written()
         self._writing = asyncio.get_running_loop().run_in_executor(self._thread, write)
-        # A run that ends for another reason does not wait for it: its failure then is no news.
+        # A run that ends for another reason ignores its failure.
         self._writing.add_done_callback(lambda writing: writing.cancelled() or writing.exception())
 
 
@@ -132,52 +123,38 @@ Metrics = tuple[tuple[str, float], ...]
 
 
 class StepWriter:
-    """Collects frames, events and what is to be removed after them; `commit` makes a step of it.
+    """Collects frames, events and files to remove; `commit` writes a step."""
 
-    `snapshot` gives the map as the core holds it.
-    """
-
-    def __init__(
-        self,
-        recorder: Recorder,
-        clock: RunClock,
-        shapes: ShapeQueue,
-        source: Source,
-        snapshot: Callable[[], MapSnapshot],
-        *,
-        checkpoint_keyframes: int,
-    ) -> None:
+    def __init__(self, recorder: Recorder, shapes: ShapeQueue, source: Source, *, checkpoint_keyframes: int) -> None:
         self._recorder = recorder
-        self._clock = clock
         self._shapes = shapes
         self._source = source
-        self._snapshot = snapshot
         self._checkpoints = CheckpointTimes(checkpoint_keyframes)
         self._unwritten = Unwritten()
 
     def add_frame(self, frame: FramePose) -> None:
-        """Note a frame that was read."""
+        """Add a frame."""
         self._unwritten.frames.append(frame)
 
     def add_event(self, event: Event) -> None:
-        """Note an event that the core is given."""
+        """Add an event."""
         self._unwritten.events.append(event)
 
     def add_published(self, published: Publish) -> None:
-        """Note what the core decided, for people who ask why."""
+        """Add the core's decisions."""
         submap_id = published.snapshot.submaps[-1].id
         self._unwritten.told = Told(decisions=published.decisions, submap_id=submap_id)
 
     def drop_view(self, name: str) -> None:
-        """Have the pixels of a view removed, once the step is written."""
+        """Remove the pixels of a view after the step."""
         self._unwritten.dropped_views.append(name)
 
     def end_job(self, ticket: int) -> None:
-        """Have the folder of a job that is over removed, once the step is written."""
+        """Remove the folder of a finished job after the step."""
         self._unwritten.ended_jobs.append(ticket)
 
     def rewind(self, rewound: Rewound, given_up: list[int]) -> None:
-        """Discard the events that are not in the journal yet: the next step says from which one the core goes on."""
+        """Discard unwritten events; the next step records from which step the core continues."""
         done = self._unwritten
         done.events.clear()
         done.goes_back_to, done.lost_views = rewound.num_steps, rewound.lost_views
@@ -189,18 +166,15 @@ class StepWriter:
         self,
         kind: StepKind,
         stamp_ns: int,
+        clock: RunClock,
+        core: MapperCore,
         *,
+        counts: Mapping[str, int],
         metrics: Metrics = (),
         color: Callable[[], bytes | None] = lambda: None,
-        core: MapperCore | None = None,
     ) -> None:
-        """Have everything that happened since the last step written as one.
-
-        `core`, that of a keyframe, is written too now and then: the journal need not be read from its beginning then.
-        """
-        clock = self._clock
-        assert clock.camera is not None
-        assert clock.first_ns is not None
+        """Write everything since the last step as one step; after a keyframe also a checkpoint if one is due."""
+        assert clock.camera is not None and clock.first_ns is not None
         done, self._unwritten = self._unwritten, Unwritten()
         step = Step(
             kind=kind,
@@ -212,7 +186,7 @@ class StepWriter:
             first_ns=clock.first_ns,
             num_frames=clock.num_frames,
             num_keyframes=clock.num_keyframes,
-            counts=dict(clock.counts),
+            counts=dict(counts),
             shape_counts=self._shapes.total_counts(),
             metrics=metrics,
             goes_back_to=done.goes_back_to,
@@ -220,15 +194,15 @@ class StepWriter:
             num_seeks=num_seeks(self._source),
         )
         checkpoint: Checkpoint | None = None
-        if core is not None and self._checkpoints.is_due(searches=len(core.searches) > 0):
+        if kind is StepKind.KEYFRAME and self._checkpoints.is_due(searches=len(core.searches) > 0):
             checkpoint = Checkpoint(core=core.state(), open_jobs=self._shapes.open_jobs)
         await self._recorder.commit(
             JournalEntry(step=step, events=tuple(done.events), told=done.told),
             color=color,
-            known=self._snapshot(),
+            known=core.snapshot(),
             checkpoint=checkpoint,
             dropped_views=done.dropped_views,
-            # After a stop the jobs stay: a run that is continued commits them when they are due.
+            # After a stop the jobs stay for a resumed run.
             ended_jobs=[] if kind is StepKind.CLOSING else done.ended_jobs,
             shapes=self._shapes,
         )

@@ -1,7 +1,7 @@
-"""Warm-up of the compiler: numba kernels are compiled here, which takes a minute, rather than in the first job.
+"""Warm-up of numba kernels, which takes a minute, before the first job.
 
-As a program (`python -m hickory_stream.engine.warm_up PART`) it prints the name of every kernel that it compiles, as a
-line of JSON: `first_run` is its caller.
+As a program (`python -m hickory_stream.engine.warm_up PART`) it prints compiled kernels as lines of JSON for
+`first_run`.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.base.compiled import kernels_folder
-from hickory_stream.base.compiling import tell_when_compiling
+from hickory_stream.base.compiling import on_compile
 from hickory_stream.base.json_text import dumps
 from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, SceneBox, SceneSource, cast_scene, scene_pose
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.keyframe_places import KeyframePlaces
+from hickory_stream.engine.keyframe_places import RegistrationFilter
 from hickory_stream.events import ComputeFeatures, FeaturesReady
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.events import Effect
     from hickory_stream.ports import FeatureExtractor, Segmenter
-    from hickory_stream.records import Frame
 
 # A stool with a back: several primitives, some of them thin.
 _STOOL = (
@@ -62,19 +61,16 @@ _COARSE = ShapeConfig(
 
 
 def warm_up() -> None:
-    """Build two small shapes, so that every kernel of it is compiled, and cached on disk, or loaded from there.
-
-    Of several processes one compiles; the others wait for it, and load.
-    """
+    """Build two small shapes, to compile or load their kernels; of several processes one compiles."""
     with _one_at_a_time("shapes"):
         build_shape(_inputs(), FusedReconstructor(_COARSE.fused), _COARSE)
         fitted_shape(_pipe(), _COARSE.fit)
-        # Of a part that protrudes far from all primitives, which neither of them has.
+        # For a part far from all primitives, which neither shape has.
         piece_around(np.ones((2, 2, 2), dtype=bool), 0, 0, 0)
 
 
 def warm_up_mapping() -> None:
-    """Map a few frames, for the kernels of perception, core and journal, as `warm_up` does for those of shapes."""
+    """Map a few frames, to compile or load the kernels of perception, core and journal."""
     config = MapperConfig()
     with _one_at_a_time("mapping"):
         rehearse(make_segmenter(config.perception), ColorTextureDescriptor(), config, num_frames=_NUM_MAPPED)
@@ -83,13 +79,15 @@ def warm_up_mapping() -> None:
 def rehearse(
     segmenter: Segmenter, extractor: FeatureExtractor, config: MapperConfig, *, num_frames: int = _NUM_REHEARSED
 ) -> None:
-    """Map the first frames of a small scene, and forget them: afterwards kernels are loaded, and networks have run.
+    """Map the first frames of a small scene, to load kernels and run networks once.
 
-    The first keyframe of a process takes a second longer than the others without it.
+    Otherwise the first keyframe of a process takes a second longer.
     """
-    core, places = MapperCore(config.mapping), KeyframePlaces(config.registration)
+    core, places = MapperCore(config.mapping), RegistrationFilter(config.registration)
     for raw in SceneSource(num_frames, (*SCENE_BOXES, _WALL)).frames():
-        frame = _in_millimetres(raw.decode())
+        frame = raw.decode()
+        # Depth as cameras give it, of which the journal has the returns.
+        frame = replace(frame, depth_m=np.rint(frame.depth_m * np.float32(1000)) * MILLIMETRE)
         places.place(frame)
         prepared, prior = segmenter.prepare(frame), core.prior()
         perceived = perceive(frame, prior, prepared, segmenter, config.perception, lattice=config.mapping.voxels)
@@ -106,17 +104,12 @@ def rehearse(
     encode(Packer().packed(core.state()))
 
 
-def _in_millimetres(frame: Frame) -> Frame:
-    """Return a frame with depth as cameras give it, of which the journal has the returns."""
-    return replace(frame, depth_m=np.rint(frame.depth_m * np.float32(1000)) * MILLIMETRE)
-
-
 PARTS: dict[str, Callable[[], None]] = {"mapping": warm_up_mapping, "shapes": warm_up}
 
 
 def main(part: str) -> None:
-    """Compile the kernels of a part, and say so."""
-    tell_when_compiling(_say)
+    """Compile and report the kernels of a part."""
+    on_compile(_say)
     PARTS[part]()
 
 
@@ -144,10 +137,9 @@ def _inputs() -> ShapeInputs:
 
 
 def _pipe() -> Mesh:
-    """Return a square pipe: thin and hollow, which the stool is not."""
-    corners = np.array(
-        [(x, y, z) for z in (0, 1) for r in (0.49, 0.5) for x, y in ((r, r), (-r, r), (-r, -r), (r, -r))]
-    )
+    # Thin and hollow, which the stool is not.
+    square = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    corners = np.array([(x * r, y * r, z) for z in (0, 1) for r in (0.49, 0.5) for x, y in square])
     faces = []
     for i in range(4):
         j = (i + 1) % 4
@@ -168,7 +160,7 @@ def _pipe() -> Mesh:
 
 @contextlib.contextmanager
 def _one_at_a_time(part: str) -> Iterator[None]:
-    """Hold a lock of those who share the kernels; where there can be none everybody compiles."""
+    # Without a lock file every process compiles.
     with contextlib.ExitStack() as held:
         if sys.platform != "win32":
             import fcntl

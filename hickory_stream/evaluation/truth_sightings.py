@@ -21,7 +21,7 @@ from hickory_stream.inspection.keyframe_labels import (
     seen_as,
 )
 from hickory_stream.map_folder.history.recorded import recorded_steps
-from hickory_stream.map_folder.history.recorded_config import told_config
+from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.pictures.raycast import Scene, Surface
 
@@ -107,7 +107,7 @@ def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSig
         MapFolderError: there is no journal, or it is damaged or of another version.
         RecordingError: an image of the truth cannot be read.
     """
-    config = told_config(path)
+    config = known_config(path)
     reach, voxel_m = range_of(config), config.mapping.voxels.space_m
     stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
     middles = {item.id: _middle(truth, i) for i, item in enumerate(truth.objects)}

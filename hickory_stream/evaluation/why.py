@@ -15,7 +15,7 @@ from hickory_stream.evaluation.placement import placed_truth
 from hickory_stream.evaluation.truth_sightings import sightings_of_truth
 from hickory_stream.inspection.track_history import Stretch, TrackStory, stretches_of, track_story
 from hickory_stream.map_folder.history.recorded import final_snapshot
-from hickory_stream.map_folder.history.recorded_config import told_config
+from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.records import Phase
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def investigate(saved: SavedMap, truth: Truth) -> Investigation:
     saved = replace(saved, snapshot=final_snapshot(saved.folder))
     placed = placed_truth(saved, truth).truth
     meshes = meshes_of(saved)
-    mapping = told_config(saved.folder).mapping
+    mapping = known_config(saved.folder).mapping
     evidence = Evidence(
         names={item.id: f"{item.id} {item.kind}" for item in placed.objects},
         sightings=sightings_of_truth(saved.folder, saved.snapshot, placed),

@@ -156,9 +156,9 @@ def _opened(task: RobotTask) -> tuple[Source, dict[str, Any]]:
 
         source = open_live(robot.uris[0], robot.options, patience_s=task.patience_s, most_s=task.most_s)
         return source, robot.note
-    from players import open_noted
+    from players import open_from_note
 
-    return open_noted(robot.note, keyframes=task.mapper.keyframes), robot.note
+    return open_from_note(robot.note, keyframes=task.mapper.keyframes), robot.note
 
 
 class _Teller:

@@ -11,7 +11,7 @@ from hickory_stream.base.config_text import from_dict
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ConfigError
 from hickory_stream.merging.joining import JoiningConfig
-from players import SourceOptions, note_of
+from players import SourceOptions, make_source_note
 from players.live.routes import is_live
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class Robot:
     @property
     def note(self) -> dict[str, Any]:
         """What the manifest of its map says of it, by which the source is opened again."""
-        return {"live": self.uris[0]} if self.is_live else note_of(self.uris, self.options)
+        return {"live": self.uris[0]} if self.is_live else make_source_note(self.uris, self.options)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

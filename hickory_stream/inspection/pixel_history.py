@@ -20,7 +20,7 @@ from hickory_stream.inspection.keyframe_labels import code_at, range_of, rays_of
 from hickory_stream.inspection.point_history import AskedPixel, PlaceStory, story_of_point
 from hickory_stream.inspection.point_sighting import meaning_of_code
 from hickory_stream.map_folder.history.recorded import final_snapshot, frame_indices, frame_pose, recorded_steps
-from hickory_stream.map_folder.history.recorded_config import told_config
+from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.perception.coarse import cells_of
 
@@ -133,7 +133,7 @@ def story_of_pixel(
 def _story_of_keyframe_pixel(
     path: Path, frame: int, pixel: tuple[float, float], depth_of: Callable[[int], NDArray[np.float32]] | None
 ) -> PlaceStory:
-    final, config = final_snapshot(path), told_config(path)
+    final, config = final_snapshot(path), known_config(path)
     book = TrackHistories()
     # Of a frame that was played several times, the last playback counts.
     keyframe: RecordedKeyframe | None = None

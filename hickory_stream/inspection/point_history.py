@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from hickory_stream.inspection.point_sighting import AT_M, PlaceSighting, PlaceWhere, sighting_of
 from hickory_stream.inspection.track_history import Stretch, TrackStory, ending_text, stretches_of, track_story
 from hickory_stream.map_folder.history.recorded import final_snapshot, recorded_steps
-from hickory_stream.map_folder.history.recorded_config import told_config
+from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def story_of_point(path: Path, point_map: NDArray[np.float64], asked: AskedPixel
     Raises:
         MapFolderError: there is no map or no journal, or it is damaged or of another version.
     """
-    final, config = final_snapshot(path), told_config(path)
+    final, config = final_snapshot(path), known_config(path)
     book, sightings, floor_changes, num_keyframes = TrackHistories(), [], [], 0
     for step in recorded_steps(path, final):
         keyframe = step.keyframe

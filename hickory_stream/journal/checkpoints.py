@@ -1,4 +1,4 @@
-"""The state of the core as a checkpoint stores it: the reliable part of a track's cloud as a mask over its points."""
+"""The state of the core in a checkpoint: the reliable part of a track's cloud is a mask over its points."""
 
 from __future__ import annotations
 
@@ -25,13 +25,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PackedTrack:
-    """A track whose `solid` is stored as a mask over its cloud: half of what a checkpoint would take.
-
-    `num_solid`: how many points that are; None in older journals.
-    """
+    """A track whose `solid` is a mask over its cloud, which halves a checkpoint."""
 
     track: Track
     is_solid: NDArray[np.bool_]
+    #: None in older journals.
     num_solid: int | None = None
 
     def __post_init__(self) -> None:
@@ -40,7 +38,7 @@ class PackedTrack:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TablePage:
-    """A part of a table by ids, with those of one block of ids: most pages are the same in one state and the next."""
+    """A part of a table by ids, one block of ids: most pages are equal in consecutive states."""
 
     keys: tuple[int, ...]
     values: tuple[Any, ...]
@@ -52,14 +50,13 @@ KEPT_RECORDS = (
     *(PackedTrack, SplitCandidate, SpaceState, Submap, SubmapState, SubmapSurface, SurveyedSubmap, TablePage),
     *(Track, TrackedObject),
 )
-"""The records that a checkpoint takes from the one before it where they are the same: there are many, few change."""
+"""Records that a checkpoint shares with the one before: there are many, few change."""
 
 
 class Packer:
-    """Packs states one after another; of a track that did not change the same packed track is given again.
+    """Packs states; an unchanged track gives the identical packed track, so that it is written once.
 
-    So that who writes records by their identity writes it once. `stored`: tracks that are written already, and are
-    given as they are.
+    `stored`: packed tracks that are written already.
     """
 
     def __init__(self, stored: Iterable[Track] = ()) -> None:
@@ -68,7 +65,7 @@ class Packer:
         self._pages: dict[tuple[str, int], tuple[list[int], list[Any], TablePage]] = {}
 
     def packed(self, state: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a state of the core with its tracks packed, where that loses nothing."""
+        """Return a state of the core with its tracks packed where that loses nothing."""
         marks, self._marks = self._marks, {}
         before, self._packed = self._packed, {}
 
@@ -118,34 +115,21 @@ class Packer:
 
 
 def unpacked(state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the state that was packed.
-
-    Raises:
-        ValueError: a page has another number of keys than of values.
-    """
-    parts = dict(state)
-    for name in _TABLES & parts.keys():
-        parts[name] = _table(parts[name])
+    """Return the unpacked state. Raises `ValueError`: numbers of keys and values of a page differ."""
+    parts = dict(state) | {name: _table(state[name]) for name in _TABLES & state.keys()}
     if isinstance(parts.get("votes"), tuple):
         parts["votes"] = VoteBook(rows=_table(parts["votes"]))
     return parts
 
 
 def _table(pages: tuple[TablePage, ...]) -> dict[int, Any]:
-    return {
-        key: _unpacked(value) if isinstance(value, PackedTrack) else value
-        for page in pages
-        for key, value in zip(page.keys, page.values, strict=True)
-    }
+    return {key: _unpacked(value) for page in pages for key, value in zip(page.keys, page.values, strict=True)}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Marks:
-    """Which of a cloud's points are its solid part; None where that is the whole, none, or more than a choice of them.
-
-    It holds both clouds, whose identities then are nobody else's.
-    """
-
+    # Both clouds are held, so that their identities stay unique. `is_solid` None: all, none, or more than a choice of
+    # the points.
     cloud: Cloud
     solid: Cloud
     is_solid: NDArray[np.bool_] | None
@@ -160,9 +144,10 @@ def _solid_marks(cloud: Cloud, solid: Cloud) -> NDArray[np.bool_] | None:
     return frozen_array(marked, "?", (None,), "marks") if _is_same(without(cloud, ~marked), solid) else None
 
 
-def _unpacked(packed_track: PackedTrack) -> Track:
-    track = packed_track.track
-    return replace(track, solid=without(track.cloud, ~packed_track.is_solid))
+def _unpacked(value: Any) -> Any:
+    if not isinstance(value, PackedTrack):
+        return value
+    return replace(value.track, solid=without(value.track.cloud, ~value.is_solid))
 
 
 def _is_same(a: Cloud, b: Cloud) -> bool:

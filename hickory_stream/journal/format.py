@@ -1,23 +1,21 @@
 """The format of `journal.mcap`: every event of a run, step by step, to resume, replay and inspect it.
 
 Each step is one compressed chunk with a CRC: a file that was cut anywhere holds all steps before the cut. Messages are
-CBOR (see `record_codec`), one channel per kind of event; the channel `step` says where the run stood, `checkpoint`
-holds the core's state now and then, `color` the compressed images of keyframes, `told` the decisions of a step (older
-journals have none). The log time is the stamp.
+CBOR (`record_codec`), one channel per kind of event. Further channels: `step` (position of the run), `checkpoint`
+(state of the core), `color` (compressed images of keyframes), `told` (decisions; not in older journals). Log time is
+the stamp.
 
-A checkpoint is two chunks, so that its records are read without its arrays: first `checkpoint/arrays`, each array a
-frame of zstd by itself with a checksum, then the records, which name arrays and records by the number of their chunk
-and their place in it (the first message of either chunk is none of these). Older journals have arrays and records in
-one chunk.
+A checkpoint is two chunks, so that its records are read without its arrays. First comes `checkpoint/arrays`: each array
+is a frame of zstd with a checksum. Then come the records, which refer to arrays and records by chunk and place in it
+(the first message of either chunk is neither). Older journals have one chunk for both.
 
-What was observed in a keyframe is stored with the returns of its masks instead of their points, which are made of them
-again (`packed_frames`); older journals have the points.
+Observations are stored as returns of their masks instead of points (`packed_frames`); older journals have points.
 
-Before the chunk of a step is one of its own with what of the map's public records the step has changed, without points
-and space (`known_records`): first where they are, then the records. Older journals have none.
+Before a step's chunk is one with the changed public records of the map, without points and space (`known_records`):
+first their places, then the records. Older journals have none.
 
-A chunk reaches the operating system when its step is over, so that a killed process loses nothing of it; it reaches the
-disk (fsync) at most `flush_s` later, which is what a lost power supply may cost.
+A chunk reaches the operating system at the end of its step, and the disk (fsync) at most `flush_s` later: a killed
+process loses nothing, a lost power supply that much.
 """
 
 from __future__ import annotations

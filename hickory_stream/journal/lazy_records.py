@@ -1,10 +1,11 @@
-"""Records of a checkpoint whose arrays are read when somebody looks at them: most of a large map nobody looks at.
+"""Records of a checkpoint whose arrays are read on first use: most of a large map is never used.
 
-What is read then is what was written, to the byte; damage to it is told there.
+Arrays are read exactly as written; damage is reported at that time.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
@@ -22,13 +23,15 @@ from hickory_stream.mapping.entities.submap_surface import SubmapSurface
 from hickory_stream.mapping.entities.track import Track
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from hickory_stream.journal.record_codec import PartPlace
 
+Checks = Mapping[str, Callable[[Any], bool]]
+_Later = Mapping[str, Callable[[], "NDArray[Any]"]]
 _ARRAYS: Mapping[type, tuple[str, ...]] = {
     Cloud: NAMES,
     PackedTrack: ("is_solid",),
@@ -37,28 +40,21 @@ _ARRAYS: Mapping[type, tuple[str, ...]] = {
 }
 
 
-class UnreadRecords:
-    """Makes records of which some arrays are left unread; `read` gives an array of the journal by its place."""
+class LazyRecords:
+    """Makes records with unread arrays; `read` returns an array of the journal by its place."""
 
     def __init__(self, read: Callable[[PartPlace], NDArray[Any]], journal: Path) -> None:
         self._read = read
         self._journal = journal
 
     def arrays_of(self, kind: type) -> tuple[str, ...]:
-        """Return the names of the arrays of a kind of record that may be left unread."""
+        """Return the names of a record's arrays that may stay unread."""
         return _ARRAYS.get(kind, ())
 
-    def record(
-        self,
-        kind: type,
-        values: Mapping[str, Any],
-        places: Mapping[str, PartPlace],
-        checks: Mapping[str, Callable[[Any], bool]],
-    ) -> Any:
-        """Return a record with some `values`, the arrays of the others left where they are.
+    def record(self, kind: type, values: Mapping[str, Any], places: Mapping[str, PartPlace], checks: Checks) -> Any:
+        """Return a record with some `values`, and unread arrays at `places`.
 
-        Raises:
-            TypeError: as `checked_record`.
+        Raises `TypeError` like `checked_record`.
         """
         later = {name: partial(self._read, place) for name, place in places.items()}
         if kind is PackedTrack:
@@ -71,31 +67,19 @@ class UnreadRecords:
                 raise TypeError(f"{kind.__name__}.{name} is of {type(value).__name__}")
             object.__setattr__(record, name, value)
         if kind is Cloud:
-            at_hand = {name: values[name] for name in NAMES if name in values}
-            count = len(at_hand["keys"]) if "keys" in at_hand else places["keys"].length
-            leave_unread(record, count, lambda name: at_hand[name] if name in at_hand else later[name]())
+            read = {name: values[name] for name in NAMES if name in values}
+            count = len(read["keys"]) if "keys" in read else places["keys"].length
+            leave_unread(record, count, lambda name: read[name] if name in read else later[name]())
         else:
             read_later(record, lambda: self._whole(kind, values, later, checks), *_ARRAYS[kind])
         return record
 
-    def _whole(
-        self,
-        kind: type,
-        values: Mapping[str, Any],
-        later: Mapping[str, Callable[[], NDArray[Any]]],
-        checks: Mapping[str, Callable[[Any], bool]],
-    ) -> dict[str, NDArray[Any]]:
-        with self._told():
+    def _whole(self, kind: type, values: Mapping[str, Any], later: _Later, checks: Checks) -> dict[str, NDArray[Any]]:
+        with self._as_damage():
             record = checked_record(kind, {**values, **{name: read() for name, read in later.items()}}, checks)
         return {name: getattr(record, name) for name in _ARRAYS[kind]}
 
-    def _unpacked(
-        self,
-        values: Mapping[str, Any],
-        later: Mapping[str, Callable[[], NDArray[Any]]],
-        checks: Mapping[str, Callable[[Any], bool]],
-    ) -> Track:
-        """Return the track that was packed, its solid part chosen from its cloud when it is looked at."""
+    def _unpacked(self, values: Mapping[str, Any], later: _Later, checks: Checks) -> Track:
         track, marks, num_solid = (values.get(name) for name in ("track", "is_solid", "num_solid"))
         known = (values.keys() | later.keys()) - {"num_solid"}
         if known != {"track", "is_solid"} or not isinstance(track, Track) or not checks["num_solid"](num_solid):
@@ -103,11 +87,11 @@ class UnreadRecords:
         cloud = track.cloud
 
         def chosen(name: str) -> NDArray[Any]:
-            with self._told():
+            with self._as_damage():
                 is_solid = later["is_solid"]() if marks is None else marks
                 array = array_of(cloud, name)
                 if not isinstance(is_solid, np.ndarray) or is_solid.dtype != bool or is_solid.shape != array.shape[:1]:
-                    raise ValueError(f"marks of {len(array)} points that are none")
+                    raise ValueError(f"invalid marks of {len(array)} points")
                 kept: NDArray[Any] = array[is_solid]
                 if num_solid is not None and len(kept) != num_solid:
                     raise ValueError(f"marks of {len(kept)} points that are said to be {num_solid}")
@@ -118,7 +102,7 @@ class UnreadRecords:
         return replace(track, solid=solid)
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _as_damage(self) -> Iterator[None]:
         try:
             yield
         except (ValueError, TypeError) as error:
@@ -126,11 +110,7 @@ class UnreadRecords:
 
 
 def as_array(value: Any, length: int | None) -> NDArray[Any]:
-    """Return an array that was decoded, and is said to have a length.
-
-    Raises:
-        ValueError: it is none, or has another length.
-    """
+    """Return a decoded array. Raises `ValueError`: it is no array, or of another length."""
     if not isinstance(value, np.ndarray) or (length is not None and value.shape[:1] != (length,)):
         raise ValueError(f"found a {type(value).__name__}, expected an array of length {length}")
     return value

@@ -1,7 +1,6 @@
-"""The file of a journal while it is written: chunks of MCAP one after another, and in the end the summary of them all.
+"""The journal's file: chunks of MCAP one after another, and at the end their summary.
 
-The summary is made of what the file holds by then, so that a file which another process began is gone on with where it
-ends: nothing of it is unpacked or written again.
+The summary is made of the file's content, so a file of another process is continued without unpacking it.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ _INDEX = struct.Struct("<BQHI")
 _INDEX_ENTRY = struct.Struct("<QQ")
 # The channel of an index, and how many bytes of entries follow.
 _CHANNEL = struct.Struct("<HI")
-# Of a chunk: start and end time, size and checksum of what is in it. Then come the name of the compression and what is
-# compressed, each after its length.
+# Of a chunk: start and end time, size and checksum of its content. Then come the name of the compression and the
+# compressed content, each after its length.
 _CHUNK = struct.Struct("<QQQI")
 _SIZE = struct.Struct("<I"), struct.Struct("<Q")
 _COMPRESSION = b"zstd"
@@ -42,11 +41,38 @@ class FileMessage(NamedTuple):
 
     channel: int
     stamp_ns: int
-    data: bytes
+    data: bytes | memoryview
+
+
+def messages_in(records: memoryview) -> list[FileMessage]:
+    """Return the messages of the unpacked records of a chunk. Raises `ValueError`: they are damaged."""
+    found = [
+        FileMessage(channel, stamp_ns, records[at + _MESSAGE.size : end])
+        for at, end, channel, stamp_ns in _places_in(records)
+    ]
+    if not found:
+        raise ValueError("a chunk without messages")
+    return found
+
+
+def _places_in(records: bytes | memoryview) -> Iterator[tuple[int, int, int, int]]:
+    # Start, end, channel and stamp of each message.
+    at = 0
+    while at < len(records):
+        if at + _RECORD.size > len(records):
+            raise ValueError(f"a record that begins at byte {at} of {len(records)}")
+        opcode, length = _RECORD.unpack_from(records, at)
+        end = at + _RECORD.size + length
+        if end > len(records) or (opcode == Opcode.MESSAGE and length < _MESSAGE_BYTES):
+            raise ValueError(f"a record of {length} bytes that begins at byte {at} of {len(records)}")
+        if opcode == Opcode.MESSAGE:
+            _, _, channel, _, stamp_ns, _ = _MESSAGE.unpack_from(records, at)
+            yield at, end, channel, stamp_ns
+        at = end
 
 
 def begin_file(file: BinaryIO) -> None:
-    """Write what a journal begins with: every channel, whose ids are part of the format."""
+    """Write the beginning of a journal: every channel, whose ids are part of the format."""
     builder = RecordBuilder()
     Header(profile=PROFILE, library="hickory-stream").write(builder)
     for channel in _channels():
@@ -55,8 +81,8 @@ def begin_file(file: BinaryIO) -> None:
 
 
 def write_chunk(file: BinaryIO, messages: list[FileMessage], number: int) -> None:
-    """Write a chunk, and the index after it, which says that it is whole; `number` counts the chunks."""
-    parts: list[bytes] = []
+    """Write a chunk, and the index after it, which marks it as whole; `number` counts the chunks."""
+    parts: list[bytes | memoryview] = []
     for channel, stamp_ns, data in messages:
         length = _MESSAGE_BYTES + len(data)
         parts += (_MESSAGE.pack(Opcode.MESSAGE, length, channel, number, stamp_ns, stamp_ns), data)
@@ -69,34 +95,24 @@ def write_chunk(file: BinaryIO, messages: list[FileMessage], number: int) -> Non
 
 
 def index_of(records: bytes) -> bytes:
-    """Return the index after a chunk of these records: for each channel, in the order in which they come, its places.
+    """Return the index after a chunk of these records: places by channel.
 
-    Raises:
-        ValueError: they are no records of MCAP.
+    Raises `ValueError`: they are no MCAP records.
     """
     places: dict[int, list[bytes]] = {}
-    at = 0
-    while at < len(records):
-        if at + _RECORD.size > len(records):
-            raise ValueError(f"a record that begins at byte {at} of {len(records)}")
-        opcode, length = _RECORD.unpack_from(records, at)
-        if opcode == Opcode.MESSAGE:
-            if at + _MESSAGE.size > len(records):
-                raise ValueError(f"a message that begins at byte {at} of {len(records)}")
-            _, _, channel, _, stamp_ns, _ = _MESSAGE.unpack_from(records, at)
-            places.setdefault(channel, []).append(_INDEX_ENTRY.pack(stamp_ns, at))
-        at += _RECORD.size + length
-    entries = {channel: b"".join(found) for channel, found in places.items()}
-    return b"".join(
-        _INDEX.pack(Opcode.MESSAGE_INDEX, 2 + 4 + len(data), channel, len(data)) + data
-        for channel, data in entries.items()
-    )
+    for at, _, channel, stamp_ns in _places_in(records):
+        places.setdefault(channel, []).append(_INDEX_ENTRY.pack(stamp_ns, at))
+    parts: list[bytes] = []
+    for channel, found in places.items():
+        size = _INDEX_ENTRY.size * len(found)
+        parts += (_INDEX.pack(Opcode.MESSAGE_INDEX, 2 + 4 + size, channel, size), *found)
+    return b"".join(parts)
 
 
 def go_on_in(file: BinaryIO, end: int, index: bytes) -> bool:
-    """Make a file end with the index of its last chunk, which ends at `end`; return False where it has another one.
+    """Cut a file after the index of its last chunk, which ends at `end`; return False if another index is there.
 
-    Killed at any moment, it holds that chunk: what is there of the index is written once more as it is.
+    The index is written again as it is: after a kill at any moment, the file holds that chunk.
     """
     file.seek(end)
     there = file.read(len(index))
@@ -111,7 +127,7 @@ def go_on_in(file: BinaryIO, end: int, index: bytes) -> bool:
 
 
 def copy_start(source: BinaryIO, target: BinaryIO, end: int, index: bytes) -> None:
-    """Write what a file has as far as the chunk that ends at `end`, and the index of that one."""
+    """Copy a file up to the chunk that ends at `end`, and its index."""
     left = end
     while left > 0:
         block = source.read(min(left, 1 << 22))
@@ -123,7 +139,7 @@ def copy_start(source: BinaryIO, target: BinaryIO, end: int, index: bytes) -> No
 
 
 def end_file(file: BinaryIO) -> None:
-    """Write the summary that makes it a whole MCAP file."""
+    """Write the summary that completes an MCAP file."""
     file.flush()
     file.seek(0, os.SEEK_END)
     builder = RecordBuilder()
@@ -144,12 +160,12 @@ def end_file(file: BinaryIO) -> None:
         channel_message_counts=counts,
     )
     groups: list[tuple[int, int, int]] = []
-    told: Sequence[tuple[Opcode, Sequence[McapRecord]]] = (
+    sections: Sequence[tuple[Opcode, Sequence[McapRecord]]] = (
         (Opcode.CHANNEL, _channels()),
         (Opcode.STATISTICS, [statistics]),
         (Opcode.CHUNK_INDEX, indices),
     )
-    for opcode, records in told:
+    for opcode, records in sections:
         begin = builder.count
         for record in records:
             record.write(builder)
@@ -159,7 +175,7 @@ def end_file(file: BinaryIO) -> None:
     for opcode, begin, length in groups:
         SummaryOffset(group_opcode=opcode, group_start=begin, group_length=length).write(builder)
     summary = builder.end()
-    # Of the footer as far as the checksum itself.
+    # The footer up to the checksum itself.
     crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 8 + 8 + 4, start, offsets), zlib.crc32(summary))
     Footer(summary_start=start, summary_offset_start=offsets, summary_crc=crc).write(builder)
     file.write(summary + builder.end() + MAGIC)
@@ -181,7 +197,6 @@ def _channels() -> list[Channel]:
 
 
 def _contents(file: BinaryIO) -> tuple[list[ChunkIndex], dict[int, int]]:
-    """Return what a summary says of each chunk, and the number of messages of each channel."""
     indices: list[ChunkIndex] = []
     counts: dict[int, int] = {}
     chunk: ChunkIndex | None = None
@@ -190,7 +205,7 @@ def _contents(file: BinaryIO) -> tuple[list[ChunkIndex], dict[int, int]]:
             if opcode == Opcode.CHUNK:
                 chunk = _index_of_chunk(data, at, end)
             elif opcode == Opcode.MESSAGE_INDEX and chunk is not None and at + _CHANNEL.size <= min(end, len(data)):
-                # Without an index a chunk is not whole, and nobody reads it.
+                # Without an index a chunk is not whole.
                 if not chunk.message_index_offsets:
                     indices.append(chunk)
                 channel, length = _CHANNEL.unpack_from(data, at)
@@ -201,19 +216,18 @@ def _contents(file: BinaryIO) -> tuple[list[ChunkIndex], dict[int, int]]:
 
 
 def _index_of_chunk(data: mmap.mmap, at: int, end: int) -> ChunkIndex | None:
-    """Return what a summary says of a chunk, before the places of its index; None where it is damaged."""
     name_at = at + _CHUNK.size + _SIZE[0].size
     if name_at > min(end, len(data)):
         return None
     start_ns, end_ns, size, _ = _CHUNK.unpack_from(data, at)
-    (told,) = _SIZE[0].unpack_from(data, at + _CHUNK.size)
-    if name_at + told + _SIZE[1].size > min(end, len(data)):
+    (name_bytes,) = _SIZE[0].unpack_from(data, at + _CHUNK.size)
+    if name_at + name_bytes + _SIZE[1].size > min(end, len(data)):
         return None
-    (packed,) = _SIZE[1].unpack_from(data, name_at + told)
+    (packed,) = _SIZE[1].unpack_from(data, name_at + name_bytes)
     return ChunkIndex(
         chunk_length=end - at + _RECORD.size,
         chunk_start_offset=at - _RECORD.size,
-        compression=data[name_at : name_at + told].decode(errors="replace"),
+        compression=data[name_at : name_at + name_bytes].decode(errors="replace"),
         compressed_size=packed,
         message_end_time=end_ns,
         message_index_length=0,
@@ -224,7 +238,7 @@ def _index_of_chunk(data: mmap.mmap, at: int, end: int) -> ChunkIndex | None:
 
 
 def _records(data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
-    """Yield the kind of each record, where its content begins, and where it ends."""
+    # (kind, start of the content, end) of each record.
     at = len(MAGIC)
     while at + _RECORD.size <= len(data):
         opcode, length = _RECORD.unpack_from(data, at)

@@ -1,7 +1,7 @@
-"""What was observed in a keyframe as the journal stores it: the returns of each mask instead of its points.
+"""Observations of a keyframe in the journal: the returns of each mask instead of its points.
 
-Points are means of returns over voxels. Three returns in whole millimetres, each told from its neighbours in the image,
-take less than the point that they make, which is told from nothing; and the points come out again to the byte.
+Points are means of returns over voxels. Three returns in millimetres, each predicted from its neighbours in the image,
+take less than the point that they make, which has no prediction. The points are restored to the byte.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PackedPoints:
-    """What is left of the `Returns` of the observation at `place`: its depth is with that of the others."""
+    """The remainder of the `Returns` of the observation at `place`; all depths are stored together."""
 
     place: int
     voxel_m: float
@@ -41,11 +41,11 @@ class PackedPoints:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PackedFrame:
-    """An event of which the observations in `packed` have neither points nor colours nor returns.
+    """An event whose observations in `packed` have neither points nor colours nor returns.
 
-    `is_used` (P,) tells of the pixels of their masks, one mask after another, which have returns; `depths` are these
-    as `packed_depths` gives them, `colors` what `packed_colors` leaves of each, (3, N). Both are frames of zstd: beside
-    numbers of other kinds the compressor would learn other frequencies.
+    `is_used` (P,): pixels of the masks, one mask after another, that have returns. `depths` are of `packed_depths`,
+    `colors` (3, N) of `packed_colors`. Both are separate frames of zstd, since numbers of other kinds have other
+    frequencies.
     """
 
     event: FrameObserved
@@ -60,14 +60,14 @@ class PackedFrame:
 
 # Masks do not overlap, but their boxes do.
 _MOST_IMAGES = 64
-# There is next to nothing in them that repeats: higher levels take longer, and find it where it is none.
+# Next to nothing repeats: higher levels only take longer.
 _LEVEL = 1
 _NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
 
 
 def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
-    """Return an event as it is stored: with its points, without returns, where these cannot be made of those."""
-    # Returns are of use to the journal alone: what is stored with its points has none.
+    """Return an event for storage; with its points, without returns, if returns do not give the points."""
+    # Only the journal uses returns: observations stored with points have none.
     observations = [one if one.returns is None else replace(one, returns=None) for one in event.observations]
     has_returns = any(one.returns is not None for one in event.observations)
     plain = replace(event, observations=tuple(observations)) if has_returns else event
@@ -79,7 +79,7 @@ def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
     images: list[NDArray[np.uint16]] = []
     colors: list[NDArray[np.uint8]] = []
     for place, one in enumerate(event.observations):
-        # Whoever has given an observation other points, or the frame another pose, has made them of something else.
+        # After a change of the points or the pose, returns do not give the points.
         returns = one.returns
         if returns is None or returns.checksum != checksum_of(one.points_world, event.world_from_camera):
             continue
@@ -102,11 +102,7 @@ def packed_frame(event: FrameObserved) -> FrameObserved | PackedFrame:
 
 
 def unpacked_frame(frame: PackedFrame) -> FrameObserved:
-    """Return the event that was packed.
-
-    Raises:
-        ValueError: the parts do not belong together, or other points come out.
-    """
+    """Return the unpacked event. Raises `ValueError`: parts do not fit, or other points result."""
     event = frame.event
     if event.coarse is None or event.coarse.camera is None:
         raise ValueError("returns of a frame without a camera")
@@ -138,7 +134,7 @@ def unpacked_frame(frame: PackedFrame) -> FrameObserved:
 
 
 def _are_within(observations: Sequence[Observation], camera: Camera) -> bool:
-    """Return whether all masks lie in the image, and memory for their boxes is that for so many images at most."""
+    # Memory for the boxes is limited to that of as many whole images.
     boxes = [one.box_px for one in observations]
     area_px = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes)
     is_within = all(x0 >= 0 and y0 >= 0 and x1 <= camera.width and y1 <= camera.height for x0, y0, x1, y1 in boxes)
@@ -146,7 +142,6 @@ def _are_within(observations: Sequence[Observation], camera: Camera) -> bool:
 
 
 def _used(frame: PackedFrame, masks: Sequence[NDArray[np.bool_]]) -> list[NDArray[np.bool_]]:
-    """Return (h, w) for each mask which of its pixels have returns."""
     ends = np.cumsum([0, *(np.count_nonzero(mask) for mask in masks)])
     if ends[-1] != len(frame.is_used):
         raise ValueError(f"marks of {len(frame.is_used)} pixels, of {ends[-1]} in masks")
@@ -157,7 +152,7 @@ def _used(frame: PackedFrame, masks: Sequence[NDArray[np.bool_]]) -> list[NDArra
 
 
 def _unpacked(data: bytes, most_bytes: int) -> bytes:
-    """Return what a frame of zstd holds; raises ValueError where it claims more bytes, for memory is taken for them."""
+    # The claimed size is checked before memory is taken for it.
     try:
         if not 0 <= zstandard.frame_content_size(data) <= most_bytes:
             raise ValueError(f"a frame of more than {most_bytes} bytes")
@@ -173,5 +168,5 @@ def _points(
         raise ValueError(f"voxels of {returns.voxel_m} m")
     points = points_of_returns(returns, observation.box_px, camera, world_from_camera)
     if checksum_of(points, world_from_camera) != returns.checksum:
-        raise ValueError("other points come of the returns than were seen")
+        raise ValueError("the returns give other points than were seen")
     return points

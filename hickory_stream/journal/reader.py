@@ -1,8 +1,6 @@
-"""The journal of a run, read step by step, whether it is complete or was cut off; `journal_format` describes it.
+"""The journal of a run, read step by step, complete or cut off; `format` describes it.
 
-The chunks of a journal's file, each unpacked when it is asked for; `journal_format` describes them.
-
-Whoever holds them can read them: the file stays open as long as arrays of it have still to be read.
+Chunks are unpacked on request. The file stays open as long as arrays of it are still to be read.
 """
 
 from __future__ import annotations
@@ -15,15 +13,15 @@ from collections import OrderedDict
 from dataclasses import dataclass, replace
 from io import BytesIO
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Chunk, Message
-from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
+from mcap.records import Chunk
+from mcap.stream_reader import get_chunk_data_stream
 
 from hickory_stream.base.confined import OutsideError, open_within
 from hickory_stream.errors import MapFolderError
@@ -40,7 +38,8 @@ from hickory_stream.journal.format import (
     STEP,
     TOLD,
 )
-from hickory_stream.journal.lazy_records import UnreadRecords, as_array
+from hickory_stream.journal.lazy_records import LazyRecords, as_array
+from hickory_stream.journal.mcap_file import FileMessage, messages_in
 from hickory_stream.journal.packed_frames import PackedFrame, unpacked_frame
 from hickory_stream.journal.record_codec import PartPlace, decode, part_references
 from hickory_stream.journal.step import Checkpoint, JournalEntry, Step, StepKind
@@ -55,30 +54,19 @@ if TYPE_CHECKING:
     from hickory_stream.events import Event
     from hickory_stream.journal.snapshot_records import Known
 
-
-_Kept = TypeVar("_Kept")
 _CACHED_CHUNKS, _CACHED_BYTES = 64, 64 << 20
-# A chunk that claims to unpack to more is none of ours: the state of a large map takes some tens of megabytes.
+# A chunk that claims more is damaged: the state of a large map takes some tens of megabytes.
 _MOST_CHUNK_BYTES = 1 << 29
 _HEADER = struct.Struct("<BQ")
-_MESSAGE_HEADER_BYTES = 2 + 4 + 8 + 8
 _DAMAGE = (
-    McapError,
-    zstandard.ZstdError,
-    ValueError,
-    KeyError,
-    IndexError,
-    TypeError,
-    struct.error,
-    EOFError,
-    OverflowError,
-    MemoryError,
+    *(McapError, zstandard.ZstdError, struct.error, EOFError),
+    *(ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
-    """Where a chunk is in the file."""
+    """The place of a chunk in the file."""
 
     start: int
     end: int
@@ -92,10 +80,9 @@ class ChunkPlace:
 
 
 class JournalChunks:
-    """The chunks of the journal in a folder that were whole when it was opened, at their `places`.
+    """The whole chunks of the journal in a folder when it was opened, at their `places`.
 
-    Raises:
-        MapFolderError: there is no journal, or it is none of this format.
+    Raises `MapFolderError`: there is no journal, or it has another format.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -105,68 +92,33 @@ class JournalChunks:
                 empty = os.fstat(file.fileno()).st_size == 0
                 self._data: Any = b"" if empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except FileNotFoundError as error:
-            raise MapFolderError(
-                f"{folder} holds no {JOURNAL}: the map keeps no history; play the log again"
-            ) from error
+            missing = f"{folder} holds no {JOURNAL}"
+            raise MapFolderError(f"{missing}: the map keeps no history; play the log again") from error
         except OSError as error:
             raise MapFolderError(f"cannot read {self.path}: {error.strerror or error}") from error
         except OutsideError as error:
             raise MapFolderError(f"{error}; a map's journal lies in its folder") from error
         self.places = _scan(self._data, self.path)
-        self._messages: _Cache[list[Message]] = _Cache()
-        self._contents: _Cache[list[memoryview]] = _Cache()
+        self._cache = _Cache()
         self._lock = Lock()
 
-    def messages(self, chunk: int) -> list[Message]:
-        """Return the messages of a chunk.
-
-        Raises:
-            MapFolderError: it is damaged.
-        """
+    def messages(self, chunk: int, *, keeps: bool = True) -> list[FileMessage]:
+        """Return the messages of a chunk; `keeps` caches them. Raises `MapFolderError`: it is damaged."""
         with self._lock:
-            known = self._messages.get(chunk)
-            if known is not None:
-                return known
-            place = self.places[chunk]
-            try:
-                records = breakup_chunk(self._record(place), validate_crc=True)
-                messages = [record for record in records if isinstance(record, Message)]
-                if not messages:
-                    raise ValueError("a chunk without messages")
-            except _DAMAGE as error:
-                raise self._damage(place, error) from error
-            self._messages.keep(chunk, messages, sum(len(message.data) for message in messages))
-            return messages
-
-    def contents(self, chunk: int, *, keeps: bool = True) -> list[memoryview]:
-        """Return what the messages of a chunk hold, which takes a fraction of the time of the messages themselves.
-
-        `keeps`: it is at hand when it is asked for again.
-
-        Raises:
-            MapFolderError: it is damaged.
-        """
-        with self._lock:
-            known = self._contents.get(chunk)
+            known = self._cache.get(chunk)
             if known is not None:
                 return known
             records = self.records(chunk)
             try:
-                contents = _contents_of(memoryview(records))
-                if not contents:
-                    raise ValueError("a chunk without messages")
+                messages = messages_in(memoryview(records))
             except _DAMAGE as error:
                 raise self._damage(self.places[chunk], error) from error
             if keeps:
-                self._contents.keep(chunk, contents, len(records))
-            return contents
+                self._cache.keep(chunk, messages, len(records))
+            return messages
 
     def records(self, chunk: int) -> bytes:
-        """Return the records of a chunk as they are, one after another.
-
-        Raises:
-            MapFolderError: it is damaged.
-        """
+        """Return the records of a chunk, joined. Raises `MapFolderError`: it is damaged."""
         place = self.places[chunk]
         try:
             stream, length = get_chunk_data_stream(self._record(place), validate_crc=True)
@@ -175,13 +127,12 @@ class JournalChunks:
             raise self._damage(place, error) from error
 
     def read_copy(self) -> None:
-        """Read from the file that is in the folder now, which begins with as many of these chunks as it has."""
+        """Continue in the folder's current file, which begins with the same chunks."""
         copy = JournalChunks(self.path.parent)
         with self._lock:
             self._data, self.places = copy._data, copy.places
 
     def _record(self, place: ChunkPlace) -> Chunk:
-        """Return the chunk at a place; raises ValueError where it declares another size than it has or may have."""
         chunk = Chunk.read(ReadDataStream(BytesIO(self._data[place.start : place.end])))
         if chunk.compression != "zstd":
             raise ValueError(f"a chunk is packed by {chunk.compression or 'nothing'!r}, expected zstd")
@@ -193,16 +144,12 @@ class JournalChunks:
 
 
 def packed_array(encoded: bytes) -> bytes:
-    """Return an encoded array as a chunk of arrays holds it."""
+    """Return an encoded array for a chunk of arrays."""
     return zstandard.compress(encoded)
 
 
-def unpacked_array(data: memoryview) -> bytes:
-    """Return the encoded array that was packed.
-
-    Raises:
-        ValueError: it is damaged.
-    """
+def unpacked_array(data: bytes | memoryview) -> bytes:
+    """Return the encoded array. Raises `ValueError`: it is damaged."""
     try:
         check_unpacked_size(data, zstandard.frame_content_size(data))
         return zstandard.decompress(data)
@@ -211,52 +158,33 @@ def unpacked_array(data: memoryview) -> bytes:
 
 
 def check_unpacked_size(data: bytes | memoryview, claimed: int) -> None:
-    """Refuse what unpacks to another size than was claimed, or to more than a map can need.
-
-    Raises:
-        ValueError: it does.
-    """
+    """Raise `ValueError` for data that unpack to another size than claimed, or to more than a map can need."""
     found = zstandard.frame_content_size(data)
     if found != claimed or not 0 <= found <= _MOST_CHUNK_BYTES:
         raise ValueError(f"a chunk unpacks to {found} bytes, says {claimed}")
 
 
-class _Cache(Generic[_Kept]):
-    """The chunks that were asked for last, as far as they are few and small; always the last one."""
-
+class _Cache:
+    # Few and small chunks; always the last one.
     def __init__(self) -> None:
-        self._chunks: OrderedDict[int, tuple[_Kept, int]] = OrderedDict()
+        self._chunks: OrderedDict[int, tuple[list[FileMessage], int]] = OrderedDict()
         self._num_bytes = 0
 
-    def get(self, chunk: int) -> _Kept | None:
+    def get(self, chunk: int) -> list[FileMessage] | None:
         if chunk not in self._chunks:
             return None
         self._chunks.move_to_end(chunk)
         return self._chunks[chunk][0]
 
-    def keep(self, chunk: int, value: _Kept, num_bytes: int) -> None:
+    def keep(self, chunk: int, value: list[FileMessage], num_bytes: int) -> None:
         self._chunks[chunk] = value, num_bytes
         self._num_bytes += num_bytes
         while len(self._chunks) > 1 and (len(self._chunks) > _CACHED_CHUNKS or self._num_bytes > _CACHED_BYTES):
             self._num_bytes -= self._chunks.popitem(last=False)[1][1]
 
 
-def _contents_of(data: memoryview) -> list[memoryview]:
-    found: list[memoryview] = []
-    at = 0
-    while at < len(data):
-        opcode, length = _HEADER.unpack_from(data, at)
-        at += _HEADER.size
-        if length > len(data) - at or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEADER_BYTES):
-            raise ValueError(f"a record of {length} bytes at byte {at} of {len(data)}")
-        if opcode == Opcode.MESSAGE:
-            found.append(data[at + _MESSAGE_HEADER_BYTES : at + length])
-        at += length
-    return found
-
-
 def _scan(data: Any, path: Path) -> list[ChunkPlace]:
-    """Return the chunks that are whole: the record is there, and the index after it, which says what is in it."""
+    # A chunk is whole if its record is there and the index after it.
     if len(data) < len(MAGIC):
         return []
     if data[: len(MAGIC)] != MAGIC:
@@ -271,7 +199,7 @@ def _scan(data: Any, path: Path) -> list[ChunkPlace]:
         if opcode == Opcode.CHUNK and length >= 16:
             chunk = (start, end, struct.unpack_from("<Q", data, start)[0])
         elif opcode == Opcode.DATA_END:
-            # After it is what a run that goes on cuts off: nobody reads there while it does.
+            # A resumed run cuts off the rest.
             break
         elif opcode == Opcode.MESSAGE_INDEX and chunk is not None and length >= 2:
             channel = struct.unpack_from("<H", data, start)[0]
@@ -285,7 +213,7 @@ _Place = tuple[int, int]
 
 
 class StoredPart(NamedTuple):
-    """A record or an array of a checkpoint, its place (chunk, number in it), and those of the parts it refers to."""
+    """A record or array of a checkpoint, its place (chunk, number in it), and the places it refers to."""
 
     place: _Place
     part: Any
@@ -293,10 +221,9 @@ class StoredPart(NamedTuple):
 
 
 class Journal:
-    """A journal that is read; open it with `with`. Complete or not, it holds what was whole when it was opened.
+    """An open journal, as far as it was whole when it was opened; use `with`.
 
-    Raises:
-        MapFolderError: there is none, or it is none of this format.
+    Raises `MapFolderError`: there is none, or it has another format.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -306,8 +233,8 @@ class Journal:
         self._steps = [i for i, place in enumerate(self._places) if place.is_step]
         self._known_parts: dict[tuple[int, int], Any] = {}
         self._is_checked = False
+        #: Of the checkpoint that was read last, with unread arrays.
         self.parts: list[StoredPart] = []
-        """Those of the checkpoint that was read last, of which arrays are read later."""
 
     def __enter__(self) -> Self:
         return self
@@ -315,7 +242,7 @@ class Journal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # Closed with the last array that has still to be read.
+        # The file is closed with the last unread array.
         del self._chunks
 
     def __len__(self) -> int:
@@ -328,23 +255,16 @@ class Journal:
 
     @property
     def num_bytes(self) -> int:
-        """How much of the file is whole."""
+        """Number of whole bytes of the file."""
         return self._places[-1].end if self._places else 0
 
     def entry(self, index: int) -> JournalEntry:
-        """Return a step with its events.
-
-        Raises:
-            MapFolderError: it is damaged.
-        """
+        """Return a step with its events. Raises `MapFolderError`: it is damaged."""
         others = self._chunks.messages(self._steps[index])[1:]
-        events = [
-            self._decoded(message.data, EVENT_NAMES[message.channel_id])
-            for message in others
-            if message.channel_id in EVENT_NAMES
-        ]
-        told = [self._decoded(message.data, "Told") for message in others if message.channel_id == TOLD]
-        return JournalEntry(step=self.step(index), events=tuple(events), told=told[0] if told else None)
+        known = [message for message in others if message.channel in EVENT_NAMES]
+        events = [self._decoded(message.data, EVENT_NAMES[message.channel]) for message in known]
+        decided = [self._decoded(message.data, "Told") for message in others if message.channel == TOLD]
+        return JournalEntry(step=self.step(index), events=tuple(events), told=decided[0] if decided else None)
 
     def step(self, index: int) -> Step:
         """Return a step without its events."""
@@ -352,26 +272,21 @@ class Journal:
         return step
 
     def events(self, index: int, kind: str, *, has_points: bool = True) -> list[Event]:
-        """Return the events of one kind in a step; `has_points=False` leaves points unmade where returns are stored."""
-        channel = CHANNELS[kind]
-        return [
-            self._decoded(m.data, kind, has_points=has_points)
-            for m in self._chunks.messages(self._steps[index])
-            if m.channel_id == channel
-        ]
+        """Return the events of one kind in a step; `has_points=False` leaves out points that returns would give."""
+        messages = [m for m in self._chunks.messages(self._steps[index]) if m.channel == CHANNELS[kind]]
+        return [self._decoded(message.data, kind, has_points=has_points) for message in messages]
 
     def color(self, index: int) -> bytes | None:
         """Return the compressed image of a step's keyframe, None where there is none."""
-        found = [m.data for m in self._chunks.messages(self._steps[index]) if m.channel_id == COLOR]
-        return found[0] if found else None
+        messages = self._chunks.messages(self._steps[index])
+        return next((bytes(message.data) for message in messages if message.channel == COLOR), None)
 
     def checkpoint_before(self, index: int, *, reads_later: bool = False) -> tuple[int, Checkpoint] | None:
-        """Return the last checkpoint at or before a step, and the step after which it was made; None: there is none.
+        """Return the last checkpoint at or before a step, and the step it follows; None if there is none.
 
-        `reads_later`: the arrays of clouds and spaces are read when they are looked at, and damage to one is told then.
+        `reads_later`: arrays of clouds and spaces are read on first use, and damage is reported then.
 
-        Raises:
-            MapFolderError: it is damaged.
+        Raises `MapFolderError`: it is damaged.
         """
         following = self._steps[index + 1] if index + 1 < len(self._steps) else len(self._places)
         for chunk in range(following - 1, -1, -1):
@@ -380,17 +295,16 @@ class Journal:
         return None
 
     def known(self, index: int) -> Known | None:
-        """Return where the public records of the map after a step are, all of them; None: an older journal has none.
+        """Return the places of all public records of the map after a step; None in an older journal.
 
-        Raises:
-            MapFolderError: it is damaged.
+        Raises `MapFolderError`: it is damaged.
         """
         changes: list[Known] = []
         while not changes or not changes[-1].is_whole:
             chunk = self._steps[index] - 1 if index >= 0 else -1
             if chunk < 0 or self._places[chunk].channel != KNOWN:
                 return None
-            changes.append(self._decoded(bytes(self._chunks.contents(chunk)[0]), "Known"))
+            changes.append(self._decoded(self._chunks.messages(chunk)[0].data, "Known"))
             index -= 1
         objects: dict[int, tuple[int, int]] = {}
         submaps: dict[int, tuple[int, int]] = {}
@@ -402,10 +316,9 @@ class Journal:
         return replace(changes[0], is_whole=True, objects=objects, submaps=submaps, gone_objects=(), gone_submaps=())
 
     def known_record(self, place: tuple[int, int], kind: type) -> Any:
-        """Return the record that `known` says is there; a part that records share is one and the same.
+        """Return the record at a place of `known`; shared parts are one object.
 
-        Raises:
-            MapFolderError: it is damaged, or no record of this kind.
+        Raises `MapFolderError`: it is damaged, or no record of this kind.
         """
 
         def part(chunk: int, number: int) -> Any:
@@ -413,13 +326,13 @@ class Journal:
             if not (0, 1) <= (chunk, number) < place:
                 raise ValueError(f"a part is said to be number {number} of chunk {chunk}")
             if (chunk, number) not in self._known_parts:
-                self._known_parts[chunk, number] = decode(bytes(self._chunks.contents(chunk)[number]), part)
+                self._known_parts[chunk, number] = decode(bytes(self._chunks.messages(chunk)[number].data), part)
             return self._known_parts[chunk, number]
 
         try:
             if not 0 <= place[0] < len(self._places) or self._places[place[0]].channel != KNOWN or place[1] < 1:
                 raise ValueError(f"a record is said to be number {place[1]} of chunk {place[0]}")
-            data = bytes(self._chunks.contents(place[0])[place[1]])
+            data = self._chunks.messages(place[0])[place[1]].data
         except (ValueError, IndexError) as error:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
         return self._decoded(data, kind.__name__, part)
@@ -430,17 +343,18 @@ class Journal:
             yield self.entry(index)
 
     def cut_to_resumable(self) -> None:
-        """Leave out the steps that a run cannot be continued from: after the first damage, or committed at a stop."""
+        """Leave out steps that cannot be continued: after the first damage, or committed at a stop."""
         if self._is_checked:
             return
         for chunk, place in enumerate(self._places):
             try:
-                first = self._chunks.contents(chunk, keeps=False)[0]
-                is_last = place.is_step and self._decoded(bytes(first), "Step").kind is StepKind.CLOSING
+                first = self._chunks.messages(chunk, keeps=False)[0]
+                is_last = place.is_step and self._decoded(first.data, "Step").kind is StepKind.CLOSING
             except MapFolderError:
                 is_last = True
             if is_last:
-                self._cut(chunk)
+                self._places = self._places[:chunk]
+                self._steps = [i for i in self._steps if i < chunk]
                 break
         self._is_checked = True
 
@@ -451,24 +365,16 @@ class Journal:
 
     @property
     def num_chunks(self) -> int:
-        """How many chunks it has."""
+        """Number of chunks."""
         return len(self._places)
 
     def last_records(self) -> bytes:
-        """Return the records of the last chunk as they are in the file.
-
-        Raises:
-            MapFolderError: it is damaged.
-        """
+        """Return the stored records of the last chunk. Raises `MapFolderError`: it is damaged."""
         return self._chunks.records(len(self._places) - 1)
 
     def read_copy(self) -> None:
-        """Read what is still to be read from the file that is in the folder now, a copy of this one."""
+        """Continue in the folder's current file, a copy of this one."""
         self._chunks.read_copy()
-
-    def _cut(self, chunk: int) -> None:
-        self._places = self._places[:chunk]
-        self._steps = [i for i in self._steps if i < chunk]
 
     def _checkpoint(self, chunk: int, *, reads_later: bool) -> Checkpoint:
         parts: dict[tuple[int, int], Any] = {}
@@ -484,12 +390,12 @@ class Journal:
             try:
                 data = stored.get(place[:2])  # of an older journal, which has no chunks of arrays
                 if data is None:
-                    data = unpacked_array(chunks.contents(place.chunk)[place.number])
+                    data = unpacked_array(chunks.messages(place.chunk)[place.number].data)
                 return as_array(decode(data), place.length)
             except (ValueError, IndexError) as error:
                 raise MapFolderError(f"{chunks.path} is damaged or of another version: {error}") from error
 
-        later = UnreadRecords(array, self.path) if reads_later else None
+        later = LazyRecords(array, self.path) if reads_later else None
         try:
             stored, references = self._with_parts(chunk, later)
             checkpoint: Checkpoint = self._decoded(stored[chunk, 0], "Checkpoint", part, later)
@@ -502,34 +408,23 @@ class Journal:
             raise MapFolderError(f"{self.path} is damaged or of another version: {error}") from error
 
     def _with_parts(
-        self, chunk: int, later: UnreadRecords | None
+        self, chunk: int, later: LazyRecords | None
     ) -> tuple[dict[_Place, bytes], dict[_Place, list[_Place]]]:
-        """Return the document of a checkpoint, and all parts that it or one of them refers to, as they are encoded.
-
-        With them the parts to which each refers.
-
-        The parts of a large map lie in hundreds of chunks. No part refers to a later chunk than its own: each is
-        unpacked once, the latest first, and only what is needed of it is kept: without the arrays that `later` leaves
-        where they are.
-
-        Raises:
-            ValueError: a part is said to lie where none can be.
-            IndexError: a chunk has fewer parts.
-            MapFolderError: a chunk is damaged.
-        """
+        # The parts of a large map lie in hundreds of chunks. No part refers to a later chunk than its own: each is
+        # unpacked once, the latest first, and only needed parts are kept, without the arrays that `later` leaves.
         stored: dict[_Place, bytes] = {}
         references: dict[_Place, list[_Place]] = {}
         wanted = {chunk: {0}}
         while wanted:
             here = max(wanted)
             numbers = wanted.pop(here)
-            contents = self._chunks.contents(here, keeps=False)
+            messages = self._chunks.messages(here, keeps=False)
             if self._places[here].channel == ARRAYS:
-                stored |= {(here, number): unpacked_array(contents[number]) for number in numbers}
+                stored |= {(here, number): unpacked_array(messages[number].data) for number in numbers}
                 continue
             while numbers:
                 number = numbers.pop()
-                stored[here, number] = data = bytes(contents[number])
+                stored[here, number] = data = bytes(messages[number].data)
                 references[here, number] = part_references(data, later)
                 for other, its_number in references[here, number]:
                     if type(other) is not int or not 0 <= other <= here:
@@ -543,16 +438,15 @@ class Journal:
 
     def _decoded(
         self,
-        data: bytes,
+        data: bytes | memoryview,
         kind: str,
         part: Callable[[int, int], Any] | None = None,
-        later: UnreadRecords | None = None,
+        later: LazyRecords | None = None,
         *,
         has_points: bool = True,
     ) -> Any:
-        """Return a record of this kind, by the name of its type."""
         try:
-            record = decode(data, part, later)
+            record = decode(bytes(data), part, later)
             if isinstance(record, PackedFrame):
                 record = unpacked_frame(record) if has_points else record.event
         except ValueError as error:

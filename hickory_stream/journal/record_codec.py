@@ -1,11 +1,11 @@
-"""Any record of the mapper as CBOR (RFC 8949), and back, exactly: what the journal is made of.
+"""Any record of the mapper as CBOR (RFC 8949), and back, exactly: the content of the journal.
 
-A record is a map of its fields under a tag with its name; only records of our own packages are ever made from it, by
-their constructors, and only where every field holds what it is declared to hold (`field_types`): who wrote the bytes is
-not known. Arrays are stored so that they compress: keys of voxels as blocks of bits or as differences, colours as
-differences from those before them and from their green, points at multiples of a step as differences, mean colours
-as sums and their numbers, images of depth as differences from what is beside (older journals have neither), other
-numbers byte by byte.
+A record is a map of its fields under a tag with its name. Only records of our own packages are made, by their
+constructors, and only if every field holds its declared type (`field_types`): the bytes are not trusted.
+
+Arrays are stored for compression: voxel keys as blocks of bits or differences, colours as differences from the ones
+before and from green, points at multiples of a step as differences, mean colours as sums with counts, depth as
+differences from neighbours (older journals lack the last two), other numbers byte by byte.
 """
 
 from __future__ import annotations
@@ -34,83 +34,65 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Of the range that is free for everybody's use ("first come, first served", RFC 8949, 9.2).
+# Tags of the range "first come, first served" (RFC 8949, 9.2).
 _RECORD, _ARRAY, _PART, _MAP, _SET, _ENUM = 39_100, 39_101, 39_102, 39_103, 39_104, 39_105
 _PART_BYTES = 1024
 _PLAIN, _BITS, _DIFFERENCES, _PLANES, _BLOCKS, _COLORS, _STEPS, _DEPTHS, _MEANS = range(9)
-# A pose or less: dividing it into planes takes longer than all else of it, and leaves nothing to be found.
+# A pose or less: planes cost time and gain nothing.
 _SMALL_BYTES = 192
 _BLOCK_BYTES = 16
 _MOST_DIMENSIONS = 8
 _LEAST, _MOST = int(np.iinfo(np.int64).min), int(np.iinfo(np.int64).max)
-_AS_THEY_ARE = {types.NoneType, bool, float, str, bytes}
+_UNCHANGED = {types.NoneType, bool, float, str, bytes}
 _DAMAGE = (
-    cbor2.CBORError,
-    TypeError,
-    ValueError,
-    KeyError,
-    IndexError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-    MemoryError,
+    *(cbor2.CBORError, TypeError, ValueError, KeyError, IndexError, AttributeError),
+    *(OverflowError, RecursionError, MemoryError),
 )
 
 
 class PartStore(Protocol):
-    """Keeps large arrays and some records beside the document, so that what did not change is not written again."""
+    """Stores large arrays and some records beside the document, so that unchanged ones are not written again."""
 
     def put(self, part: object, encoded: Callable[[], bytes]) -> tuple[int, int]:
-        """Return where an array or a record is kept; `encoded()` gives its bytes if it is new."""
-        ...
+        """Return the place of an array or record; `encoded()` gives the bytes of a new one."""
 
     def is_part(self, record: object) -> bool:
-        """Return whether a record is to be kept beside the document."""
-        ...
+        """Return whether a record is stored beside the document."""
 
 
 class PartPlace(NamedTuple):
-    """Where an array lies, as a `PartStore` said, and how long it is; older journals do not say that."""
+    """The place of an array, as of `PartStore`."""
 
     chunk: int
     number: int
+    #: None in older journals.
     length: int | None = None
 
 
 class LateRecords(Protocol):
-    """Makes records of which some arrays, which lie beside the document, are read when somebody looks at them."""
+    """Makes records some of whose arrays, stored beside the document, are read on first use."""
 
     def arrays_of(self, kind: type) -> tuple[str, ...]:
-        """Return the names of the arrays of a kind of record that may be left where they are."""
-        ...
+        """Return the names of a record's arrays that may stay unread."""
 
-    def record(
-        self,
-        kind: type,
-        values: Mapping[str, Any],
-        places: Mapping[str, PartPlace],
-        checks: Mapping[str, Callable[[Any], bool]],
-    ) -> Any:
-        """Return a record of `values` and of arrays at `places`; raises TypeError where these are not its fields."""
-        ...
+    def record(self, kind: type, values: Mapping[str, Any], places: Mapping[str, PartPlace], checks: Any) -> Any:
+        """Return a record of `values` and of arrays at `places`. Raises `TypeError`: they are not its fields."""
 
 
 def encode(value: Any, parts: PartStore | None = None) -> bytes:
-    """Return a value made of records, arrays, enums, tuples, dicts, sets, numbers and text; no other kind is taken.
+    """Return a value of records, arrays, enums, tuples, dicts, sets, numbers and text.
 
-    Raises:
-        TypeError: it holds something else.
+    Raises `TypeError` for others.
     """
     return cbor2.dumps(_plain(value, parts))
 
 
 def decode(data: bytes, part: Callable[[int, int], Any] | None = None, later: LateRecords | None = None) -> Any:
-    """Return what `encode` was given, lists as tuples; `part` gives what is where a `PartStore` has put it.
+    """Return the encoded value, lists as tuples; `part` returns a part by its place in a `PartStore`.
 
-    `later` makes the records that may leave arrays where they are; None: all are read.
+    `later` makes records that may leave arrays unread; None: all are read.
 
-    Raises:
-        ValueError: the bytes are damaged, or hold a record that this version does not know.
+    Raises `ValueError`: the bytes are damaged, or hold an unknown record.
     """
     try:
         # Every item takes a byte at least, unless items are shared, which ours never are: a few bytes that expand
@@ -121,12 +103,9 @@ def decode(data: bytes, part: Callable[[int, int], Any] | None = None, later: La
 
 
 def part_references(data: bytes, later: LateRecords | None = None) -> list[tuple[int, int]]:
-    """Return where the parts are that an encoded value refers to, in the order in which it does.
+    """Return the places of the parts that an encoded value refers to, in order, without the arrays that `later` leaves.
 
-    `later`: without the arrays that it leaves where they are.
-
-    Raises:
-        ValueError: the bytes are damaged.
+    Raises `ValueError`: the bytes are damaged.
     """
     found: dict[int, tuple[int, int]] = {}
 
@@ -151,27 +130,22 @@ def part_references(data: bytes, later: LateRecords | None = None) -> list[tuple
 
 
 class _Reference(NamedTuple):
-    """The number of a reference among those of an encoded value."""
-
     number: int
 
 
 def encode_array(array: NDArray[Any]) -> bytes:
-    """Return an array alone."""
+    """Return a single array, encoded."""
     return cbor2.dumps(_array_tag(array))
-
-
-# ---- writing --------------------------------------------------------------------------------------------------------
 
 
 def _plain(value: Any, parts: PartStore | None) -> Any:
     kind: type = type(value)
-    if kind in _AS_THEY_ARE or kind is int:
+    if kind in _UNCHANGED or kind is int:
         return value
     if isinstance(value, np.ndarray):
         if parts is None or value.nbytes < _PART_BYTES:
             return _array_tag(value)
-        # With its length, which many want to know who do not look at what is in it.
+        # With its length, which is often needed without the content.
         return cbor2.CBORTag(_PART, [*parts.put(value, lambda: encode_array(value)), len(value)])
     if kind is tuple or kind is list:
         return [_plain(item, parts) for item in value]
@@ -205,7 +179,6 @@ def _record_tag(value: Any, parts: PartStore | None) -> cbor2.CBORTag:
 
 @cache
 def _names_of(kind: type) -> tuple[str, ...] | None:
-    """Return the names of the fields of a kind of record, None of what is no record."""
     if not dataclasses.is_dataclass(kind):
         return None
     assert record_classes().get(kind.__name__) is kind, f"{kind.__name__} is no record of the registry"
@@ -242,31 +215,24 @@ def _array_tag(array: NDArray[Any]) -> cbor2.CBORTag:
 
 @cache
 def _little(dtype: np.dtype[Any]) -> tuple[np.dtype[Any], str]:
-    """Return the type of numbers with the lowest byte first, and its name."""
     little = dtype.newbyteorder("<")
     return little, little.str
 
 
-# ---- reading --------------------------------------------------------------------------------------------------------
-
-
 class _Reader:
-    """Makes values of what CBOR gives; `most_items` are made before it is given up."""
-
     def __init__(self, part: Callable[[int, int], Any] | None, later: LateRecords | None, most_items: int) -> None:
         self._part = part
         self._later = later
         self._left = most_items
 
     def value(self, item: Any) -> Any:
-        """Return a value; raises one of `_DAMAGE` where it is none."""
         return self._values((item,))[0]
 
     def _values(self, items: Collection[Any]) -> list[Any]:
         self._left -= len(items)
         if self._left < 0:
             raise ValueError("more items than bytes")
-        return [item if type(item) in _AS_THEY_ARE else self._made(item) for item in items]
+        return [item if type(item) in _UNCHANGED else self._made(item) for item in items]
 
     def _made(self, item: Any) -> Any:
         if type(item) is int:
@@ -277,9 +243,7 @@ class _Reader:
             return tuple(self._values(item))
         if not isinstance(item, cbor2.CBORTag):
             raise ValueError(f"a journal holds no {type(item).__name__}")
-        return self._tagged(item.tag, item.value)
-
-    def _tagged(self, tag: int, content: Any) -> Any:
+        tag, content = item.tag, item.value
         if tag == _RECORD:
             name, fields = content
             kind = _record_of(name)
@@ -287,7 +251,9 @@ class _Reader:
             if self._later is None or not names:
                 values = dict(zip(fields, self._values(fields.values()), strict=True))
                 return checked_record(kind, values, _checks(kind))
-            places = {name: PartPlace(*fields[name].value) for name in names if _is_part(fields.get(name))}
+            tags = {name: fields.get(name) for name in names}
+            parts = {name: tag for name, tag in tags.items() if isinstance(tag, cbor2.CBORTag) and tag.tag == _PART}
+            places = {name: PartPlace(*tag.value) for name, tag in parts.items()}
             values = {key: self.value(entry) for key, entry in fields.items() if key not in places}
             return self._later.record(kind, values, places, _checks(kind))
         if tag == _ARRAY:
@@ -304,10 +270,6 @@ class _Reader:
             name, text = content
             return _record_of(name)(text)
         raise ValueError(f"unknown tag {tag}")
-
-
-def _is_part(item: Any) -> bool:
-    return isinstance(item, cbor2.CBORTag) and item.tag == _PART
 
 
 def _record_of(name: object) -> Any:
@@ -327,7 +289,7 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
     if len(shape) > _MOST_DIMENSIONS or not all(type(length) is int and 0 <= length <= _MOST for length in shape):
         raise ValueError(f"an array of shape {shape}")
     count = math.prod(shape)
-    # What a shape claims must be there: memory is taken for it.
+    # Memory is taken for the claimed shape.
     if method == _DEPTHS:
         if len(shape) != 2 or dtype != np.uint16 or len(data) < -(-count // 8):
             raise ValueError(f"depths of shape {shape} in {len(data)} bytes")
@@ -363,7 +325,7 @@ def _array(dtype_name: str, shape: list[int], method: int, data: bytes) -> NDArr
 
 @lru_cache(64)
 def _dtypes(name: str) -> tuple[np.dtype[Any], np.dtype[Any]]:
-    """Return a type of numbers as it is stored, and as it is on this processor; raises ValueError for others."""
+    # As stored (lowest byte first), and as on this processor.
     dtype = np.dtype(name)
     if dtype.kind not in "biuf" or dtype.itemsize > 8:
         raise ValueError(f"a journal holds no arrays of {dtype}")
@@ -371,14 +333,12 @@ def _dtypes(name: str) -> tuple[np.dtype[Any], np.dtype[Any]]:
 
 
 def _keys(data: bytes, count: int) -> NDArray[np.int64]:
-    """Return the keys of blocks; raises ValueError where they are not as many as is claimed."""
     half = len(data) // 2
     # Each block has a key at least, and memory is taken for 64 of each.
     if len(data) % _BLOCK_BYTES or half // 8 > count or count > MOST_KEYS:
         raise ValueError(f"{count} keys in blocks of {len(data)} bytes")
-    heads, words = (
-        array_of(part, np.dtype(kind), (half // 8,)) for part, kind in ((data[:half], "<i8"), (data[half:], "<u8"))
-    )
+    heads = array_of(data[:half], np.dtype("<i8"), (half // 8,))
+    words = array_of(data[half:], np.dtype("<u8"), (half // 8,))
     if count_in(words) != count:
         raise ValueError(f"{count} keys in blocks of {count_in(words)}")
     return keys_of_blocks(np.cumsum(heads, dtype=np.int64), words)
@@ -386,7 +346,7 @@ def _keys(data: bytes, count: int) -> NDArray[np.int64]:
 
 @cache
 def record_classes() -> dict[str, Any]:
-    """Return all dataclasses and enums that a journal may hold, by their names."""
+    """Return all dataclasses and enums of a journal by name."""
     import hickory_stream.geometry
     import hickory_stream.mapping
 
@@ -399,7 +359,7 @@ def record_classes() -> dict[str, Any]:
     for name in names:
         for kind in vars(importlib.import_module(name)).values():
             is_record = isinstance(kind, type) and (dataclasses.is_dataclass(kind) or issubclass(kind, Enum))
-            # Of a configuration the manifest holds the values; events have none.
+            # Configurations are in the manifest.
             if is_record and kind.__module__ == name and not kind.__name__.endswith("Config"):
                 assert kind.__name__ not in found, f"two records are called {kind.__name__}"
                 found[kind.__name__] = kind

@@ -1,7 +1,6 @@
-"""The public records of the map after each step, but for points and space: looking back needs no replay for them.
+"""Public records of the map after each step, without points and space: reading an earlier map needs no replay.
 
-Of each record that has changed the journal gets a new one, of all others it knows where they are; views and shapes,
-which stay when their object changes, are parts of their own.
+A changed record is written, others are referred to; views and shapes, which outlive changes, are separate parts.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Place = tuple[int, int]
 """A chunk of the journal, and the number of a message in it."""
 
 _WHOLE_EVERY = 16
-"""So many steps are read at most to know where everything is."""
+"""Steps that are read at most to find all records."""
 _NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
 _NO_KEYS = np.empty(0, np.int64)
 _Record = TypeVar("_Record", TrackedObject, Submap)
@@ -31,10 +30,10 @@ _Record = TypeVar("_Record", TrackedObject, Submap)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Known:
-    """Where the records of the map after a step are, by their ids; `graph` is that of the poses, if there is one.
+    """Places of the map's records after a step, by id.
 
-    Where it `is_whole` they are all, otherwise those that the step has changed: the others are where they were, but for
-    those that are gone. `revision` and `stamp_ns` are those of the map.
+    If `is_whole`, all are listed, else the changed ones; others keep their places unless they are gone. `revision` and
+    `stamp_ns` are the map's.
     """
 
     revision: int
@@ -48,17 +47,17 @@ class Known:
 
 
 def object_without_points(tracked: TrackedObject) -> TrackedObject:
-    """Return an object with no point."""
+    """Return an object without points."""
     return replace(tracked, points_world=_NO_POINTS, colors=_NO_COLORS)
 
 
 def submap_without_space(submap: Submap) -> Submap:
-    """Return a submap in which nothing was seen."""
+    """Return a submap without observed space."""
     return replace(submap, observed_space=replace(submap.observed_space, free=_NO_KEYS, structure=_NO_KEYS))
 
 
-class KnownRecords:
-    """Makes the messages of one map after another: what has not changed is found by its identity."""
+class SnapshotRecords:
+    """Makes the messages of consecutive maps; unchanged records are found by identity."""
 
     def __init__(self) -> None:
         self._objects: dict[int, _Written] = {}
@@ -67,7 +66,7 @@ class KnownRecords:
         self._num_maps = 0
 
     def messages(self, snapshot: MapSnapshot, chunk: int) -> list[bytes]:
-        """Return what a chunk of the journal is to hold of a map: where everything is, then what is new."""
+        """Return the messages of a chunk for a map: the places, then the new records."""
         new: list[bytes] = []
         objects_before, submaps_before = self._objects, self._submaps
         self._objects = _written(objects_before, snapshot.objects, object_without_points, chunk, new)
@@ -94,16 +93,13 @@ class KnownRecords:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Written:
-    """A record that is in the journal, and its parts, each by its identity."""
-
     record: TrackedObject | Submap | PoseGraphRecord
     place: Place
     parts: Mapping[int, tuple[object, Place]] = field(default_factory=dict)
 
 
 class _Parts:
-    """Where the parts of a record are (`record_codec.PartStore`): what it had before is not written again."""
-
+    # As `record_codec.PartStore`; parts of the record before are not written again.
     def __init__(self, before: Mapping[int, tuple[object, Place]], chunk: int, new: list[bytes]) -> None:
         self.used: dict[int, tuple[object, Place]] = {}
         self._before = before
@@ -141,5 +137,4 @@ def _written(
 
 
 def _places(now: Mapping[int, _Written], before: Mapping[int, _Written]) -> dict[int, Place]:
-    """Return where those records are that were not there before."""
     return {key: written.place for key, written in now.items() if before.get(key) is not written}

@@ -1,7 +1,7 @@
-"""A step of a run: the events that are committed together, and where the run then stood.
+"""A step of a run: events that are committed together, and the position of the run.
 
-A step is whole or absent in the journal. A step of kind CLOSING was committed ahead of its time because the run was
-stopped: it belongs to the map that was saved, not to the one that `resume` continues.
+A step is whole or absent in the journal. A step of kind CLOSING was committed early because the run was stopped: it
+belongs to the saved map, not to the one that `resume` continues.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class StepKind(StrEnum):
-    """What a step ends with: a keyframe, the end of the source or a shape after it, or a stop."""
+    """The end of a step: a keyframe, the end of the source or a shape after it, or a stop."""
 
     KEYFRAME = "keyframe"
     ENDED = "ended"
@@ -33,7 +33,7 @@ class StepKind(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FramePose:
-    """The raw pose of a frame, as the source gave it; kept for every frame, whatever is corrected later."""
+    """The raw pose of a frame, as the source gave it; kept for every frame."""
 
     index: int
     stamp_ns: int
@@ -45,36 +45,34 @@ class FramePose:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Step:
-    """One entry of the journal.
-
-    `frames` are those that were read since the last step, the keyframe among them last; `round_index` and `first_index`
-    the round of the log and the index of its first frame, `first_ns` the stamp of the first of all. `num_frames`,
-    `num_keyframes` and the `counts` are totals.
-    `metrics` are the numbers of the report, e.g. seconds per stage. `camera` is that of the frames. `goes_back_to`: the
-    log was sought back in, and the core is that of so many steps again, without the `lost_views`; then came the events.
-    `num_seeks` is how often somebody sought so far, back or ahead.
-    """
+    """One entry of the journal; `num_frames`, `num_keyframes` and `counts` are totals."""
 
     kind: StepKind
     stamp_ns: int
     camera: Camera
+    #: Read since the last step, the keyframe last.
     frames: tuple[FramePose, ...]
     round_index: int
+    #: Index of the first frame of this round of the log.
     first_index: int
+    #: Stamp of the first frame of all.
     first_ns: int
     num_frames: int
     num_keyframes: int
     counts: Mapping[str, int]
     shape_counts: Mapping[str, int]
+    #: Numbers of the report, e.g. seconds per stage.
     metrics: tuple[tuple[str, float], ...] = ()
+    #: After a seek back, the core is as after so many steps, without the `lost_views`; then come the events.
     goes_back_to: int | None = None
     lost_views: tuple[str, ...] = ()
+    #: Seeks so far, back or ahead.
     num_seeks: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenJob:
-    """A shape job whose result is still to be committed."""
+    """A shape job whose result is not committed yet."""
 
     ticket: int
     object_id: int
@@ -83,10 +81,9 @@ class OpenJob:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Told:
-    """What the core said of a step: its decisions, and the submap that was open then.
+    """The core's decisions of a step, and the submap that was open then.
 
-    The events alone decide the map; this is for people who ask why, without going through the run again, and as it was
-    decided then, whatever a later version would decide.
+    Events alone decide the map; decisions serve people who ask why, without a replay, as this version decided.
     """
 
     decisions: tuple[Decision, ...]
@@ -95,16 +92,17 @@ class Told:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class JournalEntry:
-    """A step with its events, in the order in which the core was given them; `told` is None in older journals."""
+    """A step with its events in order."""
 
     step: Step
     events: tuple[Event, ...]
+    #: None in older journals.
     told: Told | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Checkpoint:
-    """The state of the core after a step, by the names of its fields, and the jobs that are open then."""
+    """The state of the core after a step, by field, and the open jobs."""
 
     core: Mapping[str, object]
     open_jobs: tuple[OpenJob, ...]

@@ -1,6 +1,6 @@
-"""Writes the journal of a run: one chunk a step, and the state of the core now and then; see `journal_format`.
+"""Writes the journal of a run: one chunk a step, and a checkpoint now and then; `format` describes it.
 
-Memory that is free is given back to the system: what one checkpoint took, the C library keeps for the next one.
+Free memory is returned to the system: the C library would keep the memory of one checkpoint for the next.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import hashlib
 import os
 import time
 import weakref
+from contextlib import suppress
 from dataclasses import replace
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,21 +19,13 @@ import numpy as np
 from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, disk_errors, sync
 from hickory_stream.base.confined import open_new, open_to_change, open_within
 from hickory_stream.events import FrameObserved
+from hickory_stream.journal import mcap_file
 from hickory_stream.journal.checkpoints import KEPT_RECORDS, Packer
 from hickory_stream.journal.format import ARRAYS, CHANNELS, CHECKPOINT, COLOR, JOURNAL, KNOWN, STEP, TOLD
-from hickory_stream.journal.mcap_file import (
-    FileMessage,
-    begin_file,
-    copy_start,
-    end_file,
-    go_on_in,
-    index_of,
-    write_chunk,
-)
 from hickory_stream.journal.packed_frames import packed_frame
 from hickory_stream.journal.reader import packed_array
 from hickory_stream.journal.record_codec import encode
-from hickory_stream.journal.snapshot_records import KnownRecords
+from hickory_stream.journal.snapshot_records import SnapshotRecords
 from hickory_stream.mapping.entities.track import Track
 
 if TYPE_CHECKING:
@@ -49,31 +41,20 @@ if TYPE_CHECKING:
 
 
 def give_back_free() -> None:
-    """Give back the pages of the heap in which nothing is; nothing happens where the C library is not glibc."""
-    trim = _trim()
-    if trim is not None:
-        trim(0)
-
-
-@cache
-def _trim() -> Callable[[int], int] | None:
-    try:
-        trim: Callable[[int], int] | None = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    except (OSError, TypeError):
-        # Windows has no library of the process itself.
-        return None
-    return trim
+    """Return empty pages of the heap to the system; only with glibc."""
+    # Windows has no library of the process itself.
+    with suppress(OSError, TypeError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 class JournalWriter:
-    """Appends to the journal of a map folder. Not to be called from two threads at a time.
+    """Appends to the journal of a map folder; not thread-safe.
 
-    `continued` holds the steps to begin with. Where that is all that the file has, it is gone on with as it is; else
-    they are copied, the old file is replaced only when that is done, and what it has still to read is read from the
-    copy. What the checkpoint has that was read last of it is not written again.
+    `continued` holds the steps to begin with. If the file has no others, it is continued in place; else they are
+    copied, the old file is replaced at the end, and unread parts are read from the copy. Parts of the checkpoint that
+    was read last are not written again.
 
-    Raises:
-        MapFolderError: the disk refused; also from each method.
+    Raises `MapFolderError`: the disk refused; also from each method.
     """
 
     def __init__(self, folder: Path, *, flush_s: float, continued: Journal | None = None) -> None:
@@ -82,9 +63,9 @@ class JournalWriter:
         parts = [] if continued is None else continued.parts
         self._parts = _Parts(parts)
         self._packer = Packer(part.part for part in parts if isinstance(part.part, Track))
-        self._known = KnownRecords()
+        self._known = SnapshotRecords()
         self._num_chunks = 0
-        self._messages: list[FileMessage] = []
+        self._messages: list[mcap_file.FileMessage] = []
         self._synced_s = time.monotonic()
         with disk_errors(self._path):
             self._file = self._opened(None if continued is None or continued.num_chunks == 0 else continued)
@@ -99,7 +80,7 @@ class JournalWriter:
                 for message in self._known.messages(known, self._num_chunks):
                     self._add(KNOWN, stamp_ns, message)
                 self._end_chunk()
-            # First in its chunk: it tells what the chunk is.
+            # The first message identifies the chunk.
             self._add(STEP, stamp_ns, encode(entry.step))
             for event in entry.events:
                 stored = packed_frame(event) if isinstance(event, FrameObserved) else event
@@ -111,7 +92,7 @@ class JournalWriter:
             self._end_chunk()
 
     def checkpoint(self, checkpoint: Checkpoint, stamp_ns: int) -> None:
-        """Add the state after the last step; what the checkpoint before it holds already is referred to."""
+        """Add the state after the last step; unchanged parts refer to the checkpoint before."""
         with disk_errors(self._path):
             self._parts.begin(self._num_chunks)
             document = encode(replace(checkpoint, core=self._packer.packed(checkpoint.core)), self._parts)
@@ -131,31 +112,28 @@ class JournalWriter:
             self._synced_s = time.monotonic()
 
     def close(self) -> None:
-        """Write the index that makes it a whole MCAP file, and close it."""
+        """Write the summary that completes the MCAP file, and close it."""
         if self._file.closed:
             return
         with disk_errors(self._path):
             try:
-                end_file(self._file)
+                mcap_file.end_file(self._file)
                 self.sync()
                 sync(self._path.parent)
             finally:
                 self._file.close()
 
     def abandon(self) -> None:
-        """Close the file as a kill would leave it."""
-        try:
+        """Close the file as after a kill."""
+        with suppress(OSError):  # the disk refused before
             self._file.close()
-        except OSError:
-            pass  # the disk refused before: what is not there is not there
 
     def _opened(self, continued: Journal | None) -> BinaryIO:
-        """Return the file to write to, at its end: the one that is there, or a new one with what is to be continued."""
-        index = b"" if continued is None else index_of(continued.last_records())
+        index = b"" if continued is None else mcap_file.index_of(continued.last_records())
         if continued is not None and continued.is_whole:
             file = open_to_change(self._path)
             try:
-                if go_on_in(file, continued.num_bytes, index):
+                if mcap_file.go_on_in(file, continued.num_bytes, index):
                     os.fsync(file.fileno())
                     return file
             except BaseException:
@@ -166,10 +144,10 @@ class JournalWriter:
         file = os.fdopen(open_new(partial), "w+b")
         try:
             if continued is None:
-                begin_file(file)
+                mcap_file.begin_file(file)
             else:
                 with open_within(self._path.parent, JOURNAL) as before:
-                    copy_start(before, file, continued.num_bytes, index)
+                    mcap_file.copy_start(before, file, continued.num_bytes, index)
             file.flush()
             os.fsync(file.fileno())
             partial.replace(self._path)
@@ -182,11 +160,11 @@ class JournalWriter:
         return file
 
     def _add(self, channel: int, stamp_ns: int, data: bytes) -> None:
-        self._messages.append(FileMessage(channel, max(0, stamp_ns), data))
+        self._messages.append(mcap_file.FileMessage(channel, max(0, stamp_ns), data))
 
     def _end_chunk(self) -> None:
         messages, self._messages = self._messages, []
-        write_chunk(self._file, messages, self._num_chunks)
+        mcap_file.write_chunk(self._file, messages, self._num_chunks)
         self._file.flush()
         self._num_chunks += 1
         if time.monotonic() - self._synced_s >= self._flush_s:
@@ -194,12 +172,8 @@ class JournalWriter:
 
 
 class _Stored:
-    """An array or a record, where it is stored, and the parts that it refers to itself.
-
-    An array is not held: those of a track may be compressed while it stays the same. Read again it is another one, of
-    the same `content`; None: unknown, or that of a record.
-    """
-
+    # An array is not held: those of a track may be compressed while it stays the same. Read again it is another array
+    # of the same `content` (None: unknown, or of a record).
     def __init__(self, part: object) -> None:
         self.key = id(part)
         self._part: Callable[[], object] = weakref.ref(part) if isinstance(part, np.ndarray) else lambda: part
@@ -211,18 +185,10 @@ class _Stored:
     def is_of(self, part: object) -> bool:
         return self._part() is part
 
-    @property
-    def is_there(self) -> bool:
-        return self._part() is not None
-
 
 class _Parts:
-    """Where the parts of earlier checkpoints are stored: (chunk, number in the chunk), by identity.
-
-    Parts are arrays, which records never change, and immutable records: one and the same needs no comparison. Of arrays
-    of the same content one is stored.
-    """
-
+    # (chunk, number in the chunk) of the parts of earlier checkpoints, by identity: parts are immutable. Arrays of
+    # equal content are stored once.
     def __init__(self, parts: Sequence[StoredPart] = ()) -> None:
         stored = {part.place: _Stored(part.part) for part in parts}
         for part in parts:
@@ -238,14 +204,12 @@ class _Parts:
         self._chunk = 0
 
     def begin(self, chunk: int) -> None:
-        """Begin a checkpoint whose arrays are in a chunk, and whose records are in the next one."""
         self._chunk, self._arrays, self._records, self._used, self._used_contents = chunk, [], [], {}, {}
 
     def is_part(self, record: object) -> bool:
         return isinstance(record, KEPT_RECORDS)
 
     def put(self, part: object, encoded: Callable[[], bytes]) -> tuple[int, int]:
-        """Return where the part is."""
         stored = self._used.get(id(part)) or self._places.get(id(part))
         if stored is None or not stored.is_of(part):
             stored = _Stored(part)
@@ -263,7 +227,6 @@ class _Parts:
         return stored.place
 
     def _place_of(self, content: bytes, encoded: Callable[[], bytes]) -> tuple[int, int]:
-        """Return where an array of this content is, stored now if it is new."""
         known = self._used_contents.get(content) or self._contents.get(content)
         if known is not None:
             return known
@@ -273,8 +236,8 @@ class _Parts:
     def _use(self, stored: _Stored) -> None:
         if stored.used_in != self._chunk:
             stored.used_in = self._chunk
-            # The identity of an array that is gone may be another one's by now.
-            if stored.is_there:
+            # A freed array's identity may be another one's by now.
+            if not stored.is_of(None):
                 self._used[stored.key] = stored
             if stored.content is not None:
                 self._used_contents[stored.content] = stored.place
@@ -282,8 +245,7 @@ class _Parts:
                 self._use(other)
 
     def end(self) -> tuple[list[bytes], list[bytes]]:
-        """Return the new arrays and the new records."""
-        # What this checkpoint did not use is forgotten, so that the arrays of the past can go.
+        # Unused parts are forgotten, so that their arrays are freed.
         self._places, self._contents = self._used, self._used_contents
         new = (self._arrays, self._records)
         self._arrays, self._records = [], []
@@ -291,7 +253,6 @@ class _Parts:
 
 
 def _content_of(array: NDArray[Any]) -> bytes:
-    """Return what tells an array from every other one."""
     kind = f"{array.dtype.str} {array.shape} ".encode()
     # Processors have instructions for it: it takes half the time of BLAKE2.
     return hashlib.sha256(kind + array.tobytes()).digest()

@@ -1,1 +1,1 @@
-"""The folder of a map: its files, their digest, and the history that the journal tells."""
+"""The folder of a map: its files, their digest, and the run's history in the journal."""

@@ -1,4 +1,4 @@
-"""The binary files of a map: points and keys of voxels as the journal has arrays, compressed; no header is trusted."""
+"""Binary files of a map: points and voxel keys, encoded like the journal's arrays, compressed; no header is trusted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NPY_HEADER = re.compile(
     rb"'shape': \((?P<shape>\d{1,15},(?: \d{1,15})?)\), \} *\n",
     re.DOTALL,
 )
-# Of a large building; a few bytes that somebody made could claim all of the memory.
+# Of a large building; a few forged bytes could claim all memory.
 _MOST_BYTES = 1 << 27
 # Files of objects in view are replaced with every save: the next levels save 1 % of bytes for 1.4 times the time.
 _LEVEL = 1
@@ -39,16 +39,12 @@ def ply_bytes(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> bytes:
 
 
 def points_bytes(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> bytes:
-    """Return a file of (N, 3) points with (N, 3) colours: both as the journal has them, as a frame of zstd."""
+    """Return a file of (N, 3) points with (N, 3) colours, as a frame of zstd."""
     return _packed((points, colors))
 
 
 def points_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return the points (N, 3) and colours (N, 3) of a file that `points_bytes` wrote.
-
-    Raises:
-        ValueError: it is another kind of file, or damaged.
-    """
+    """Return points (N, 3) and colours (N, 3) of such a file. Raises `ValueError`: damaged."""
     arrays = _unpacked(data)
     if not isinstance(arrays, tuple) or [_kind(array) for array in arrays] != ["float32, 2", "uint8, 2"]:
         raise ValueError("not a file of points")
@@ -59,16 +55,12 @@ def points_arrays(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
 
 
 def keys_bytes(keys: NDArray[np.int64]) -> bytes:
-    """Return a file of (N,) sorted keys of voxels: an array as the journal has it, as a frame of zstd."""
+    """Return a file of (N,) sorted voxel keys, as a frame of zstd."""
     return _packed(keys)
 
 
 def keys_array(data: bytes) -> NDArray[np.int64]:
-    """Return the keys (N,) of a file that `keys_bytes` wrote.
-
-    Raises:
-        ValueError: it is another kind of file, or damaged.
-    """
+    """Return the keys (N,) of such a file. Raises `ValueError`: damaged."""
     keys = _unpacked(data)
     if _kind(keys) != "int64, 1":
         raise ValueError("not a file of voxels")
@@ -81,7 +73,6 @@ def _packed(value: Any) -> bytes:
 
 
 def _unpacked(data: bytes) -> Any:
-    """Return the value of a frame of zstd; raises ValueError."""
     try:
         if not 0 <= zstandard.frame_content_size(data) <= _MOST_BYTES:
             raise ValueError("not a file of this map format, or larger than one")
@@ -95,12 +86,9 @@ def _kind(value: Any) -> str:
 
 
 def npy_array(data: bytes, descr: str = "<i8") -> NDArray[Any]:
-    """Return the (N,) or (N, n) array of a .npy file.
+    """Return the (N,) or (N, n) array of a .npy file; its size is checked first, unlike in `numpy.load`.
 
-    What the header claims must be there: `numpy.load` would take the memory first.
-
-    Raises:
-        ValueError: it is no such file, of numbers of another kind, or shorter or longer than it says.
+    Raises `ValueError`: it is another kind of file or numbers, or its size differs from its header.
     """
     header = _NPY_HEADER.match(data)
     if header is None or header["descr"].decode() != descr:

@@ -1,7 +1,7 @@
-"""What no keyframe is about any more lies in a file of the map folder, and is read when the robot comes back.
+"""Arrays of distant places in a file of the map folder, read when the robot returns.
 
-The file has no name: its space is free again when nobody holds it, however the process ends. It is written by calls,
-which a full disk refuses in order, and read through a mapping.
+The file has no name: its space is free again however the process ends. It is written by calls, which fail properly on
+a full disk, and read through a mapping.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _ROOMS_OF = 8
 
 
 class FarArrays:
-    """Keeps bytes, compressed arrays, in a file of a folder; what it cannot write there it keeps in memory."""
+    """Keeps compressed arrays in a file of a folder; in memory if writing fails."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -44,11 +44,11 @@ class FarArrays:
 
     @property
     def num_bytes(self) -> int:
-        """How large the file is."""
+        """Size of the file."""
         return self._num_bytes
 
     def keep(self, data: bytes) -> Callable[[], bytes]:
-        """Keep bytes, and return what reads them; their room is given to others when nobody holds that any more."""
+        """Write bytes, and return their reader; their room is free when the reader is."""
         if len(data) < _LEAST_BYTES or self._is_refused:
             return in_memory(data)
         with self._lock:
@@ -83,11 +83,11 @@ class FarArrays:
             return self._mapped[at : at + length]
 
     def let_go(self, at: int, length: int) -> None:
-        """Give a room to whoever needs one of its size."""
+        """Free a room."""
         self._let_go.append((_room_for(length), at))
 
     def _write(self, at: int, data: bytes, size: int) -> None:
-        """Write to a room; the whole of it is there then, since a file is mapped no further than it reaches."""
+        # The whole room is written: a file is mapped no further than it reaches.
         if self._file is None:
             self._file = cast("BinaryIO", tempfile.TemporaryFile(dir=self._folder, buffering=0))
             weakref.finalize(self, self._file.close)
@@ -98,8 +98,7 @@ class FarArrays:
 
 
 class _Room:
-    """Reads what was kept in a room, which is given up with it."""
-
+    # Reads a room, which is freed with this object.
     __slots__ = ("_at", "_file", "_length")
 
     def __init__(self, file: FarArrays, at: int, length: int) -> None:
@@ -115,6 +114,5 @@ class _Room:
 
 
 def _room_for(length: int) -> int:
-    """Return the size of the least room for so many bytes."""
     step = max(1, (1 << (length - 1).bit_length() - 1) // _ROOMS_OF)
     return -(-length // step) * step

@@ -1,11 +1,8 @@
-"""A snapshot as one JSON document and the binary files that it names, and back, exactly.
+"""A snapshot as one JSON document and binary files, and back, exactly.
 
-The name of a binary file carries the hash of its content: a document can only refer to files that are complete, and a
-file that exists never needs to be written again. Float32 arrays without a file of their own (features) are base64.
-
-What is read may come from anybody: every name is checked before it is opened, every number before it is used.
-
-Numbers, texts, poses and small arrays of a JSON document: written exactly, and checked when they are read.
+A file's name has the hash of its content: a document refers to complete files only, and an existing file is never
+written again. Small float32 arrays (features) are base64. Nothing read is trusted: names, numbers and sizes are
+checked.
 """
 
 from __future__ import annotations
@@ -50,17 +47,17 @@ if TYPE_CHECKING:
 
 
 def json_number(value: float | None) -> float | str | None:
-    """Return a float for JSON; JSON knows no infinity, which becomes a string that `float` reads."""
+    """Return a float for JSON; infinity becomes a string."""
     return None if value is None else float(value) if math.isfinite(value) else str(float(value))
 
 
 def maybe_float(value: float | str | None) -> float | None:
-    """Return a number that `json_number` made."""
+    """Return the number of `json_number`."""
     return None if value is None else float(value)
 
 
 def json_numbers(array: NDArray[np.float64]) -> Any:
-    """Return a small array as nested lists; Python writes the shortest text that reads back as the same double."""
+    """Return a small array as nested lists; Python writes the shortest text of the same double."""
     values = array.tolist()
     return values if np.isfinite(array).all() else np.vectorize(json_number, otypes=[object])(array).tolist()
 
@@ -79,7 +76,7 @@ def finite_array(values: Any) -> NDArray[np.float64]:
 
 
 def finite(value: Any) -> float:
-    """Return a number of the map; a text, which `float` would take, is refused."""
+    """Return a number; text, which `float` would accept, raises `ValueError`."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"found {value!r}, expected a finite number")
     return float(value)
@@ -136,11 +133,10 @@ _NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8
 
 
 def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
-    """Return the document of a snapshot, and the content of every file that it names by its path in the map folder."""
+    """Return the document of a snapshot, and the contents of its files by their path in the map folder."""
     files: dict[str, bytes] = {}
     document = {
-        "revision": int(snapshot.revision),
-        "stamp_ns": int(snapshot.stamp_ns),
+        **_ints(snapshot, "revision", "stamp_ns"),
         "submaps": [encode_submap(submap, encode_space(submap, files)) for submap in snapshot.submaps],
         "objects": [encode_object(tracked, encode_points(tracked, files)) for tracked in snapshot.objects],
     }
@@ -150,13 +146,12 @@ def encode_snapshot(snapshot: MapSnapshot) -> tuple[Json, dict[str, bytes]]:
 
 
 def decode_snapshot(document: Json, read: Callable[[str], bytes], *, is_whole: bool = True) -> MapSnapshot:
-    """Return the snapshot of a document; `read` gives the content of a file by its path in the map folder.
+    """Return the snapshot of a document; `read` returns the content of a file by its path in the map folder.
 
-    Unless `is_whole`, points and voxels are read when somebody asks for them, and MapFolderError is raised there if
-    their file is damaged.
+    Unless `is_whole`, points and voxels are read on first use, which raises `MapFolderError` for a damaged file.
 
-    Raises:
-        KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError: the document or a file is damaged.
+    Raises KeyError, TypeError, ValueError, IndexError, AttributeError or OverflowError: the document or a file is
+    damaged.
     """
     snapshot = MapSnapshot(
         revision=whole_number(document["revision"], "revision"),
@@ -172,21 +167,18 @@ def decode_snapshot(document: Json, read: Callable[[str], bytes], *, is_whole: b
 
 
 def has_named_content(name: str, data: bytes) -> bool:
-    """Return whether a file's content is the one that its name promises."""
+    """Return whether a file's content has the hash in its name."""
     return name.rpartition(".")[0].endswith(f"-{_short_hash(data)}")
 
 
 def _check_ids(what: str, ids: list[int]) -> None:
-    """Refuse ids that are not in ascending order, or come up twice."""
+    # Ascending, without duplicates.
     if any(a >= b for a, b in itertools.pairwise(ids)):
         raise ValueError(f"the ids of {what}s are not in ascending order: {ids[:10]}")
 
 
-# ---- the records ----------------------------------------------------------------------------------------------------
-
-
 def encode_space(submap: Submap, files: dict[str, bytes]) -> tuple[str, ...]:
-    """Return the names of the files of a submap's free voxels and of its structure, and add their content."""
+    """Return the names of the files of a submap's free and structure voxels, and add their contents."""
     return tuple(
         _add_file(files, f"{SPACE}/{submap.id:04d}-{name}", ".keys", keys_bytes(keys))
         for name, keys in (("free", submap.observed_space.free), ("structure", submap.observed_space.structure))
@@ -194,7 +186,7 @@ def encode_space(submap: Submap, files: dict[str, bytes]) -> tuple[str, ...]:
 
 
 def encode_submap(submap: Submap, space_names: tuple[str, ...]) -> Json:
-    """Return a submap as the document has it; `space_names` are as those of `encode_space`."""
+    """Return a submap for the document; `space_names` are of `encode_space`."""
     space = submap.observed_space
     free, structure = space_names
     return {
@@ -234,15 +226,12 @@ def encode_points(tracked: TrackedObject, files: dict[str, bytes]) -> str:
 
 
 def encode_object(tracked: TrackedObject, points_name: str) -> Json:
-    """Return an object as the document has it; `points_name` is as that of `encode_points`."""
+    """Return an object for the document; `points_name` is of `encode_points`."""
     names = [view.name for view in tracked.views]
     return {
         "id": int(tracked.id),
         "phase": str(tracked.phase),
-        "submap_id": int(tracked.submap_id),
-        "sightings": int(tracked.sightings),
-        "first_seen_ns": int(tracked.first_seen_ns),
-        "last_seen_ns": int(tracked.last_seen_ns),
+        **_ints(tracked, "submap_id", "sightings", "first_seen_ns", "last_seen_ns"),
         "points": points_name,
         "box": {
             "world_from_box": json_numbers(tracked.box.world_from_box),
@@ -298,16 +287,10 @@ def _object_with(entry: Json, arrays: Arrays) -> TrackedObject:
 def _encode_view(view: View) -> Json:
     return {
         "name": view.name,
-        "object_id": int(view.object_id),
-        "frame_index": int(view.frame_index),
-        "stamp_ns": int(view.stamp_ns),
+        **_ints(view, "object_id", "frame_index", "stamp_ns"),
         "box_px": [int(i) for i in view.box_px],
         "world_from_camera": json_numbers(view.world_from_camera),
-        "r_area": json_number(view.r_area),
-        "r_depth": json_number(view.r_depth),
-        "box_volume_m3": json_number(view.box_volume_m3),
-        "score": json_number(view.score),
-        "variance": json_number(view.variance),
+        **_numbers(view, "r_area", "r_depth", "box_volume_m3", "score", "variance"),
         "feature": json_float32s(view.feature),
         "is_cut": bool(view.is_cut),
         "observation_index": int(view.observation_index),
@@ -344,13 +327,11 @@ def _encode_shape(shape: ObjectShape) -> Json:
         "inflated": encode_superquadrics(shape.inflated),
         "seen_share": json_numbers(shape.seen_share),
         "containment": {
-            "num_checked": int(shape.containment.num_checked),
-            "num_outside": int(shape.containment.num_outside),
+            **_ints(shape.containment, "num_checked", "num_outside"),
             "max_g": json_number(shape.containment.max_g),
             "is_certified": bool(shape.containment.is_certified),
             "is_fallback": bool(shape.containment.is_fallback),
-            "margin_m": json_number(shape.containment.margin_m),
-            "shell_m": json_number(shape.containment.shell_m),
+            **_numbers(shape.containment, "margin_m", "shell_m"),
         },
         **({"verdict": shape.verdict} if shape.verdict else {}),
         **({"fit_kind": shape.fit_kind} if shape.fit_kind != "solid" else {}),
@@ -384,16 +365,14 @@ def _decode_shape(entry: Json) -> ObjectShape:
 
 
 def encode_graph(graph: PoseGraphRecord) -> Json:
-    """Return a pose graph as the document has it."""
+    """Return a pose graph for the document."""
     return {
         "nodes": [
             {
-                "submap_id": int(node.submap_id),
-                "stamp_ns": int(node.stamp_ns),
+                **_ints(node, "submap_id", "stamp_ns"),
                 "place": json_numbers(node.place),
                 "uncorrected": json_numbers(node.uncorrected),
-                "sigma_m": json_number(node.sigma_m),
-                "sigma_rad": json_number(node.sigma_rad),
+                **_numbers(node, "sigma_m", "sigma_rad"),
                 "covariance_xy": json_numbers(node.covariance_xy),
             }
             for node in graph.nodes
@@ -401,13 +380,11 @@ def encode_graph(graph: PoseGraphRecord) -> Json:
         "edges": [
             {
                 "kind": edge.kind,
-                "earlier": int(edge.earlier),
-                "later": int(edge.later),
+                **_ints(edge, "earlier", "later"),
                 "status": edge.status,
                 "score": json_number(edge.score),
                 "reason": edge.reason,
-                "residual_m": json_number(edge.residual_m),
-                "residual_rad": json_number(edge.residual_rad),
+                **_numbers(edge, "residual_m", "residual_rad"),
                 "stamp_ns": int(edge.stamp_ns),
             }
             for edge in graph.edges
@@ -446,6 +423,14 @@ def _decode_graph(entry: Json) -> PoseGraphRecord:
     )
 
 
+def _ints(record: object, *names: str) -> Json:
+    return {name: int(getattr(record, name)) for name in names}
+
+
+def _numbers(record: object, *names: str) -> Json:
+    return {name: json_number(getattr(record, name)) for name in names}
+
+
 def _one_of(word: Any, known: tuple[T, ...]) -> T:
     for choice in known:
         if choice == word:
@@ -454,27 +439,19 @@ def _one_of(word: Any, known: tuple[T, ...]) -> T:
 
 
 def encode_superquadrics(primitives: Superquadrics) -> Json:
-    """Return superquadrics as JSON has them, exactly."""
-    return {
-        "exponents": json_numbers(primitives.exponents),
-        "semi_axes_m": json_numbers(primitives.semi_axes_m),
-        "world_from_local": json_numbers(primitives.world_from_local),
-    }
+    """Return superquadrics for JSON, exactly."""
+    names = ("exponents", "semi_axes_m", "world_from_local")
+    return {name: json_numbers(getattr(primitives, name)) for name in names}
 
 
 def decode_superquadrics(entry: Json) -> Superquadrics:
-    """Return what `encode_superquadrics` wrote.
-
-    Raises:
-        KeyError, TypeError, ValueError: it is damaged.
-    """
+    """Return the superquadrics. Raises KeyError, TypeError or ValueError: damaged."""
     bodies = _superquadrics(entry)
     check_bodies(bodies)
     return bodies
 
 
 def _superquadrics(entry: Json) -> Superquadrics:
-    """Return superquadrics that the record which they become a part of will check."""
     count = len(entry["exponents"])
     return Superquadrics(
         exponents=to_array(entry["exponents"]).reshape(count, 2),
@@ -483,12 +460,7 @@ def _superquadrics(entry: Json) -> Superquadrics:
     )
 
 
-# ---- files ----------------------------------------------------------------------------------------------------------
-
-
 def _read_later(record: R, name: str, arrays: Callable[[], Arrays], *fields: str) -> R:
-    """Have the fields of a record read from its file when somebody asks for them; return the record."""
-
     def read() -> Arrays:
         try:
             return arrays()
@@ -500,13 +472,11 @@ def _read_later(record: R, name: str, arrays: Callable[[], Arrays], *fields: str
 
 
 def _file_of(name: Any, folder: str, suffix: str) -> str:
-    """Return the path of a file that the document names, which lies in `folder`; raises OutsideError."""
     inside = name.removeprefix(f"{folder}/") if isinstance(name, str) else name
     return f"{folder}/{plain_name(inside, suffix)}"
 
 
 def _add_file(files: dict[str, bytes], stem: str, suffix: str, data: bytes) -> str:
-    """Note a file under a name that carries its content's hash; return the name."""
     name = f"{stem}-{_short_hash(data)}{suffix}"
     files[name] = data
     return name

@@ -1,11 +1,10 @@
-"""The digest of a map: one number by which two runs are compared.
+"""The digest of a map: one number that compares two runs.
 
-In it, object by object in the order of their ids: id, phase, submap, sightings, first and last stamp, points and their
-colours, box, feature, every view (stamps, box, pose, factors, score, variance, feature, whether cut), which of them is
-the best, the ids merged into it; and of its shape the reconstructor, the hash of the mesh, its place, the fitted and
-the inflated superquadrics, the seen shares and the containment, or its sketch where it has one; and of a map that has a
-pose graph its nodes and edges. Not in it: timings, ledger, configuration, the revision and stamp of the snapshot,
-tickets and file names, the observed space, anything of wall time.
+It covers, by object: id, phase, submap, sightings, first and last stamp, points and colours, box, feature, all views
+(stamps, box, pose, factors, score, variance, feature, is_cut), the best view, merged ids; of the shape: reconstructor,
+hash and pose of the mesh, fitted and inflated superquadrics, seen shares, containment, or else the sketch; and nodes
+and edges of a pose graph. It leaves out timings, ledger, configuration, revision and stamp of the snapshot, tickets,
+file names, and observed space.
 """
 
 from __future__ import annotations
@@ -19,11 +18,11 @@ import numpy as np
 
 if TYPE_CHECKING:
     from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.records import MapSnapshot, ObjectShape, PoseGraphRecord, TrackedObject, View
+    from hickory_stream.records import MapSnapshot, ObjectShape, PoseGraphRecord, TrackedObject
 
 
 def map_digest(snapshot: MapSnapshot) -> str:
-    """Return the sha256 (hex) over the objects, superquadrics and meshes of a map; floats count to the last bit."""
+    """Return the sha256 (hex) of a map's objects, superquadrics and meshes, to the last bit of floats."""
     digest = hashlib.sha256()
     for tracked in sorted(snapshot.objects, key=lambda tracked: tracked.id):
         _feed(digest, _object_values(tracked))
@@ -34,49 +33,39 @@ def map_digest(snapshot: MapSnapshot) -> str:
 
 
 def seal_of(digest: str, document: bytes) -> str:
-    """Return what ties a digest to the document of a map (`map_codec`), which names every other file by its content.
+    """Return the tie between a digest and a map's document, which names all other files by content.
 
-    Who reads it knows, without those files, that the document is that of the map with this digest.
+    It proves, without those files, that the document belongs to the map with this digest.
     """
     return hashlib.sha256(digest.encode() + b"\n" + hashlib.sha256(document).digest()).hexdigest()
+
+
+# The order of names is part of the digest.
+_OBJECT = ("submap_id", "sightings", "first_seen_ns", "last_seen_ns", "points_world", "colors")
+_VIEW = (
+    *("object_id", "frame_index", "stamp_ns", "box_px", "world_from_camera", "r_area", "r_depth"),
+    *("box_volume_m3", "score", "variance", "feature", "is_cut", "observation_index"),
+)
+_NODE = ("submap_id", "stamp_ns", "place", "uncorrected", "sigma_m", "sigma_rad", "covariance_xy")
+
+
+def _values(record: object, names: tuple[str, ...]) -> tuple[Any, ...]:
+    return tuple(getattr(record, name) for name in names)
 
 
 def _object_values(tracked: TrackedObject) -> tuple[Any, ...]:
     return (
         tracked.id,
         str(tracked.phase),
-        tracked.submap_id,
-        tracked.sightings,
-        tracked.first_seen_ns,
-        tracked.last_seen_ns,
-        tracked.points_world,
-        tracked.colors,
+        *_values(tracked, _OBJECT),
         tracked.box.world_from_box,
         tracked.box.half_extents_m,
         tracked.feature,
-        tuple(_view_values(view) for view in tracked.views),
+        tuple(_values(view, _VIEW) for view in tracked.views),
         tracked.best_view.name if tracked.best_view else None,
         _shape_values(tracked.shape) if tracked.shape else None,
         tracked.merged_ids,
         *((_primitive_values(tracked.sketch),) if tracked.sketch is not None else ()),
-    )
-
-
-def _view_values(view: View) -> tuple[Any, ...]:
-    return (
-        view.object_id,
-        view.frame_index,
-        view.stamp_ns,
-        view.box_px,
-        view.world_from_camera,
-        view.r_area,
-        view.r_depth,
-        view.box_volume_m3,
-        view.score,
-        view.variance,
-        view.feature,
-        view.is_cut,
-        view.observation_index,
     )
 
 
@@ -98,18 +87,7 @@ def _shape_values(shape: ObjectShape) -> tuple[Any, ...]:
 def _graph_values(graph: PoseGraphRecord) -> tuple[Any, ...]:
     return (
         "graph",
-        tuple(
-            (
-                node.submap_id,
-                node.stamp_ns,
-                node.place,
-                node.uncorrected,
-                node.sigma_m,
-                node.sigma_rad,
-                node.covariance_xy,
-            )
-            for node in graph.nodes
-        ),
+        tuple(_values(node, _NODE) for node in graph.nodes),
         tuple(dataclasses.astuple(edge) for edge in graph.edges),
     )
 
@@ -119,7 +97,7 @@ def _primitive_values(primitives: Superquadrics) -> tuple[Any, ...]:
 
 
 def _feed(digest: hashlib._Hash, value: Any) -> None:
-    """Add a value; each carries its kind and size, so that no two sequences of values give the same bytes."""
+    # Kind and size come first, so that no two sequences of values give the same bytes.
     match value:
         case None:
             digest.update(b"n")

@@ -1,4 +1,4 @@
-"""What a map folder holds, and where one may be made.
+"""Content of a map folder, where one may be made, and its lock.
 
     MAP/
       manifest.json   format, software, config, source, `finished_cleanly`, and the digest once it is finished
@@ -8,16 +8,14 @@
       views/          the pixels of the kept views: NAME.color.png, NAME.depth.png, NAME.json;
                       of lossy ones NAME.color.jpg or .webp, and NAME.mask.png
       shapes/         layer 2 of each object, compressed
-      jobs/           what shape workers are given and give back
-      journal.mcap    all events, step by step, and the state of the core now and then
-      failed/         the input of shape jobs that failed for good
-      ledger.json     what became of every message and frame
+      jobs/           input and output of shape workers
+      journal.mcap    all events, step by step, and checkpoints of the core
+      failed/         the input of failed shape jobs
+      ledger.json     use of every message and frame
       timings.json    seconds; in no digest
 
-`objects.json` is replaced last and what it no longer names is removed after that: whenever a run is killed, its
-folder opens as of its last complete save. No pickle is written or read.
-
-One process writes a map folder: a lock that ends with its process, however that ends, and says who holds it.
+`objects.json` is replaced last, and files that it no longer names are removed after that: a killed run's folder opens
+as of its last complete save. No pickle is written or read. One process writes a folder; its lock ends with it.
 """
 
 from __future__ import annotations
@@ -43,22 +41,19 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import TrackedObject
 
-
 LOCK = ".lock"
 
 
 class FolderLock:
-    """Holds a folder from construction until `release`, or the end of the process.
+    """Locks a folder from construction until `release`, or the end of the process.
 
-    Raises:
-        MapFolderError: another process holds it.
-        OSError: the disk refused.
+    Raises `MapFolderError`: another process holds it; `OSError`: the disk refused.
     """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / LOCK
         while True:
-            # A link in its place, which somebody's folder may hold, is not followed: the file is emptied below.
+            # No link is followed: the file is emptied below.
             descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
             if not _take(descriptor):
                 holder = os.read(descriptor, 32).decode(errors="replace").strip() or "unknown"
@@ -66,38 +61,32 @@ class FolderLock:
                 raise MapFolderError(
                     f"{folder} is being written by process {holder}; wait for it, end it, or choose another folder"
                 )
-            # Whoever held it may have removed the file between our opening and our locking it.
+            # The last holder may have removed the file between our opening and our locking it.
             if self._path.exists() and self._path.stat().st_ino == os.fstat(descriptor).st_ino:
                 break
             os.close(descriptor)
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"{os.getpid()}\n".encode())
-        # A folder that is forgotten is not held on to.
-        self._release = weakref.finalize(self, _let_go, self._path, descriptor)
+        self._release = weakref.finalize(self, _unlock, self._path, descriptor)
 
     def release(self) -> None:
-        """Let others write the folder."""
+        """Unlock the folder."""
         self._release()
 
 
 def check_unlocked(folder: Path) -> None:
-    """Refuse a folder that another process writes.
-
-    Raises:
-        MapFolderError: naming the process.
-    """
+    """Raise `MapFolderError`, with the process, if another process writes a folder."""
     if (folder / LOCK).exists() and os.access(folder / LOCK, os.W_OK):
         FolderLock(folder).release()
 
 
-def _let_go(path: Path, descriptor: int) -> None:
+def _unlock(path: Path, descriptor: int) -> None:
     with suppress(OSError):
         path.unlink()
     os.close(descriptor)
 
 
 def _take(descriptor: int) -> bool:
-    """Lock an open file; return whether nobody else has."""
     if sys.platform == "win32":
         return True
     import fcntl
@@ -117,17 +106,13 @@ EMPTY = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
 
 
 def check_links(path: Path) -> None:
-    """Refuse a map of which a part lies elsewhere: it would be read there, and by `resume` written there."""
+    """Refuse a map with links to other places, where it would be read, and written by `resume`."""
     with outside_errors():
         refuse_links(path, (*FOLDERS, *FILES, MANIFEST, LOCK))
 
 
 def check_place(path: Path, overwrite: bool) -> None:
-    """Refuse a place that is taken.
-
-    Raises:
-        MapFolderError: naming what is there and what to do.
-    """
+    """Raise `MapFolderError`, with what to do, if a place is taken."""
     with disk_errors(path):
         if not path.exists():
             return
@@ -138,7 +123,8 @@ def check_place(path: Path, overwrite: bool) -> None:
         return
     check_unlocked(path)
     is_map = is_map_folder(path)
-    foreign = [name for name in found if not _is_ours(name)] if is_map else found
+    own = {MANIFEST, LOCK, *FILES, *FOLDERS} if is_map else set()
+    foreign = [name for name in found if name not in own and not (is_map and name.endswith(PARTIAL_SUFFIX))]
     if is_map and not overwrite:
         raise MapFolderError(f"{path} holds a map already; choose another --out, or --overwrite to replace it")
     if foreign:
@@ -146,12 +132,8 @@ def check_place(path: Path, overwrite: bool) -> None:
         raise MapFolderError(f"{path} holds files that are no map: {shown}; choose another --out")
 
 
-def _is_ours(name: str) -> bool:
-    return name in (MANIFEST, LOCK) or name in FILES or name in FOLDERS or name.endswith(PARTIAL_SUFFIX)
-
-
 def remove_map(path: Path) -> None:
-    """Remove what a map folder holds beside its manifest, what it opens as first, and its journal."""
+    """Remove the content of a map folder except its manifest: first the document, then the journal."""
     for name in FILES:
         if name != JOURNAL:
             (path / name).unlink(missing_ok=True)
@@ -161,12 +143,12 @@ def remove_map(path: Path) -> None:
 
 
 def named_by(tracked: TrackedObject) -> frozenset[str]:
-    """Return the views and the mesh that an object refers to, as names below the map folder."""
+    """Return the names, below the map folder, of an object's views and mesh."""
     names = frozenset(f"{VIEWS}/{view.name}" for view in tracked.views)
     return names if tracked.shape is None else names | {f"{SHAPES}/{tracked.shape.mesh_name}"}
 
 
 def files_of_name(path: Path, name: str) -> tuple[Path, ...]:
-    """Return the files of a view or a mesh, by its name below the map folder."""
+    """Return the files of a view or a mesh by its name below the map folder."""
     folder, _, plain = name.partition("/")
     return crop_files(path / VIEWS, plain) if folder == VIEWS else (path / folder / plain,)

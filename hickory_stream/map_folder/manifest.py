@@ -1,4 +1,4 @@
-"""The manifest of a map folder, and how such a folder is told from any other."""
+"""The manifest of a map folder, and recognition of such folders."""
 
 from __future__ import annotations
 
@@ -31,52 +31,34 @@ _LATER_ENTRIES: dict[str, Any] = {"run": dict, "is_reproducible": bool, "extract
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Manifest:
-    """What a map was made of and by; `digest` is None until the run has finished.
-
-    `run` says how the run was asked for: `mode` ("playback" or "live"), `loops`, and under `source` whatever its caller
-    needs to open the source again. `is_reproducible`: nothing but log and configuration decided anything; on
-    which kind of processor says `processor`, "" on every one. `extractor` names what made the features, "" where that
-    is not known. `seal` ties the digest to `objects.json` (`digest.seal_of`), "" where there is no digest.
-    """
+    """Origin and state of a map."""
 
     config: Mapping[str, Any]
     source: Mapping[str, Any]
+    #: `mode` ("playback" or "live"), `loops`, and `source`: a note of the caller to open the source again.
     run: Mapping[str, Any] = field(default_factory=dict)
+    #: Log and configuration alone decided the map, on processors of the kind `processor` ("": all).
     is_reproducible: bool = True
     software_version: str = __version__
     finished_cleanly: bool = False
+    #: None until the run has finished.
     digest: str | None = None
+    #: Maker of the features, "" if unknown.
     extractor: str = ""
     processor: str = ""
+    #: Ties the digest to `objects.json` (`digest.seal_of`).
     seal: str = ""
 
 
 def manifest_json(manifest: Manifest) -> bytes:
     """Return the content of `manifest.json`."""
-    return pretty_json(
-        {
-            "kind": _KIND,
-            "format": FORMAT_VERSION,
-            "software_version": manifest.software_version,
-            "finished_cleanly": manifest.finished_cleanly,
-            "is_reproducible": manifest.is_reproducible,
-            "processor": manifest.processor,
-            "digest": manifest.digest,
-            "seal": manifest.seal,
-            "extractor": manifest.extractor,
-            "run": manifest.run,
-            "source": manifest.source,
-            "config": manifest.config,
-        }
-    )
+    first = ("software_version", "finished_cleanly", "is_reproducible", "processor", "digest", "seal", "extractor")
+    entries = {name: getattr(manifest, name) for name in (*first, "run", "source", "config")}
+    return pretty_json({"kind": _KIND, "format": FORMAT_VERSION, **entries})
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Return the manifest of a map folder.
-
-    Raises:
-        MapFolderError: there is no map, or it has another format.
-    """
+    """Return the manifest of a map folder. Raises `MapFolderError`: there is no map, or it has another format."""
     if not folder.exists():
         raise MapFolderError(f"there is no map folder {folder}; `hickory-stream play LOG --out {folder}` makes one")
     if not (folder / MANIFEST).is_file():
@@ -98,7 +80,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def is_map_folder(folder: Path) -> bool:
-    """Return whether a folder is a map folder, of whatever format."""
+    """Return whether a folder is a map folder of any format."""
     try:
         return read_json(folder, MANIFEST).get("kind") == _KIND
     except MapFolderError:
@@ -106,19 +88,17 @@ def is_map_folder(folder: Path) -> bool:
 
 
 def read_json(folder: Path, name: str) -> dict[str, Any]:
-    """Return the JSON object in a file of a map folder.
+    """Return the JSON object of a file of a map folder.
 
-    Raises:
-        MapFolderError: the file is missing or holds something else.
+    Raises `MapFolderError`: it is missing or holds something else.
     """
     return json_of(folder, name, read_file(folder, name))
 
 
 def json_of(folder: Path, name: str, content: bytes) -> dict[str, Any]:
-    """Return the JSON object that is the content of a file of a map folder.
+    """Return the JSON object of the content of a file of a map folder.
 
-    Raises:
-        MapFolderError: it is something else.
+    Raises `MapFolderError`: it is something else.
     """
     try:
         entry = json.loads(content)
@@ -130,11 +110,7 @@ def json_of(folder: Path, name: str, content: bytes) -> dict[str, Any]:
 
 
 def read_file(folder: Path, name: str) -> bytes:
-    """Return the content of a file of a map folder.
-
-    Raises:
-        MapFolderError: it cannot be read, or lies elsewhere.
-    """
+    """Return the content of a file of a map folder. Raises `MapFolderError`: it cannot be read, or lies elsewhere."""
     try:
         return read_within(folder, name)
     except OSError as error:

@@ -1,9 +1,7 @@
-"""A map folder that is read: the map as of its last complete save, and what was known at earlier moments.
+"""An opened map folder: the map as of its last complete save, and at earlier moments.
 
-Of a finished map, to which nobody writes, points and space are read when somebody looks at them: its document carries
-a seal, and names every other file by the hash of its content.
-
-Looking back needs the core, which is imported only when it is asked for, so that a map opens in half of the time.
+Points and space of a finished map are read on first use: its document has a seal, and names all other files by content.
+Earlier moments need the core, imported on first use, which halves the time to open a map.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SavedMap:
-    """A map folder as it was opened; `is_sealed`: its document is that of the map with the manifest's digest."""
+    """An opened map folder; `is_sealed`: the document belongs to the manifest's digest."""
 
     folder: Path
     manifest: Manifest
@@ -46,58 +44,55 @@ class SavedMap:
 
     @cached_property
     def digest(self) -> str:
-        """The digest of the objects in the folder, whatever the manifest says."""
+        """The digest of the objects in the folder, independent of the manifest."""
         sealed = self.manifest.digest if self.is_sealed else None
         return map_digest(self.snapshot) if sealed is None else sealed
 
     @property
     def is_altered(self) -> bool:
-        """Whether the objects are others than those of which the manifest has the digest: nothing of them is proven.
+        """Whether the objects differ from the manifest's digest, so that nothing of them is proven.
 
-        A digest is no signature: who changes a map on purpose can change that, too. `engine.verify` proves it anew.
+        A digest is no signature: a deliberate change can include it. `verify` proves the map again.
         """
         expected = self.manifest.digest
         return self.manifest.finished_cleanly if expected is None else expected != self.digest
 
     @property
     def doubt(self) -> str:
-        """Why the map's layer 4 may not be what was proven, in a sentence; "" where its digest is the manifest's."""
+        """Why layer 4 may not be the proven one, in a sentence; "" if the digest is the manifest's."""
         if self.is_altered:
             expected = self.manifest.digest
-            told = f"its manifest says {expected[:16]}" if expected is not None else "its manifest has none"
-            return (
-                f"{self.folder} is not the map that was saved: its objects have the digest {self.digest[:16]}, {told}"
-            )
+            recorded = f"its manifest says {expected[:16]}" if expected is not None else "its manifest has none"
+            found = f"its objects have the digest {self.digest[:16]}, {recorded}"
+            return f"{self.folder} is not the map that was saved: {found}"
         if self.manifest.digest is None:
             return f"the run of {self.folder} has not finished, so that there is no digest to hold it against"
         return ""
 
     @property
     def views(self) -> Path:
-        """The folder of the kept views' pixels, for `read_crop`."""
+        """The folder of kept views, for `read_crop`."""
         return self.folder / VIEWS
 
     def as_known_at(self, stamp_ns: int) -> MapSnapshot:
-        """Return the map exactly as the core held it at a stamp; an empty one before the first keyframe.
+        """Return the core's map at a stamp, empty before the first keyframe.
 
-        Raises:
-            MapFolderError: the journal is missing, damaged or of another version.
+        Raises `MapFolderError`: the journal is missing, damaged or of another version.
         """
         from hickory_stream.map_folder.history.time_travel import as_known_at
 
         return as_known_at(self.folder, stamp_ns)
 
     def at(self, stamp_ns: int) -> MapSnapshot:
-        """Return what is known in the end, restricted to the objects and views that had been seen by a stamp."""
+        """Return the final map, restricted to objects and views seen by a stamp."""
         from hickory_stream.map_folder.history.time_travel import seen_by
 
         return seen_by(self.snapshot, stamp_ns)
 
     def diff(self, first_ns: int, second_ns: int) -> tuple[Change, ...]:
-        """Return what happened to the objects between two stamps, as the core knew them then.
+        """Return the changes of objects between the core's maps at two stamps.
 
-        Raises:
-            MapFolderError: the journal is missing, damaged or of another version.
+        Raises `MapFolderError`: the journal is missing, damaged or of another version.
         """
         from hickory_stream.map_folder.history.time_travel import changes
 
@@ -108,11 +103,7 @@ class SavedMap:
         return self.folder / SHAPES / shape.mesh_name
 
     def mesh(self, shape: ObjectShape) -> Mesh:
-        """Return the mesh of a shape, in the object frame.
-
-        Raises:
-            MapFolderError: the file is missing, damaged or another one.
-        """
+        """Return the mesh of a shape, in the object frame. Raises `MapFolderError`: missing, damaged or another one."""
         path = self.mesh_path(shape)
         try:
             mesh = mesh_of_file(read_within(self.folder, f"{SHAPES}/{shape.mesh_name}"))
@@ -124,14 +115,12 @@ class SavedMap:
 
 
 def open_map(path: Path, *, warns: bool = True, is_whole: bool = False) -> SavedMap:
-    """Return the map in a folder as of its last complete save; a run that saved nothing yet is an empty map.
+    """Return the map in a folder as of its last complete save, empty before the first one.
 
-    A map that was altered since is opened all the same, with a warning unless `warns` is False: `is_altered`. A file of
-    a finished map is found damaged when somebody looks at what it holds, `is_whole`: now, and its seal counts for
-    nothing.
+    An altered map opens with a warning, unless `warns` is False: `is_altered`. Damaged files of a finished map are
+    found on first use, with `is_whole` at once, without trust in the seal.
 
-    Raises:
-        MapFolderError: no map is there, its format is another, or a file is missing or damaged.
+    Raises `MapFolderError`: there is no map, it has another format, or a file is missing or damaged.
     """
     manifest = read_manifest(path)
     check_links(path)
@@ -154,11 +143,7 @@ def open_map(path: Path, *, warns: bool = True, is_whole: bool = False) -> Saved
 
 
 def check_unaltered(saved: SavedMap, advice: str = "") -> None:
-    """Refuse a map that is not the one that was saved; `advice` ends the message.
-
-    Raises:
-        MapFolderError: saying what disagrees, and what to do.
-    """
+    """Raise `MapFolderError`, with the difference and `advice`, if a map was altered since its save."""
     if saved.is_altered:
         raise MapFolderError(f"{saved.doubt}; `hickory-stream verify {saved.folder}` says what of it holds{advice}")
 

@@ -1,7 +1,6 @@
-"""Layer 2 of an object of a map with a texture, baked when somebody asks for it: a map folder holds none.
+"""Layer 2 of a map's object with a texture, baked on request from the kept views.
 
-The kept views are in the folder anyway, and what is made of them and the mesh is the same whenever it is made; stored,
-it would double layer 2, and a run would pay for it that may never be looked at.
+The texture is the same whenever it is made; stored, it would double layer 2 and cost every run.
 """
 
 from __future__ import annotations
@@ -25,10 +24,9 @@ def textured_object(
 ) -> TexturedMesh:
     """Return the mesh of an object's shape, in the object's frame, with a texture of at most `most_px` on a side.
 
-    `views` is a map folder's. Of an object as it was known at an earlier moment (`is_past`) some views may not be kept.
+    `views` is a map folder's. `is_past`: an object of an earlier moment, some of whose views may be gone.
 
-    Raises:
-        MapFolderError: a view is missing or damaged.
+    Raises `MapFolderError`: a view is missing or damaged.
     """
     assert tracked.shape is not None
     # Where a view's submap was moved, the map knows it, not the view's file.

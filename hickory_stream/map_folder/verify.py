@@ -1,8 +1,7 @@
-"""Does what a map says of itself hold? Everything is proven anew: from the files, the journal and the meshes.
+"""Verification of a map from its files, journal and meshes.
 
-The digest tells of accidents and of edits by hand; it is no signature, and who alters a map on purpose can compute it
-anew. So the journal is gone through again, and layer 4 of each object is proven from its mesh and from the points that
-its job was given. What cannot be known, for lack of a journal or of an end, is told apart from what does not hold.
+The digest detects accidents and edits by hand, but is no signature. So the journal is replayed, and layer 4 of each
+object is proven from its mesh and its job's points. Checks that lack a journal or an end are reported as unknown.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ _MOST_OUTSIDE = 0.5
 
 
 class State(StrEnum):
-    """What came of a check."""
+    """The result of a check."""
 
     HOLDS = "holds"
     FAILS = "fails"
@@ -53,7 +52,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Finding:
-    """What came of one check: of the "digest", the "journal", the "views" or the "layer 4" of an object."""
+    """The result of one check: "digest", "journal", "views", or "layer 4" of an object."""
 
     check: str
     state: State
@@ -63,7 +62,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """What a map is worth: all findings, those of the whole map first, then by object."""
+    """All findings on a map: of the whole map first, then by object."""
 
     digest: str
     recorded_digest: str | None
@@ -72,26 +71,25 @@ class Verdict:
 
     @property
     def is_sound(self) -> bool:
-        """Whether nothing was found that does not hold."""
+        """Whether no check failed."""
         return all(finding.state is not State.FAILS for finding in self.findings)
 
     @property
     def num_proven(self) -> int:
-        """How many objects have a layer 4 that was proven anew."""
+        """Number of objects with a proven layer 4."""
         return sum(finding.check == "layer 4" and finding.state is State.HOLDS for finding in self.findings)
 
 
 def verify(path: Path, progress: Callable[[str], None] = lambda _: None) -> Verdict:
-    """Return what holds of the map in a folder; nothing is written.
+    """Return the verdict on the map in a folder; nothing is written.
 
-    Raises:
-        MapFolderError: there is no map, or it cannot be read.
+    Raises `MapFolderError`: there is no readable map.
     """
     saved = open_map(path, warns=False, is_whole=True)
     progress("journal")
     points: dict[int, NDArray[np.float32]] = {}
     journal = _journal(saved, points)
-    configured_m = _configured_margin_m(saved) if _has_journal(path) else None
+    configured_m = _configured_margin_m(saved) if (path / JOURNAL).exists() else None
     objects = []
     for tracked in saved.snapshot.objects:
         progress(f"object {tracked.id}")
@@ -105,10 +103,9 @@ def verify(path: Path, progress: Callable[[str], None] = lambda _: None) -> Verd
 
 
 def mend(path: Path) -> str:
-    """Write the objects of a map anew from its journal, where that makes the map of the manifest; return the digest.
+    """Rewrite the objects of a map from its journal if that gives the manifest's digest; return the digest.
 
-    Raises:
-        MapFolderError: the journal is damaged, or makes another map, or the disk refused; nothing was changed.
+    Raises `MapFolderError`: the journal is damaged, or gives another map, or the disk refused; nothing was changed.
     """
     manifest = read_manifest(path)
     snapshot = replay(path)
@@ -119,23 +116,17 @@ def mend(path: Path) -> str:
     return rewrite_objects(path, snapshot, kept)
 
 
-def _has_journal(path: Path) -> bool:
-    return (path / JOURNAL).exists()
-
-
 def _digest(saved: SavedMap) -> Finding:
     if saved.is_altered:
         return Finding(check="digest", state=State.FAILS, text=saved.doubt)
     if saved.doubt:
         return Finding(check="digest", state=State.UNKNOWN, text=saved.doubt)
-    return Finding(
-        check="digest", state=State.HOLDS, text=f"the objects are those that were saved: {saved.digest[:16]}"
-    )
+    text = f"the objects are those that were saved: {saved.digest[:16]}"
+    return Finding(check="digest", state=State.HOLDS, text=text)
 
 
 def _journal(saved: SavedMap, points: dict[int, NDArray[np.float32]]) -> Finding:
-    """Go through the run again; `points` takes what the jobs of the map's shapes were given, by ticket."""
-    if not _has_journal(saved.folder):
+    if not (saved.folder / JOURNAL).exists():
         merged = saved.manifest.source.get("kind") == "merge"
         text = "a merged map has none" if merged else f"there is no {JOURNAL}: how the map came about is not known"
         return Finding(check="journal", state=State.UNKNOWN if merged else State.FAILS, text=text)
@@ -152,7 +143,7 @@ def _journal(saved: SavedMap, points: dict[int, NDArray[np.float32]]) -> Finding
         with Journal(saved.folder) as journal:
             again = Replay(journal, config.mapping, note)
             for _ in again.steps(len(journal)):
-                # Of a run that was killed the folder holds some earlier step.
+                # A killed run's folder has the map of an earlier step.
                 if not saved.manifest.finished_cleanly and (now := again.snapshot()).revision == wanted:
                     digests.add(map_digest(now))
             last = again.snapshot()
@@ -177,7 +168,6 @@ def _views(saved: SavedMap, tracked: TrackedObject) -> Iterator[Finding]:
 def _layer_four(
     saved: SavedMap, tracked: TrackedObject, points: dict[int, NDArray[np.float32]], configured_m: float | None
 ) -> Iterator[Finding]:
-    """Prove layer 4 of an object, which may have none, with the margin that the map was made with, if that is known."""
     shape = tracked.shape
     if shape is None:
         return
@@ -219,22 +209,18 @@ def _num_uncovered(certificate: Certificate) -> int:
 def _where_it_was_made(
     saved: SavedMap, tracked: TrackedObject, shape: ObjectShape, given: NDArray[np.float32] | None
 ) -> list[tuple[ObjectShape, NDArray[np.float32]]]:
-    """Return the shape and the points (N, 3) it has to hold, in the worlds where it may have been made.
-
-    The cells of the inside stand along the axes of that world: of a map that was moved since, the submap's own. A
-    proof in either is one.
-    """
+    # The cells of the inside stand along the axes of the world where the shape was made. Of a map that was moved since,
+    # that may be the submap's own: a proof in either world counts.
     poses = {submap.id: submap.world_from_submap for submap in saved.snapshot.submaps}
     submap_from_world = invert(poses.get(tracked.submap_id, np.eye(4)))
     unmoved = moved_shape(shape, submap_from_world)
     if given is not None:
         return [(unmoved, given)]
-    here = (shape, tracked.points_world)
-    return [here, (unmoved, np.asarray(apply(submap_from_world, tracked.points_world)))]
+    return [(shape, tracked.points_world), (unmoved, np.asarray(apply(submap_from_world, tracked.points_world)))]
 
 
 def _configured_margin_m(saved: SavedMap) -> float | None:
-    """Return the margin that the map was made with; None where nobody can say."""
+    # None where the configuration is unknown.
     try:
         return recorded_config(saved.folder).shapes.inflate.r_safe_m
     except MapFolderError:

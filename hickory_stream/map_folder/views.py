@@ -1,15 +1,11 @@
 """The pixels of a kept view as files: colour with the mask as alpha, depth in millimetres, camera and pose.
 
-Colour may be lossy (`run.view_colors`): the mask then is a file of its own, as exact as ever, and the description has
-the checksum of the colour's file, as neither JPEG nor WebP has one. Which it is, the files say.
+Colour may be lossy (`run.view_colors`): the mask is then a file of its own, and the description has the checksum of
+the colour's file, since JPEG and WebP lack one. Only JPEG and WebP as OpenCV writes them are read: baseline, lossy,
+without alpha. Claimed sizes are checked before memory is taken.
 
-They are written without a sync (2-3 ms a view); `MapFolder.save` syncs a view before the map first refers to it. The
-description comes last, so that a view which has one is complete.
-
-Images of kept views as files: what one claims to be is looked at before memory is taken for it.
-
-A file says its kind by its suffix. Of JPEG and WebP only the plain form that OpenCV writes is read: baseline, lossy,
-without alpha.
+Files are written without a sync (2-3 ms a view); `MapFolder.save` syncs a view before its first reference. The
+description comes last, as the mark of a complete view.
 """
 
 from __future__ import annotations
@@ -36,8 +32,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.config import RunConfig
 
-
-# A view is a part of an image of a camera.
 _MOST_PIXELS = 1 << 26
 # Segments of a JPEG that may come before its frame header: tables, restart interval, comment, APP0 to APP15.
 _JPEG_BEFORE_FRAME = {0xC4, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)}
@@ -45,7 +39,7 @@ _JPEG_BASELINE = 0xC0
 
 
 def png_bytes(image: NDArray[Any], *, is_bilevel: bool = False) -> bytes:
-    """Return an image as PNG, quickly: (H, W, 4) uint8 BGRA, (H, W) uint16 or uint8; of one bit if `is_bilevel`."""
+    """Return a PNG, quickly, of (H, W, 4) uint8 BGRA, (H, W) uint16 or uint8; of one bit if `is_bilevel`."""
     import cv2
 
     # Run lengths only: as small as level 1 on camera images and a third quicker. One filter for all rows, the one that
@@ -63,23 +57,22 @@ def lossy_bytes(bgr: NDArray[np.uint8], suffix: str, quality: int) -> bytes:
 
     how = [cv2.IMWRITE_WEBP_QUALITY, quality]
     if suffix == ".jpg":
-        # Colour in full resolution: at the edges of an object that of what lies behind it is not to come in.
+        # Colour in full resolution: at an object's edges, none of the background comes in.
         full = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
         how = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, full]
     return cv2.imencode(suffix, bgr, how)[1].tobytes()
 
 
 def read_image(path: Path, dtype: np.dtype[Any], num_dimensions: int, crc32: int | None = None) -> NDArray[Any]:
-    """Return the image of a file as it was stored, (H, W) or (H, W, channels) of BGR or BGRA; `crc32` is the file's.
+    """Return the stored image, (H, W) or (H, W, channels) of BGR or BGRA; `crc32` is the file's.
 
-    Raises:
-        MapFolderError: it is missing, damaged, another kind of image, or claims to be larger than any view.
+    Raises `MapFolderError`: it is missing, damaged, another kind of image, or claims more than the size of any view.
     """
     import cv2
 
     try:
         data = read_within(path.parent, path.name)
-        # Of a damaged file the decoder tells on the terminal, past everybody, or not at all.
+        # The decoder writes of a damaged file to the terminal, or nothing at all.
         if crc32 is not None and zlib.crc32(data) != crc32:
             raise ValueError("it is not the file that the view's description tells of")
         width, height = _CLAIMED_SIZE[path.suffix](data)
@@ -94,7 +87,7 @@ def read_image(path: Path, dtype: np.dtype[Any], num_dimensions: int, crc32: int
 
 
 def _png_size(data: bytes) -> tuple[int, int]:
-    """Return width and height that a PNG claims; its checksums are looked at, too."""
+    # Checks the checksums, too.
     if len(data) < 24 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
         raise ValueError("it is no PNG")
     at, kind = 8, b""
@@ -108,7 +101,7 @@ def _png_size(data: bytes) -> tuple[int, int]:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int]:
-    """Return width and height that a baseline JPEG claims (ITU-T T.81, B.2.2)."""
+    # Baseline JPEG: ITU-T T.81, B.2.2.
     at = 2
     while data[:2] == b"\xff\xd8" and at + 9 <= len(data) and data[at] == 0xFF:
         kind, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
@@ -121,7 +114,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
 
 
 def _webp_size(data: bytes) -> tuple[int, int]:
-    """Return width and height that a lossy WebP claims (RFC 9649, RFC 6386 9.1)."""
+    # Lossy WebP: RFC 9649, RFC 6386 9.1.
     if len(data) < 30 or data[:4] != b"RIFF" or data[8:16] != b"WEBPVP8 " or data[23:26] != b"\x9d\x01\x2a":
         raise ValueError("it is no plain lossy WebP")
     # The two bits above say how to scale it, which decoders leave to others.
@@ -138,10 +131,7 @@ _MOST_LOSSY_SIDE_PX = 16383
 
 
 def crop_files(views: Path, name: str) -> tuple[Path, ...]:
-    """Return the paths of a view's colour, depth, mask and description in the folder `views`; a name is a plain one.
-
-    They have a mask where a lossy colour is there; of a view that is not there they are those of one in PNG.
-    """
+    """Return the paths of a view's colour, depth, mask (if colour is lossy) and description in the folder `views`."""
     plain_name(name)
     depth, mask, description = views / f"{name}.depth.png", views / f"{name}.mask.png", views / f"{name}.json"
     for suffix in _LOSSY.values():
@@ -152,13 +142,9 @@ def crop_files(views: Path, name: str) -> tuple[Path, ...]:
 
 
 def write_crop(views: Path, name: str, crop: Crop, how: RunConfig | None = None) -> None:
-    """Write a view's pixels into the folder `views` (a map folder's `views/`) under `name` (`View.name`).
+    """Write a view's pixels into the folder `views` under `name` (`View.name`); colour as `how.view_colors`, or exact.
 
-    Depth is rounded to millimetres; what is beyond 65.5 m becomes "no return". Colour is as `how.view_colors` says,
-    exact without it.
-
-    Raises:
-        MapFolderError: the disk refused.
+    Depth is rounded to millimetres; more than 65.5 m becomes "no return". Raises `MapFolderError`: the disk refused.
     """
     description: dict[str, Any] = {
         "camera": asdict(crop.camera),
@@ -183,11 +169,7 @@ def write_crop(views: Path, name: str, crop: Crop, how: RunConfig | None = None)
 
 
 def read_crop(views: Path, name: str) -> Crop:
-    """Return the pixels of a view, depth to the millimetre.
-
-    Raises:
-        MapFolderError: a file is missing or damaged.
-    """
+    """Return the pixels of a view, depth to the millimetre. Raises `MapFolderError`: a file is missing or damaged."""
     color_file, depth_file, *mask_file, description_file = crop_files(views, name)
     try:
         description = json.loads(read_within(views, description_file.name))
@@ -209,11 +191,7 @@ def read_crop(views: Path, name: str) -> Crop:
 
 
 def read_mask(views: Path, name: str) -> NDArray[np.bool_]:
-    """Return the mask of a view alone, as `read_crop` has it.
-
-    Raises:
-        MapFolderError: its file is missing or damaged.
-    """
+    """Return the mask of a view alone. Raises `MapFolderError`: its file is missing or damaged."""
     color_file, _, *mask_file, _ = crop_files(views, name)
     try:
         if mask_file:
@@ -224,8 +202,7 @@ def read_mask(views: Path, name: str) -> NDArray[np.bool_]:
 
 
 def _millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Return a depth image in whole millimetres, 0 = no return."""
+    # 0 = no return.
     with np.errstate(invalid="ignore", over="ignore"):
         millimetres = np.rint(depth_m * np.float32(1000))
-        # What is no number is neither.
         return np.where((millimetres > 0) & (millimetres <= _MAX_MM), millimetres, 0).astype(np.uint16)

@@ -1,12 +1,7 @@
-"""The map folder while it is written: made, continued, saved and finished by one process.
+"""A map folder while one process writes it: created, continued, saved and finished.
 
-`objects.json` is replaced last and what it no longer names is removed after that: whenever a run is killed, its
-folder opens as of its last complete save. `folder_layout` says what it holds, `saved_map` reads it.
-
-Saving one snapshot after another: what a save costs is what has changed since the last one.
-
-Records of a map never change: where an object or a submap is the one that was saved last, so are its part of the
-document and its files.
+`objects.json` is replaced last, and files that it no longer names are removed after that. A save costs as much as has
+changed: unchanged records keep their part of the document and their files.
 """
 
 from __future__ import annotations
@@ -24,31 +19,8 @@ from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.lazy_arrays import are_made_alike
 from hickory_stream.journal.format import JOURNAL
-from hickory_stream.map_folder.codec import (
-    POINTS,
-    SPACE,
-    encode_graph,
-    encode_object,
-    encode_points,
-    encode_snapshot,
-    encode_space,
-    encode_submap,
-)
+from hickory_stream.map_folder import codec, layout
 from hickory_stream.map_folder.digest import map_digest, seal_of
-from hickory_stream.map_folder.layout import (
-    EMPTY,
-    FOLDERS,
-    JOBS,
-    OBJECTS,
-    SHAPES,
-    VIEWS,
-    FolderLock,
-    check_links,
-    check_place,
-    files_of_name,
-    named_by,
-    remove_map,
-)
 from hickory_stream.map_folder.manifest import MANIFEST, Manifest, manifest_json, pretty_json, read_manifest
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import crop_files
@@ -56,43 +28,42 @@ from hickory_stream.records import Submap, TrackedObject
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from hickory_stream.records import MapSnapshot
 
     Write = Callable[[str, bytes], None]
-    from pathlib import Path
-
 
 R = TypeVar("R", Submap, TrackedObject)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EncodedSnapshot:
-    """A snapshot as it is written: its `document`, and the names of files that it has no more."""
+    """An encoded snapshot."""
 
     document: bytes
+    #: Files that it no longer names.
     gone: frozenset[str]
 
 
 class SnapshotEncoder:
-    """Encodes snapshots as `encode_snapshot` does, one after another."""
+    """Encodes consecutive snapshots like `encode_snapshot`."""
 
     def __init__(self) -> None:
         self._objects: dict[int, _Entry[TrackedObject]] = {}
         self._submaps: dict[int, _Entry[Submap]] = {}
 
     def encoded(self, snapshot: MapSnapshot, write: Write) -> EncodedSnapshot:
-        """Return what is to be written of a snapshot; the last one that was encoded is on the disk.
+        """Return an encoded snapshot; the one before is on the disk.
 
-        `write` is given the name and the content of each new file, one after another: where a whole map has moved,
-        they are not all in memory at once.
+        `write` receives name and content of each new file in turn: a map that moved is never in memory as a whole.
         """
-        before: list[_Entry[Any]] = [*self._submaps.values(), *self._objects.values()]
+        before = self._entries
         self._submaps = _entries(self._submaps, snapshot.submaps, _submap_entry, write)
         self._objects = _entries(self._objects, snapshot.objects, _object_entry, write)
-        after: list[_Entry[Any]] = [*self._submaps.values(), *self._objects.values()]
+        after = self._entries
         gone = {name for entry in _others(before, after) for name in entry.files}
-        # Of an object that was encoded anew the same points may have stayed.
+        # A changed object may have its old points.
         gone -= {name for entry in _others(after, before) for name in entry.files}
         parts = [
             f'"revision": {int(snapshot.revision)}',
@@ -101,18 +72,21 @@ class SnapshotEncoder:
             f'"objects": [{", ".join(entry.text for entry in self._objects.values())}]',
         ]
         if snapshot.graph is not None:
-            parts.append(f'"graph": {dumps_exactly(encode_graph(snapshot.graph))}')
+            parts.append(f'"graph": {dumps_exactly(codec.encode_graph(snapshot.graph))}')
         return EncodedSnapshot(document=f"{{{', '.join(parts)}}}".encode(), gone=frozenset(gone))
 
     @property
     def files(self) -> set[str]:
-        """The names of all files of the last snapshot."""
-        entries: list[_Entry[Any]] = [*self._submaps.values(), *self._objects.values()]
-        return {name for entry in entries for name in entry.files}
+        """All files of the last snapshot."""
+        return {name for entry in self._entries for name in entry.files}
+
+    @property
+    def _entries(self) -> list[_Entry[Any]]:
+        return [*self._submaps.values(), *self._objects.values()]
 
 
 class ReferencedNames:
-    """The views and meshes that a snapshot refers to, by their names below the map folder."""
+    """Names, below the map folder, of the views and meshes of a snapshot."""
 
     def __init__(self) -> None:
         self._names: dict[int, tuple[TrackedObject, frozenset[str]]] = {}
@@ -125,7 +99,7 @@ class ReferencedNames:
         return iter(self._num)
 
     def follow(self, snapshot: MapSnapshot) -> list[str]:
-        """Take up a snapshot; return the names that the last one did not refer to."""
+        """Advance to a snapshot; return its new names."""
         before, self._names = self._names, {}
         new: list[str] = []
         for tracked in snapshot.objects:
@@ -133,19 +107,19 @@ class ReferencedNames:
             if known is not None and known[0] is tracked:
                 self._names[tracked.id] = known
                 continue
-            names = named_by(tracked)
+            names = layout.named_by(tracked)
             self._names[tracked.id] = (tracked, names)
             old = known[1] if known is not None else frozenset()
             for name in names - old:
                 if name not in self._num:
                     new.append(name)
                 self._num[name] += 1
-            self._let_go(old - names)
+            self._remove(old - names)
         for _, names in before.values():
-            self._let_go(names)
+            self._remove(names)
         return new
 
-    def _let_go(self, names: Iterable[str]) -> None:
+    def _remove(self, names: Iterable[str]) -> None:
         for name in names:
             self._num[name] -= 1
             if not self._num[name]:
@@ -154,8 +128,6 @@ class ReferencedNames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Entry(Generic[R]):
-    """A record, its part of the document, and the files that this names."""
-
     record: R
     text: str
     files: tuple[str, ...]
@@ -180,18 +152,17 @@ def _entries(
 
 
 def _submap_entry(submap: Submap, known: _Entry[Submap] | None, files: dict[str, bytes]) -> _Entry[Submap]:
-    # A submap that was moved has its voxels where they were.
-    has_same_space = known is not None and known.record.observed_space is submap.observed_space
-    names = known.files if known is not None and has_same_space else encode_space(submap, files)
-    return _Entry(submap, dumps_exactly(encode_submap(submap, names)), names)
+    is_same = known is not None and known.record.observed_space is submap.observed_space
+    names = known.files if known is not None and is_same else codec.encode_space(submap, files)
+    return _Entry(submap, dumps_exactly(codec.encode_submap(submap, names)), names)
 
 
 def _object_entry(
     tracked: TrackedObject, known: _Entry[TrackedObject] | None, files: dict[str, bytes]
 ) -> _Entry[TrackedObject]:
-    has_same_points = known is not None and are_made_alike(known.record, tracked)
-    points = known.files[0] if known is not None and has_same_points else encode_points(tracked, files)
-    return _Entry(tracked, dumps_exactly(encode_object(tracked, points)), (points,))
+    is_same = known is not None and are_made_alike(known.record, tracked)
+    points = known.files[0] if known is not None and is_same else codec.encode_points(tracked, files)
+    return _Entry(tracked, dumps_exactly(codec.encode_object(tracked, points)), (points,))
 
 
 def _others(entries: Iterable[_Entry[Any]], than: Iterable[_Entry[Any]]) -> list[_Entry[Any]]:
@@ -209,37 +180,35 @@ def create_map_folder(
     processor: str = "",
     overwrite: bool = False,
 ) -> MapFolder:
-    """Return a new, empty map folder; `overwrite` replaces a map that is there, but never anything else.
+    """Return a new, empty map folder, locked until it is closed; `overwrite` replaces an existing map, nothing else.
 
-    `config`, `source` (e.g. `asdict` of the `SourceInfo`) and `run` must be made of what JSON knows; `extractor`
-    names what makes the features, `processor` the kind that the map depends on. The map of a `run` has a journal from
-    its first moment, an empty one: a run that is killed at once can be gone on with. The folder is locked until it is
-    closed.
+    `config`, `source` (e.g. `asdict` of the `SourceInfo`) and `run` must be JSON; `extractor` makes the features,
+    `processor` is the kind that the map depends on. The map of a `run` has an empty journal at once, so that any kill
+    can be resumed.
 
-    Raises:
-        MapFolderError: the place is taken or cannot be written; nothing is left behind.
+    Raises `MapFolderError`: the place is taken or cannot be written; nothing is left behind.
     """
-    check_place(path, overwrite)
+    layout.check_place(path, overwrite)
     manifest = Manifest(config=config, source=source, run=run or {}, extractor=extractor, processor=processor)
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     with disk_errors(path):
         try:
             path.mkdir(parents=True, exist_ok=True)
-            lock = FolderLock(path)
+            lock = layout.FolderLock(path)
         except OSError:
             if missing:
                 shutil.rmtree(missing[-1], ignore_errors=True)
             raise
         try:
-            # Before the manifest, which promises one; and that of an earlier run is not to be taken for this one's.
+            # Before the manifest, which promises one.
             if run is not None:
                 write_atomically(path / JOURNAL, b"")
             else:
                 (path / JOURNAL).unlink(missing_ok=True)
-            # Before all else, so that what a kill leaves is known for a map folder, opens, and can be overwritten.
+            # Before all else: what a kill leaves is a map folder that opens and can be overwritten.
             write_atomically(path / MANIFEST, manifest_json(manifest))
-            remove_map(path)
-            for name in FOLDERS:
+            layout.remove_map(path)
+            for name in layout.FOLDERS:
                 (path / name).mkdir(exist_ok=True)
             sync(path)
         except OSError:
@@ -251,17 +220,16 @@ def create_map_folder(
 
 
 def reopen_map_folder(path: Path) -> MapFolder:
-    """Return the map folder of a run that ended early, to be continued; locked until it is closed.
+    """Return the map folder of an interrupted run, to be continued; locked until it is closed.
 
-    Raises:
-        MapFolderError: no map is there, its format is another, or another process writes it.
+    Raises `MapFolderError`: there is no map, it has another format, or another process writes it.
     """
     manifest = read_manifest(path)
-    check_links(path)
+    layout.check_links(path)
     with disk_errors(path):
-        lock = FolderLock(path)
+        lock = layout.FolderLock(path)
         try:
-            for name in FOLDERS:
+            for name in layout.FOLDERS:
                 (path / name).mkdir(exist_ok=True)
             for partial in path.rglob(f".*{PARTIAL_SUFFIX}"):
                 partial.unlink()
@@ -273,10 +241,14 @@ def reopen_map_folder(path: Path) -> MapFolder:
 
 
 class MapFolder:
-    """A map folder being written, by one process, from any of its threads; `drop_...` never wait for the disk."""
+    """A map folder being written by one process, from any thread; `drop_...` never wait for the disk."""
 
     def __init__(
-        self, path: Path, manifest: Manifest, lock: FolderLock | None = None, snapshot: MapSnapshot = EMPTY
+        self,
+        path: Path,
+        manifest: Manifest,
+        lock: layout.FolderLock | None = None,
+        snapshot: MapSnapshot = layout.EMPTY,
     ) -> None:
         self.path = path
         self.manifest = manifest
@@ -293,30 +265,29 @@ class MapFolder:
 
     @property
     def views(self) -> Path:
-        """The folder of the kept views' pixels, for `write_crop` and `read_crop`."""
-        return self.path / VIEWS
+        """The folder of kept views, for `write_crop` and `read_crop`."""
+        return self.path / layout.VIEWS
 
     @property
     def shapes(self) -> Path:
         """The folder of the meshes."""
-        return self.path / SHAPES
+        return self.path / layout.SHAPES
 
     @property
     def jobs(self) -> Path:
-        """The folder in which shape jobs are handed over."""
-        return self.path / JOBS
+        """The folder of shape jobs."""
+        return self.path / layout.JOBS
 
     def save(self, snapshot: MapSnapshot) -> None:
-        """Make `snapshot` what the folder opens as; only what changed since the last save is written.
+        """Save a snapshot; only changes are written.
 
-        Raises:
-            MapFolderError: the disk refused; the folder opens as of the save before.
+        Raises `MapFolderError`: the disk refused; the folder opens as of the save before.
         """
         with self._lock, disk_errors(self.path):
-            # What the disk refuses is not there for the next save to build on.
+            # The next save does not build on one that failed.
             encoder, self._encoder, was_swept, self._is_swept = self._encoder, SnapshotEncoder(), self._is_swept, False
             if self.manifest.digest is not None:
-                # That of the run that is continued: killed from here on, the folder has another map.
+                # The digest of the continued run: from here on, the folder has another map.
                 self.manifest = replace(self.manifest, digest=None, seal="", finished_cleanly=False)
                 write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
             written: set[str] = set()
@@ -324,7 +295,7 @@ class MapFolder:
             for folder in sorted(written):
                 sync(self.path / folder)
             self._sync_referenced(snapshot)
-            write_atomically(self.path / OBJECTS, encoded.document)
+            write_atomically(self.path / layout.OBJECTS, encoded.document)
             sync(self.path)
             self._last, self._encoder, self._is_swept = snapshot, encoder, was_swept
             self._remove_unreferenced(encoded.gone)
@@ -332,74 +303,71 @@ class MapFolder:
 
     def drop_view(self, name: str) -> None:
         """Remove a view's pixels once the saved map does not refer to them."""
-        self._drop_requests.append(f"{VIEWS}/{name}")
+        self._drop_requests.append(f"{layout.VIEWS}/{name}")
 
     def keep_views(self, names: Iterable[str]) -> set[str]:
-        """Remove these views' pixels no more, though that was asked for; return those that are gone already."""
+        """Cancel the removal of these views' pixels; return views that are gone already."""
         with self._lock:
             self._take_requests()
             kept = set(names)
-            self._dropped -= {f"{VIEWS}/{name}" for name in kept}
+            self._dropped -= {f"{layout.VIEWS}/{name}" for name in kept}
             return {name for name in kept if not all(path.exists() for path in crop_files(self.views, name))}
 
     def keep_shape(self, mesh_name: str) -> None:
-        """Never remove a mesh: the map was known to have it at some moment."""
+        """Keep a mesh for good: the map had it at some moment."""
         self._shapes_to_keep.add(mesh_name)
 
     def write_json(self, name: Literal["ledger.json", "timings.json"], data: Any) -> None:
-        """Replace a file beside the map by `data`, which JSON must know.
+        """Replace a file beside the map by JSON.
 
-        Raises:
-            MapFolderError: the disk refused; the old file is untouched.
+        Raises `MapFolderError`: the disk refused; the old file is untouched.
         """
         with disk_errors(self.path):
             write_atomically(self.path / name, pretty_json(data))
 
     def finish(self, *, finished_cleanly: bool, is_reproducible: bool = True) -> Manifest:
-        """Note the map's digest and how the run ended, and remove what a clean end left unreferenced.
+        """Record the map's digest and the end of the run, and remove files that a clean end left unreferenced.
 
-        Raises:
-            MapFolderError: the disk refused; the map opens as not finished.
+        Raises `MapFolderError`: the disk refused; the map opens as not finished.
         """
         with self._lock, disk_errors(self.path):
             self._referenced.follow(self._last)
             if finished_cleanly:
                 past = {self.shapes / name for name in self._shapes_to_keep}
-                kept = past.union(*(files_of_name(self.path, name) for name in self._referenced))
+                kept = past.union(*(layout.files_of_name(self.path, name) for name in self._referenced))
                 for path in {*self.views.iterdir(), *self.shapes.iterdir()} - kept:
                     path.unlink(missing_ok=True)
             self._remove_dropped()
-            if not (self.path / OBJECTS).exists():
-                document, _ = encode_snapshot(self._last)
-                write_atomically(self.path / OBJECTS, dumps_exactly(document).encode())
+            if not (self.path / layout.OBJECTS).exists():
+                document, _ = codec.encode_snapshot(self._last)
+                write_atomically(self.path / layout.OBJECTS, dumps_exactly(document).encode())
             digest = map_digest(self._last)
             self.manifest = replace(
                 self.manifest,
                 finished_cleanly=finished_cleanly,
                 is_reproducible=is_reproducible,
                 digest=digest,
-                seal=seal_of(digest, (self.path / OBJECTS).read_bytes()),
+                seal=seal_of(digest, (self.path / layout.OBJECTS).read_bytes()),
             )
             write_atomically(self.path / MANIFEST, manifest_json(self.manifest))
             sync(self.path)
         return self.manifest
 
     def close(self) -> None:
-        """Let other processes write the folder."""
+        """Unlock the folder."""
         if self._folder_lock is not None:
             self._folder_lock.release()
 
     def _write_missing(self, folders: set[str], name: str, data: bytes) -> None:
-        """Write a file unless it is there, and note the folder that it belongs to."""
         path = self.path / name
         if not path.exists():
             write_atomically(path, data)
         folders.add(name.partition("/")[0])
 
     def _sync_referenced(self, snapshot: MapSnapshot) -> None:
-        """Bring to the disk what others wrote without waiting for it, before the map refers to it."""
+        # Views are written without a sync; the map may refer to them only after one.
         self._unsynced.update(self._referenced.follow(snapshot))
-        files = {name: files_of_name(self.path, name) for name in self._unsynced}
+        files = {name: layout.files_of_name(self.path, name) for name in self._unsynced}
         # The description of a view, the last of its files, is written last.
         whole = {name for name, paths in files.items() if paths[-1].exists()}
         for path in [path for name in whole for path in files[name]]:
@@ -411,43 +379,42 @@ class MapFolder:
         self._unsynced = {name for name in self._unsynced - whole if name in self._referenced}
 
     def _remove_unreferenced(self, gone: Iterable[str]) -> None:
-        """Remove files that the saved map names no more; at first also what others left, or a save that failed."""
+        # The first time also files of others, or of a save that failed.
         for name in gone:
             (self.path / name).unlink(missing_ok=True)
         if not self._is_swept:
             names = self._encoder.files
-            for folder in (POINTS, SPACE):
+            for folder in (codec.POINTS, codec.SPACE):
                 for path in (self.path / folder).iterdir():
                     if f"{folder}/{path.name}" not in names:
                         path.unlink()
             self._is_swept = True
 
     def _take_requests(self) -> None:
-        """Take the views that were dropped since; `drop_view` appends to the queue without the lock."""
+        # `drop_view` appends to the queue without the lock.
         while self._drop_requests:
             self._dropped.add(self._drop_requests.popleft())
 
     def _remove_dropped(self) -> None:
         self._take_requests()
         unreferenced = {name for name in self._dropped if name not in self._referenced}
-        for path in [path for name in unreferenced for path in files_of_name(self.path, name)]:
+        for path in [path for name in unreferenced for path in layout.files_of_name(self.path, name)]:
             path.unlink(missing_ok=True)
         self._dropped -= unreferenced
 
 
 def rewrite_objects(path: Path, snapshot: MapSnapshot, kept_meshes: Iterable[str]) -> str:
-    """Save a map anew in its folder, as its run did, with the meshes of earlier moments kept; return the digest.
+    """Save a map into its folder again, with the meshes of earlier moments; return the digest.
 
-    Raises:
-        MapFolderError: a mesh is missing, another process writes the folder, or the disk refused.
+    Raises `MapFolderError`: a mesh is missing, another process writes the folder, or the disk refused.
     """
     manifest = read_manifest(path)
-    check_links(path)
+    layout.check_links(path)
     for tracked in snapshot.objects:
-        if tracked.shape is not None and not (path / SHAPES / tracked.shape.mesh_name).is_file():
+        if tracked.shape is not None and not (path / layout.SHAPES / tracked.shape.mesh_name).is_file():
             raise MapFolderError(f"{path} lacks shapes/{tracked.shape.mesh_name} of object {tracked.id}")
     with disk_errors(path):
-        folder = MapFolder(path, manifest, FolderLock(path))
+        folder = MapFolder(path, manifest, layout.FolderLock(path))
     try:
         for name in kept_meshes:
             folder.keep_shape(name)

@@ -1,1 +1,1 @@
-"""The doctor: what a log lacks before it is mapped."""
+"""The doctor: faults of a log, found before it is mapped."""

@@ -1,8 +1,7 @@
 """Registration of colour and depth: with a good calibration, edges of depth coincide with edges of colour.
 
-The assumed position of the colour camera is shifted in steps of 5 mm. If the intensity gradient along the depth edges
-is larger at a shifted position than at the calibrated one, the calibration is wrong by that shift. A shift of the
-camera moves near edges by more pixels than far ones, which distinguishes it from a shift of the image.
+The colour camera is shifted in steps of 5 mm. A larger intensity gradient at the depth edges shows a wrong calibration.
+A shifted camera moves near edges by more pixels than far ones, unlike a shifted image.
 """
 
 from __future__ import annotations
@@ -34,16 +33,16 @@ _COARSEST_M = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ColorAgreement:
-    """The best position of the colour camera: (x, y) metres from its calibrated position, in its own frame.
+class ColorAlignment:
+    """The best position of the colour camera."""
 
-    `offset_px` is the offset in pixels at the median depth of the edges. `gain` is the intensity gradient there over
-    that without an offset; for a `share` of the `num_frames` frames it is greater than 1.
-    """
-
+    #: (x, y) from the calibrated position, in the camera's own frame.
     offset_m: tuple[float, float]
+    #: The offset at the median depth of the edges.
     offset_px: float
+    #: Intensity gradient there over the gradient without an offset.
     gain: float
+    #: Share of the frames whose gain is greater than 1.
     share: float
     num_frames: int
 
@@ -83,11 +82,8 @@ def border_scores(frame: Frame) -> BorderScores | None:
     return BorderScores(change=scores, depth_m=float(np.median(z)), focal_px=float(frame.camera.fx))
 
 
-def color_agreement(frames: Sequence[BorderScores]) -> ColorAgreement | None:
-    """Return the registration of colour and depth.
-
-    None if it cannot be determined: too few frames, pixels of more than a centimetre, or images without edges.
-    """
+def color_alignment(frames: Sequence[BorderScores]) -> ColorAlignment | None:
+    """Return the registration of colour and depth, None for too few frames, coarse pixels, or images without edges."""
     if len(frames) < _MIN_FRAMES:
         return None
     scores = np.stack([frame.change for frame in frames])
@@ -99,7 +95,7 @@ def color_agreement(frames: Sequence[BorderScores]) -> ColorAgreement | None:
         return None
     row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
     offset_m = (round(float(_STEPS_M[column]), 4), round(float(_STEPS_M[row]), 4))
-    return ColorAgreement(
+    return ColorAlignment(
         offset_m=offset_m,
         offset_px=round(float(np.hypot(*offset_m)) * pixels_per_m, 2),
         gain=round(float(total[row, column] / at_rest.sum()), 3),
@@ -109,10 +105,7 @@ def color_agreement(frames: Sequence[BorderScores]) -> ColorAgreement | None:
 
 
 def _borders(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the rows, columns and near depths (N,) of occluding edges, subsampled evenly.
-
-    Gaps without depth of a few pixels beside an edge, as stereo leaves them, are bridged.
-    """
+    # Rows, columns and near depths (N,) of occluding edges; small gaps without depth, as of stereo, are bridged.
     is_seen = np.isfinite(depth_m)
     kernel = np.ones((_BORDER_PX, _BORDER_PX), dtype=np.uint8)
     nearest = cv2.erode(np.where(is_seen, depth_m, 1e6).astype(np.float32), kernel)
@@ -127,7 +120,7 @@ def _borders(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray
 
 
 def _change_of_light(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return the intensity gradient (H, W) in 0..1, saturated so that a few very strong edges do not dominate."""
+    # (H, W) in 0..1, saturated so that a few very strong edges do not dominate.
     gray = cv2.GaussianBlur(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY), (5, 5), 0).astype(np.float32)
     change = np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1))
     full = max(float(np.percentile(change, _FULL_PERCENTILE)), 1e-6)

@@ -1,8 +1,7 @@
-"""Estimates of a log's depth camera: its noise on flat surfaces, and a constant bias.
+"""Estimates of a log's depth camera: noise on flat surfaces, and a constant bias.
 
-Noise: a plane is linear in inverse depth, so that the residual of a plane fitted to a flat patch is noise; for a
-triangulating camera it is uniform in inverse depth. The patches are larger than the windows of stereo matching, within
-which errors are correlated. Bias: a constant added to depth lowers the floor at near points by more than at far ones.
+Noise: the residual of a plane in inverse depth, on patches larger than the windows of stereo matching.
+Bias: a constant added to depth lowers the floor at near points by more than at far ones.
 """
 
 from __future__ import annotations
@@ -73,17 +72,15 @@ class DepthBias:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FlatPatches:
-    """The patches of a frame on which a plane fits, N of them.
+    """The patches of a frame on which a plane fits, N of them."""
 
-    `depth_m` (N,) is the depth of the centre and `sigma_m` (N,) the residual of the plane; `points_world`,
-    `normals_world` and `rays_world` (N, 3) are the centre, the normal, and the ray from the camera to the centre per
-    metre of depth.
-    """
-
+    #: (N,) depth of the centre.
     depth_m: NDArray[np.float64]
+    #: (N,) residual of the plane.
     sigma_m: NDArray[np.float64]
     points_world: NDArray[np.float64]
     normals_world: NDArray[np.float64]
+    #: (N, 3) from the camera to the centre, per metre of depth.
     rays_world: NDArray[np.float64]
 
 
@@ -152,9 +149,8 @@ def depth_noise(frames: Sequence[FlatPatches]) -> DepthNoise | None:
 def depth_bias(frames: Sequence[FlatPatches]) -> DepthBias | None:
     """Return the constant bias of depth; None if too few frames show a floor over a sufficient range of depths.
 
-    With a bias b, the end of a ray lies below the floor by b times the ray's descent per metre of depth. Least squares
-    over all floor patches; also estimated are a tilt of the floor (error of gravity) and a height per frame (error of
-    the poses).
+    A bias b puts a ray's end below the floor by b times its descent per metre of depth: least squares over all patches.
+    A tilt of the floor (gravity) and a height per frame (poses) are estimated too.
     """
     floors = [floor for patches in frames if (floor := _floor_of(patches)) is not None]
     if len(floors) < _MIN_FRAMES:
@@ -184,7 +180,7 @@ def depth_bias(frames: Sequence[FlatPatches]) -> DepthBias | None:
 
 
 def _floor_of(patches: FlatPatches) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the (N, 3) centres of the patches on the floor, and the descent of their rays per metre of depth."""
+    # (N, 3) centres of patches on the floor, and the descent of their rays per metre of depth.
     if len(patches.depth_m) < _MIN_COPLANAR:
         return None
     points, falls = patches.points_world, patches.rays_world[:, 2]
@@ -200,7 +196,7 @@ def _floor_of(patches: FlatPatches) -> tuple[NDArray[np.float64], NDArray[np.flo
 
 
 def _law_of(z: NDArray[np.float64], sigma: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the non-negative (constant, quadratic) coefficients of the noise with the least relative error."""
+    # Non-negative (constant, quadratic) coefficients with the least relative error.
     weight = 1.0 / (sigma * sigma)
     z2 = z * z
     a, b, c = weight.sum(), (weight * z2).sum(), (weight * z2 * z2).sum()
@@ -216,7 +212,7 @@ def _law_of(z: NDArray[np.float64], sigma: NDArray[np.float64]) -> tuple[float, 
 def _planes(
     u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.float64], used: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Return (N, 3) the least-squares planes of (N, P) pixels; NaN where they do not span one."""
+    # (N, 3) least-squares planes of (N, P) pixels, NaN where they do not span one.
     w = used.astype(np.float64)
     n = np.maximum(w.sum(axis=1), 1.0)
     d = np.where(used, inverse, 0.0)
@@ -231,5 +227,5 @@ def _planes(
 
 
 def _on(planes: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (N, P) the inverse depths of planes at pixels."""
+    # (N, P) inverse depths of planes at pixels.
     return planes[:, 0:1] * u + planes[:, 1:2] * v + planes[:, 2:3]

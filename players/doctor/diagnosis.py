@@ -1,7 +1,6 @@
-"""Diagnosis of a log before it is mapped: its contents, its flaws, and how many frames could be mapped.
+"""Diagnosis of a log before it is mapped: contents, flaws, and the number of usable frames.
 
-Two passes are made: one over every message, for stamps and damage, and one like that of `play`, which decodes a few
-frames.
+One pass covers every message, for stamps and damage; another plays like `play` and decodes a few frames.
 """
 
 from __future__ import annotations
@@ -18,17 +17,17 @@ from hickory_stream.errors import InputError, NoPosesError, RecordingError
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe, motion
 from hickory_stream.poses.hand_eye import NoHandEye
-from players.doctor.depth_color_alignment import BorderScores, border_scores, color_agreement
+from players.doctor.depth_color_alignment import BorderScores, border_scores, color_alignment
 from players.doctor.depth_noise import FlatPatches, depth_bias, depth_noise, flat_patches
 from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
-from players.doctor.image_brightness import Light, light_of, light_of_all
+from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
 from players.doctor.stream_stats import StreamStats, nearest_ms
 from players.logs.folder import FolderSource
 from players.logs.log_opening import open_log, read_opening
 from players.logs.log_source import LogSource
 from players.opening import open_container, open_source
 from players.poses.camera_poses import body_from_camera_of
-from players.poses.extrinsics import estimated_mounting, is_assumed, mounting_text
+from players.poses.extrinsics import are_assumed, estimated_extrinsics, extrinsics_text
 from players.poses.odometry_source import OdometrySource, with_odometry
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.mapping.rules.keyframes import KeyframeConfig
     from hickory_stream.ports import Source
-    from players.doctor.depth_color_alignment import ColorAgreement
+    from players.doctor.depth_color_alignment import ColorAlignment
     from players.doctor.depth_noise import DepthBias, DepthNoise
     from players.logs.containers import Log
     from players.logs.log_damage import Flaws
@@ -94,22 +93,23 @@ class Diagnosis:
 
 
 def examine(
-    uris: Sequence[str | Path],
-    options: SourceOptions,
-    progress: Callable[[str], None] = lambda stage: None,
+    uris: Sequence[str | Path], options: SourceOptions, progress: Callable[[str], None] = lambda stage: None
 ) -> Diagnosis:
     """Return the diagnosis of a log or an image folder; faults of the log are part of the result, not exceptions."""
     paths = [Path(uri) for uri in uris]
     found = Diagnosis(uri=" ".join(str(path) for path in paths))
-    log: Log | None = None
     try:
-        if not _is_image_folder(paths):
-            log = open_container(*paths)
+        if _is_image_folder(paths):
+            source = open_source(list(paths), options)
+            progress("reading as play does")
+            found.kind, found.streams = source.info.kind, dict(source.info.streams)
+            found.num_bytes = source.num_bytes() if isinstance(source, FolderSource) else 0
+            examine_frames(found, source, {})
+            return found
+        log = open_container(*paths)
     except InputError as error:
         found.refusal = str(error)
         return found
-    if log is None:
-        return _examine_folder(found, paths, options, progress)
     return examine_log(found, log, options, progress)
 
 
@@ -119,24 +119,23 @@ def examine_log(
     """Complete a diagnosis with the contents of a log; `is_heard`: it was just recorded from a live route."""
     found.kind, found.checksum = log.kind, log.checksum
     found.num_bytes = sum(file.stat().st_size for file in log.files)
-    for reason in getattr(log, "unreadable", ()):
-        found.problems.append(reason)
+    found.problems += getattr(log, "unreadable", ())
     progress("reading every message")
     stats = {topic.name: StreamStats(topic) for topic in log.topics}
     for message in log.messages(list(stats)):
         stats[message.topic].add(message)
     found.topics = {name: stats[name].as_dict() for name in sorted(stats)}
-    _tell_stamps(found, is_heard=is_heard)
+    _note_stamps(found, is_heard=is_heard)
     try:
         source = _as_play_opens(found, log, options, is_heard=is_heard)
         progress("reading as play does")
         examine_frames(found, source, stats)
         if isinstance(source, LogSource) and not is_heard and options.extrinsics == "log":
             progress("looking where the camera sits")
-            judge_mounting(found, source)
+            judge_extrinsics(found, source)
     except InputError as error:
         found.refusal = str(error)
-    _tell_damage(found, log.flaws)
+    _note_damage(found, log.flaws)
     if not found.checksum and not is_heard:
         found.notes.append(f"{found.kind} has no checksums: altered bytes within a message cannot be seen")
     return found
@@ -149,22 +148,7 @@ def _is_image_folder(paths: Sequence[Path]) -> bool:
     return bool(suffixes & {".png", ".jpg", ".jpeg"}) and not suffixes & {".mcap", ".bag", ".db3"}
 
 
-def _examine_folder(
-    found: Diagnosis, paths: Sequence[Path], options: SourceOptions, progress: Callable[[str], None]
-) -> Diagnosis:
-    try:
-        source = open_source(list(paths), options)
-        progress("reading as play does")
-        found.kind, found.streams = source.info.kind, dict(source.info.streams)
-        found.num_bytes = source.num_bytes() if isinstance(source, FolderSource) else 0
-        examine_frames(found, source, {})
-    except InputError as error:
-        found.refusal = str(error)
-    return found
-
-
 def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions, *, is_heard: bool) -> Source:
-    """Return the source to be played; poses are estimated for a log without poses, but not for a live route."""
     try:
         _examine_opening(found, log, options)
         source = open_log(log, options)
@@ -179,7 +163,6 @@ def _as_play_opens(found: Diagnosis, log: Log, options: SourceOptions, *, is_hea
 
 
 def _examine_opening(found: Diagnosis, log: Log, options: SourceOptions) -> None:
-    """Note the image topics and coordinate frames at the beginning, also of a log that will be refused."""
     opening = read_opening(log, options)
     for role, probe in (("color", opening.color), ("depth", opening.depth)):
         first = probe.first
@@ -217,7 +200,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     invalid: list[float] = []
     borders: list[BorderScores] = []
     patches: list[FlatPatches] = []
-    lights: list[Light] = []
+    lights: list[Brightness] = []
     floors: list[SeenFloor] = []
     sensor = DepthSensor()
     started_s = time.perf_counter()
@@ -237,7 +220,7 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
                 invalid.append(float(1.0 - np.isfinite(frame.depth_m).mean()))
                 sensor = config.sensor.over(frame.sensor)
                 patches.append(flat_patches(frame))
-                lights.append(light_of(frame.rgb))
+                lights.append(brightness_of(frame.rgb))
                 if invalid[-1] < _NO_DEPTH:
                     floors.append(floor_in(frame))
                 if (scores := border_scores(frame)) is not None:
@@ -248,8 +231,8 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     source.close()
     ledger, played = dict(source.ledger()), source.played if isinstance(source, OdometrySource) else source
     camera = source.info.camera
-    agreement = color_agreement(borders)
-    noise, bias, light = depth_noise(patches), depth_bias(patches), light_of_all(lights)
+    agreement = color_alignment(borders)
+    noise, bias, light = depth_noise(patches), depth_bias(patches), median_brightness(lights)
     found.frames = {
         "frames": num_frames,
         "keyframes": num_keyframes,
@@ -270,17 +253,16 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
     }
     _estimate(found, camera.width * camera.height / 1e6, num_keyframes)
     found.ledger = played.account().as_dict() if isinstance(played, LogSource | FolderSource) else {}
-    _tell_frames(found, ledger)
+    _note_frames(found, ledger)
     judge_keyframes(found, num_keyframes, due, (last_ns - first_ns) / 1e9, config.mapping.lifecycle.confirm_sightings)
     judge_color(found, agreement)
     judge_depth(found, noise, bias, sensor)
-    judge_light(found, light)
+    judge_brightness(found, light)
     found.notes += gravity_notes(floors)
     if isinstance(played, LogSource):
         setup = played.setup
-        color, depth = (
-            stats[t.name].stamps(uses_log_time=setup.uses_log_time) for t in (setup.topics.color, setup.topics.depth)
-        )
+        topics = (setup.topics.color, setup.topics.depth)
+        color, depth = (stats[topic.name].stamps(uses_log_time=setup.uses_log_time) for topic in topics)
         judge_ends(found, color, depth)
         apart_ms = nearest_ms(color, depth)
         counts, edges = np.histogram(np.clip(apart_ms, -250, 250), bins=50)
@@ -295,7 +277,6 @@ def examine_frames(found: Diagnosis, source: Source, stats: dict[str, StreamStat
 
 
 def _keyframes_due(last: Keyframe, now: Keyframe, config: KeyframeConfig) -> float:
-    """Return the number of keyframes that an unlimited frame rate would give between two keyframes."""
     if now.stamp_ns <= last.stamp_ns:
         return 0.0
     elapsed = (now.stamp_ns - last.stamp_ns) / 1e9 / config.min_interval_s
@@ -316,7 +297,7 @@ def judge_keyframes(found: Diagnosis, number: int, due: float, seconds: float, c
 
 
 def judge_ends(found: Diagnosis, color_ns: NDArray[np.int64], depth_ns: NDArray[np.int64]) -> None:
-    """Say where one of the two cameras stops long before the other: nothing is mapped from then on."""
+    """Report a camera that stops long before the other: nothing is mapped from then on."""
     if len(color_ns) == 0 or len(depth_ns) == 0:
         return
     early_s = (int(color_ns.max()) - int(depth_ns.max())) / 1e9
@@ -328,7 +309,7 @@ def judge_ends(found: Diagnosis, color_ns: NDArray[np.int64], depth_ns: NDArray[
         )
 
 
-def judge_color(found: Diagnosis, agreement: ColorAgreement | None) -> None:
+def judge_color(found: Diagnosis, agreement: ColorAlignment | None) -> None:
     """Report a wrong registration of colour and depth."""
     if agreement is None or not agreement.is_off:
         return
@@ -350,21 +331,19 @@ def judge_depth(found: Diagnosis, noise: DepthNoise | None, bias: DepthBias | No
         )
     if noise is not None and noise.is_other_than(sensor):
         found.notes.append(
-            f"depth has {noise.ratio_to(sensor):.1f} times the noise that the sensor is believed to have; map with "
+            f"depth has {noise.ratio_to(sensor):.1f} times the noise of the sensor's model; map with "
             f"--set mapper.sensor.noise_per_m={noise.noise_per_m:.4f} --set mapper.sensor.noise_m={noise.noise_m:.4f}, "
             f"or put them under [sensor] in a profile"
         )
 
 
-def judge_mounting(found: Diagnosis, source: LogSource) -> None:
+def judge_extrinsics(found: Diagnosis, source: LogSource) -> None:
     """Report a camera pose on the body that differs from the profile's; one from TF is not checked."""
-    if not is_assumed(source):
+    if not are_assumed(source):
         return
-    estimated = estimated_mounting(source)
+    estimated = estimated_extrinsics(source)
     if isinstance(estimated, NoHandEye):
-        found.notes.append(
-            f"where the camera sits is taken from the profile, and cannot be checked: {estimated.reason}"
-        )
+        found.notes.append(f"the camera's pose on the body is the profile's, and cannot be checked: {estimated.reason}")
         return
     off = estimated.disagrees_with(body_from_camera_of(source.setup.plan))
     left_open = f" (its motion leaves open: {', '.join(estimated.open_names())})" if estimated.open_names() else ""
@@ -373,19 +352,19 @@ def judge_mounting(found: Diagnosis, source: LogSource) -> None:
     else:
         found.problems.append(
             f"by its motion the camera sits {off[0]:.2f} m and {np.degrees(off[1]):.1f} degrees from where the profile "
-            f"has it{left_open}: {mounting_text(estimated)}; map with --extrinsics estimate, or put it into a profile"
+            f"has it{left_open}: {extrinsics_text(estimated)}; map with --extrinsics estimate, or put it into a profile"
         )
 
 
-def judge_light(found: Diagnosis, light: Light | None) -> None:
+def judge_brightness(found: Diagnosis, light: Brightness | None) -> None:
     """Report images that are dark or without colour."""
     if light is not None and light.is_dark:
         found.problems.append(
-            f"colour is black or nearly so (half of the pixels are below {light.median:.0f} of 255): things are told "
-            f"apart by depth alone, and those of one surface are one; record with light, or check the exposure"
+            f"colour is black or nearly so (half of the pixels are below {light.median:.0f} of 255): only depth "
+            "separates things, and those of one surface become one; record with light, or check the exposure"
         )
     elif light is not None and light.is_grey:
-        found.notes.append("the camera has no colour, only brightness: things are told apart by that and by depth")
+        found.notes.append("the camera has no colour: only brightness and depth separate things")
 
 
 def _estimate(found: Diagnosis, megapixels: float, num_keyframes: int) -> None:
@@ -395,7 +374,7 @@ def _estimate(found: Diagnosis, megapixels: float, num_keyframes: int) -> None:
     }
 
 
-def _tell_stamps(found: Diagnosis, *, is_heard: bool) -> None:
+def _note_stamps(found: Diagnosis, *, is_heard: bool) -> None:
     for name, figures in found.topics.items():
         if figures.get("unset_stamps"):
             found.notes.append(f"{name}: {figures['unset_stamps']} of {figures['messages']} header stamps are zero")
@@ -410,8 +389,7 @@ def _tell_stamps(found: Diagnosis, *, is_heard: bool) -> None:
             found.notes.append(f"{name}: its type is not known; it is skipped")
 
 
-def _tell_frames(found: Diagnosis, fates: dict[str, int]) -> None:
-    """Report messages that became no frame as problems, except for colour images at a higher rate than depth."""
+def _note_frames(found: Diagnosis, fates: dict[str, int]) -> None:
     total = found.frames["frames"] + sum(
         fates.get(name, 0) for name in ("no_pose", "color_without_depth", "frame_of_other_size", "late_color")
     )
@@ -436,7 +414,7 @@ def _tell_frames(found: Diagnosis, fates: dict[str, int]) -> None:
         found.problems.append(found.streams["stamps"])
 
 
-def _tell_damage(found: Diagnosis, flaws: Flaws) -> None:
+def _note_damage(found: Diagnosis, flaws: Flaws) -> None:
     found.damage = [
         {"file": f.file, "offset": f.offset, "what": f.what, "bytes": f.num_bytes, "messages": f.num_lost}
         for f in flaws

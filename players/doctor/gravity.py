@@ -1,4 +1,4 @@
-"""The checks of gravity by `doctor`: whether the floor is level in the world of the poses, and seen at all."""
+"""Checks of gravity: whether the floor is visible, and level in the world of the poses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _VOXEL_M, _SUPPORT_M2 = 0.05, 0.03
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SeenFloor:
-    """What one frame shows of the floor: its height, None where it shows none, and its sorted voxels."""
+    """The floor in one frame: its height, None without a floor, and its sorted voxels."""
 
     floor_z_m: float | None
     keys: NDArray[np.int64]

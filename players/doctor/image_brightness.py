@@ -1,4 +1,4 @@
-"""The checks of a log's colour images by `doctor`: brightness, and whether they have colour at all."""
+"""Checks of colour images: brightness, and whether they have colour."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DARK, _GREY = 12.0, 3.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Light:
+class Brightness:
     """Brightness and colour of an image, 0..255: `median` of the brightness, `color` the difference of the channels."""
 
     median: float
@@ -35,18 +35,14 @@ class Light:
         return self.color < _GREY
 
 
-def light_of(rgb: NDArray[np.uint8]) -> Light:
+def brightness_of(rgb: NDArray[np.uint8]) -> Brightness:
     """Return the brightness and colour of an image (H, W, 3)."""
     some = rgb[::_STRIDE, ::_STRIDE].astype(np.int16)
     apart = some.max(axis=-1) - some.min(axis=-1)
-    return Light(median=float(np.median(some.max(axis=-1))), color=float(np.quantile(apart, 0.9)))
+    return Brightness(median=float(np.median(some.max(axis=-1))), color=float(np.quantile(apart, 0.9)))
 
 
-def light_of_all(frames: Sequence[Light]) -> Light | None:
+def median_brightness(frames: Sequence[Brightness]) -> Brightness | None:
     """Return the brightness and colour of a log: medians over its frames; None without frames."""
-    if not frames:
-        return None
-    return Light(
-        median=float(np.median([light.median for light in frames])),
-        color=float(np.median([light.color for light in frames])),
-    )
+    median, color = ([getattr(light, name) for light in frames] for name in ("median", "color"))
+    return Brightness(median=float(np.median(median)), color=float(np.median(color))) if frames else None

@@ -1,4 +1,4 @@
-"""A diagnosis for people: as text, and as a page with plots."""
+"""A diagnosis as text, and as a page with plots."""
 
 from __future__ import annotations
 
@@ -36,13 +36,10 @@ def diagnosis_text(found: Diagnosis) -> str:
         lines.append(f"  {role} images: {image['encoding'] or 'unreadable'}, {size}, frame {image['frame'] or 'none'}")
     if found.tf.get("edges") or found.tf.get("pose_streams"):
         lines += ["", "frames"]
-        lines += [
-            f"  {e['child']} in {e['parent']} ({'static' if e['static'] else 'moving'})" for e in found.tf["edges"]
-        ]
-        lines += [
-            f"  {s['topic']} gives {s['child'] or '(no child frame)'} in {s['parent']}"
-            for s in found.tf["pose_streams"]
-        ]
+        for e in found.tf["edges"]:
+            lines.append(f"  {e['child']} in {e['parent']} ({'static' if e['static'] else 'moving'})")
+        for s in found.tf["pose_streams"]:
+            lines.append(f"  {s['topic']} gives {s['child'] or '(no child frame)'} in {s['parent']}")
     if found.sync:
         lines += ["", f"colour and depth: {found.sync['within']:.1%} within {found.sync['tolerance_ms']:.1f} ms, "]
         lines[-1] += f"median {found.sync['median_ms']} ms, 95 % within {found.sync['p95_ms']} ms"
@@ -86,17 +83,13 @@ def ledger_line(account: dict[str, Any]) -> str:
 
 def ledger_table(account: dict[str, Any]) -> str:
     """Return an account as a table with one line per bucket."""
-    frames = account.get("not_keyframe")
+    frames, damaged = account.get("not_keyframe"), f"{account['damaged_places']} damaged places"
     rows = [
         ("declared", account["declared"] if account["declared"] is not None else "unknown", ""),
         ("used", account["used"], ""),
         ("not needed", account["not_needed"], f"{frames} in frames that are no keyframes" if frames else ""),
         ("rejected", sum(account["rejected"].values()), _counts(account["rejected"])),
-        (
-            "unreadable",
-            account["unreadable"],
-            f"{account['damaged_places']} damaged places" * bool(account["unreadable"]),
-        ),
+        ("unreadable", account["unreadable"], damaged * bool(account["unreadable"])),
         ("not played", account["not_played"], ""),
         ("difference", account["difference"], account["explanation"]),
     ]
@@ -119,16 +112,8 @@ def _counts(counts: dict[str, int]) -> str:
 
 def _topic_line(figures: dict[str, Any]) -> str:
     rate = f"{figures['rate_hz']} Hz" if figures.get("rate_hz") else ""
-    odd = [
-        f"{figures[key]} {label}"
-        for key, label in (
-            ("gaps", "gaps"),
-            ("out_of_order", "out of order"),
-            ("duplicates", "doubled"),
-            ("unset_stamps", "without stamp"),
-        )
-        if figures.get(key)
-    ]
+    labels = {"gaps": "gaps", "out_of_order": "out of order", "duplicates": "doubled", "unset_stamps": "without stamp"}
+    odd = [f"{figures[key]} {label}" for key, label in labels.items() if figures.get(key)]
     offset = figures.get("log_offset_s")
     if offset is not None and abs(offset) > 0.5:
         odd.append(f"recorded {offset} s off")
@@ -142,28 +127,27 @@ def _frames_line(frames: dict[str, Any]) -> str:
     depth = "" if invalid is None else f", {invalid:.0%} of the depth without return"
     torn = f", {frames['torn']} of {frames['sampled']} sampled frames torn" if frames["torn"] else ""
     keyframes = f"{frames['keyframes']} keyframes ({frames['keyframes_due']:.0f} due at this motion)"
-    return f"{frames['frames']} frames of {size}, {keyframes}{depth}{torn}, {_color_told(frames['color_on_depth'])}"
+    return f"{frames['frames']} frames of {size}, {keyframes}{depth}{torn}, {_color_text(frames['color_on_depth'])}"
 
 
 def _depth_line(frames: dict[str, Any]) -> str:
-    """Return the findings on the depth camera in one line."""
     noise, bias, sensor = frames["depth_noise"], frames["depth_bias"], frames["sensor"]
     believed = f"{sensor['noise_per_m']:.4f} z2" + (f" + {1e3 * sensor['noise_m']:.1f} mm" * (sensor["noise_m"] > 0))
-    told = f"depth: too little is flat to tell its noise, taken for {believed}"
+    line = f"depth: too few flat patches for its noise, taken for {believed}"
     if noise is not None:
         constant = f" + {1e3 * noise['noise_m']:.1f} mm" * (noise["noise_m"] >= 5e-5)
-        told = (
+        line = (
             f"depth: noise {noise['noise_per_m']:.4f} z2{constant} on {noise['num_patches']} flat patches from "
             f"{noise['near_m']:.1f} to {noise['far_m']:.1f} m, taken for {believed}"
         )
     if bias is None:
-        return f"{told}; too little floor to tell a bias"
-    return f"{told}; bias {1e3 * bias['bias_m']:+.0f} +- {1e3 * bias['error_m']:.0f} mm"
+        return f"{line}; too little floor for a bias"
+    return f"{line}; bias {1e3 * bias['bias_m']:+.0f} +- {1e3 * bias['error_m']:.0f} mm"
 
 
-def _color_told(agreement: dict[str, Any] | None) -> str:
+def _color_text(agreement: dict[str, Any] | None) -> str:
     if agreement is None:
-        return "nothing to tell by whether colour lies on depth"
+        return "no evidence whether colour lies on depth"
     if agreement["is_off"]:
         return f"colour does not lie on depth ({agreement['offset_px']:.1f} pixels off)"
     return "colour lies on depth"
@@ -178,8 +162,6 @@ def _histogram_lines(histogram: dict[str, list[float]]) -> list[str]:
         for i in used[:_MAX_LINES]
     ]
 
-
-# ---- the page --------------------------------------------------------------------------------------------------------
 
 _STYLE = """
 table { width: 100%; font-size: .88rem; }
@@ -246,7 +228,6 @@ def _topic_table(topics: dict[str, dict[str, Any]]) -> str:
 
 
 def _timeline(topics: dict[str, dict[str, Any]]) -> str:
-    """Return a bar per topic from its first to its last stamp; topics of another clock are marked."""
     spans = {name: (f["first_s"], f["last_s"]) for name, f in topics.items() if f.get("first_s")}
     if not spans:
         return ""

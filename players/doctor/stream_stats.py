@@ -1,4 +1,4 @@
-"""Statistics of a topic's stamps: rate, order, gaps, and the lag of the log time behind the header stamp."""
+"""Statistics of a topic's stamps: rate, order, gaps, and lag of log time behind header stamps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,10 +28,10 @@ class StreamStats:
     log_ns: array[int] = field(default_factory=lambda: array("q"))
 
     def add(self, message: LogMessage) -> None:
-        """Take note of a message."""
+        """Count a message."""
         self.num_bytes += len(message.data)
         self.log_ns.append(message.log_ns)
-        stamp_ns = peek_stamp_ns(self.topic, message.data)
+        stamp_ns = serialized_stamp_ns(self.topic, message.data)
         if stamp_ns is not None:
             self.header_ns.append(stamp_ns)
 

@@ -1,7 +1,6 @@
-"""Robots that are mapped while they move: messages as they arrive, by whatever route, as posed RGB-D frames.
+"""Live robots: messages as they arrive, by any route, become posed RGB-D frames.
 
-`open_live(uri)` is the way in. A route (`transport.LiveSource`) only fetches bytes; what they mean is told by the same
-code that reads logs.
+`open_live(uri)` is the entry point. A route (`transport.LiveSource`) fetches bytes; the code for logs decodes them.
 """
 
 from players.live.opening import LiveMapSource, open_live

@@ -1,7 +1,7 @@
-"""Cyclone DDS without its typed Python: a domain that talks to named peers only, and topics whose samples are bytes.
+"""Cyclone DDS without typed Python: a domain with named peers only, and topics whose samples are bytes.
 
-Settings, from what was tried against Fast DDS 2 and 3: type information of Fast DDS 3 is ignored, or its writers never
-match; the receive buffer is raised, or raw images do not fit into it; there is no multicast.
+Settings were tried against Fast DDS 2 and 3. Type information of Fast DDS 3 is ignored, or its writers never match.
+The receive buffer is raised, or raw images do not fit. There is no multicast.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _BLOCKING_MS = 200
 
 
 def check_installed() -> None:
-    """Raise `RecordingError` where Cyclone DDS is not installed."""
+    """Raise `RecordingError` if Cyclone DDS is not installed."""
     try:
         import_module("cyclonedds.core")
     except ImportError as error:
@@ -29,7 +29,7 @@ def check_installed() -> None:
 
 
 def settings(interface: str, peers: Sequence[str]) -> str:
-    """Return Cyclone's settings for one interface (a name or an address) and these peers alone."""
+    """Return Cyclone's settings for one interface (a name or an address) and these peers only."""
     kind = "address" if interface.replace(".", "").isdigit() or ":" in interface else "name"
     named = "".join(f"<Peer address={quoteattr(peer)}/>" for peer in peers)
     return (
@@ -44,10 +44,9 @@ def settings(interface: str, peers: Sequence[str]) -> str:
 
 
 def participant(domain: int, config: str) -> tuple[Any, Any]:
-    """Return the domain and a participant in it; a domain that this process has already keeps its settings.
+    """Return the domain and a participant in it; a domain that this process already has keeps its settings.
 
-    Raises:
-        cyclonedds.core.DDSException: the settings do not fit this machine, e.g. there is no such interface.
+    Raises `cyclonedds.core.DDSException`: the settings do not fit this machine, e.g. there is no such interface.
     """
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain, DomainParticipant
@@ -63,7 +62,7 @@ def participant(domain: int, config: str) -> tuple[Any, Any]:
 
 @cache
 def _type_of(type_name: str) -> Any:
-    """Return a type by name alone: what is in it is never looked at."""
+    # A type by name alone: its fields are never read.
     from cyclonedds.idl import make_idl_struct
     from cyclonedds.idl.types import uint8
 
@@ -78,7 +77,7 @@ def dds_type(type_name: str) -> str:
 
 
 def ros_type(name: str) -> str | None:
-    """Return package/msg/Name for a name on the wire; None for what is no message of ROS 2."""
+    """Return package/msg/Name for a name on the wire; None for a name that is no message of ROS 2."""
     parts = name.split("::")
     if len(parts) != 4 or parts[1:3] != ["msg", "dds_"] or not parts[3].endswith("_"):
         return None
@@ -86,7 +85,7 @@ def ros_type(name: str) -> str | None:
 
 
 def qos(*, is_reliable: bool, is_latched: bool, depth: int = _DEPTH) -> Any:
-    """Return the QoS of ROS 2's profiles: XCDR1, the last messages, and those before for who comes late."""
+    """Return the QoS of ROS 2's profiles: XCDR1, the last messages, and latched ones for late subscribers."""
     from cyclonedds.core import Policy, Qos
     from cyclonedds.util import duration
 
@@ -102,14 +101,14 @@ def qos(*, is_reliable: bool, is_latched: bool, depth: int = _DEPTH) -> Any:
 
 
 def topic_of(member: Any, name: str, type_name: str) -> Any:
-    """Return the DDS topic of a topic of ROS 2."""
+    """Return the DDS topic of a ROS 2 topic."""
     from cyclonedds.topic import Topic
 
     return Topic(member, f"rt{name}", _type_of(type_name))
 
 
 def taken(reader: Any) -> Iterator[bytes]:
-    """Yield the bytes of what a reader has received, with their four bytes of encapsulation."""
+    """Yield the samples that a reader has received, with their four bytes of encapsulation."""
     from cyclonedds.core import InstanceState, SampleState, ViewState
 
     ddspy_take = import_module("cyclonedds._clayer").ddspy_take
@@ -121,6 +120,6 @@ def taken(reader: Any) -> Iterator[bytes]:
 
 
 def write(writer: Any, data: bytes) -> bool:
-    """Write a message as it lies on the wire; return whether DDS took it."""
+    """Write serialised bytes; return whether DDS accepted them."""
     padded = data.ljust(-(-len(data) // 4) * 4, b"\0")
     return bool(import_module("cyclonedds._clayer").ddspy_write(writer._ref, padded) >= 0)

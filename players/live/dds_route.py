@@ -1,6 +1,6 @@
-"""ROS 2 on the wire: DDS, by Cyclone, with the bytes of samples as they come. Peers and interface are named.
+"""ROS 2 over DDS, by Cyclone; peers and interface are named.
 
-Never the whole network: without an interface only this machine is asked, and there is no multicast.
+Without an interface only this machine is asked; there is no multicast.
 """
 
 from __future__ import annotations
@@ -11,16 +11,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
 
 from hickory_stream.errors import RecordingError
-from players.live.dds_domain import (
-    check_installed,
-    participant,
-    qos,
-    ros_type,
-    settings,
-    taken,
-    topic_of,
-    write,
-)
+from players.live import dds_domain as dds
 from players.live.transport import Health
 from players.logs.containers import Topic
 
@@ -41,11 +32,7 @@ class DdsRoute:
     """The `LiveSource` of `dds:`."""
 
     def __init__(self, uri: str) -> None:
-        """Parse the address.
-
-        Raises:
-            RecordingError: it is none, or Cyclone DDS is not installed.
-        """
+        """Parse the address. Raises `RecordingError`: it is none, or Cyclone DDS is not installed."""
         found = _ADDRESS.fullmatch(uri)
         asked = parse_qs(found["query"] or "", keep_blank_values=True) if found is not None else {}
         domain = int(found["domain"] or 0) if found is not None else -1
@@ -55,7 +42,7 @@ class DdsRoute:
             raise RecordingError(f"found {uri}, expected {KNOWN}, with a DOMAIN of 0 to {_MOST_DOMAINS}")
         if interfaces and not peers:
             raise RecordingError(f"{uri} names an interface and no peer: name the robot, e.g. &peer=192.168.123.161")
-        check_installed()
+        dds.check_installed()
         self.uri = uri
         self._domain = domain
         self._interface = interfaces[0] if interfaces else _LOOPBACK
@@ -76,17 +63,17 @@ class DdsRoute:
         self._listeners: dict[str, Callable[[bytes], None]] = {}
 
     def start(self, inbox: Inbox) -> None:
-        """Join the domain and receive in a thread of its own."""
+        """Join the domain and receive in a separate thread."""
         self._thread = threading.Thread(target=self._run, args=(inbox,), name="dds", daemon=True)
         self._thread.start()
 
     def subscribe(self, names: Collection[str]) -> None:
-        """Ask for topics, with the QoS in which they are offered."""
+        """Subscribe to topics with the QoS of their publishers."""
         with self._lock:
             self._wanted |= set(names)
 
     def health(self) -> Health:
-        """Return whether somebody publishes in the domain, and what is odd about the topics."""
+        """Return whether the domain has a publisher, and problems of topics."""
         with self._lock:
             if not self._writers_of:
                 return Health(is_connected=False, problem=self._problem)
@@ -99,30 +86,26 @@ class DdsRoute:
         if self._thread is not None:
             self._thread.join(10.0)
 
-    # ---- the way back ------------------------------------------------------------------------------------------------
-
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
-        """Announce a topic of ours: reliable, and kept for late comers where it is latched."""
+        """Announce a topic of ours: reliable, and latched for late subscribers if asked."""
         del definition, type_hash
         with self._lock:
             self._offers[name] = (type_name, is_latched)
 
     def send(self, name: str, data: bytes) -> bool:
-        """Publish a message of an offered topic; False where nobody subscribes to it and it is not latched."""
+        """Publish a message of an offered topic; False if nobody subscribes and the topic is not latched."""
         with self._lock:
             writer = self._writers.get(name)
             if writer is None:
                 return False
             is_heard = self._offers[name][1] or bool(writer.get_matched_subscriptions())
-            return write(writer, data) and is_heard
+            return dds.write(writer, data) and is_heard
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
-        """Have what is published under a name handed over as it comes."""
+        """Call `hear` with each message of a topic."""
         with self._lock:
             self._listeners[name] = hear
             self._wanted.add(name)
-
-    # ---- the domain --------------------------------------------------------------------------------------------------
 
     def _run(self, inbox: Inbox) -> None:
         from cyclonedds.core import DDSException
@@ -139,7 +122,7 @@ class DdsRoute:
         from cyclonedds.core import WaitSet
         from cyclonedds.util import duration
 
-        domain, member = participant(self._domain, settings(self._interface, self._peers))
+        domain, member = dds.participant(self._domain, dds.settings(self._interface, self._peers))
         self._problem = f"nobody publishes in domain {self._domain}: {', '.join(self._peers)} over {self._interface}"
         publications = BuiltinDataReader(member, BuiltinTopicDcpsPublication)
         waiting = WaitSet(member)
@@ -153,7 +136,7 @@ class DdsRoute:
                 with self._lock:
                     readers = list(self._readers.items())
                 for name, reader in readers:
-                    for data in taken(reader):
+                    for data in dds.taken(reader):
                         if name in self._listeners:
                             self._listeners[name](data)
                         else:
@@ -169,7 +152,6 @@ class DdsRoute:
             del publications, waiting, member, domain
 
     def _endpoint(self, inbox: Inbox, endpoint: Any, own: str) -> None:
-        """Take note of a writer that has come, or has gone."""
         from cyclonedds.core import InstanceState
 
         key = str(endpoint.key)
@@ -180,7 +162,7 @@ class DdsRoute:
             if is_gone:
                 inbox.withdraw(name)
             return
-        type_name = ros_type(endpoint.type_name)
+        type_name = dds.ros_type(endpoint.type_name)
         if not endpoint.topic_name.startswith("rt/") or type_name is None or key.startswith(own):
             return
         name = endpoint.topic_name.removeprefix("rt")
@@ -192,19 +174,9 @@ class DdsRoute:
                 self._other_types[name] = type_name
                 return
         if name not in self._listeners:
-            inbox.announce(
-                Topic(
-                    name=name,
-                    type_name=type_name,
-                    num_messages=None,
-                    wire="cdr",
-                    definition_format="none",
-                    definition="",
-                )
-            )
+            inbox.announce(Topic(name=name, type_name=type_name))
 
     def _declare(self, member: Any, waiting: Any) -> None:
-        """Make the readers of what is wanted and there, and the writers of what is offered."""
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.pub import DataWriter
         from cyclonedds.sub import DataReader
@@ -212,19 +184,18 @@ class DdsRoute:
         with self._lock:
             for name in sorted(self._wanted & self._types.keys() - self._readers.keys()):
                 type_name, is_reliable, is_latched = self._types[name]
-                kind = qos(is_reliable=is_reliable, is_latched=is_latched)
-                reader = self._readers[name] = DataReader(member, topic_of(member, name, type_name), qos=kind)
+                kind = dds.qos(is_reliable=is_reliable, is_latched=is_latched)
+                reader = self._readers[name] = DataReader(member, dds.topic_of(member, name, type_name), qos=kind)
                 condition = ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any)
                 waiting.attach(condition)
                 self._conditions.append(condition)
             for name, (type_name, is_latched) in self._offers.items():
                 if name not in self._writers:
-                    kind = qos(is_reliable=True, is_latched=is_latched, depth=1 if is_latched else 10)
-                    self._writers[name] = DataWriter(member, topic_of(member, name, type_name), qos=kind)
+                    kind = dds.qos(is_reliable=True, is_latched=is_latched, depth=1 if is_latched else 10)
+                    self._writers[name] = DataWriter(member, dds.topic_of(member, name, type_name), qos=kind)
 
 
 def _offered(kind: Any) -> tuple[bool, bool]:
-    """Return whether a writer is reliable, and keeps messages for who comes late."""
     from cyclonedds.core import Policy
 
     return (

@@ -1,4 +1,4 @@
-"""A live route examined: listened to for some seconds, and what came examined as a log is."""
+"""Examination of a live route: it is recorded for some seconds, then examined as a log."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def examine_live(
     seconds: float = 10.0,
     route: LiveSource | None = None,
 ) -> Diagnosis:
-    """Return the diagnosis of a live route after listening to it for so long; nothing that is wrong is raised.
+    """Return the diagnosis of a live route after `seconds`; faults are in the result, not raised.
 
-    `route` stands in for that of the address.
+    `route` replaces the route of the address.
     """
     found = Diagnosis(uri=uri)
     try:
@@ -59,14 +59,13 @@ def examine_live(
             _rename(found, path, refusal)
         else:
             found.refusal = refusal or f"{uri} has sent nothing"
-    _tell(found, status)
+    _note_status(found, status)
     return found
 
 
 def _listen(
     route: LiveSource, path: Path, options: SourceOptions, progress: Callable[[str], None], seconds: float
 ) -> tuple[LiveStatus, str | None]:
-    """Record what comes; return the status at the end, and why the topics are not those of a map, if they are not."""
     recorder = Recorder(path, route.uri, limit_bytes=_MOST_BYTES)
     inbox = Inbox(tap=recorder.take)
     log = LiveLog(route, inbox)
@@ -93,13 +92,12 @@ def _listen(
 
 
 def _rename(found: Diagnosis, path: Path, refusal: str | None) -> None:
-    """Say the address where the examination says the file that was heard."""
     found.refusal = refusal or (found.refusal.replace(str(path), found.uri) if found.refusal is not None else None)
     found.problems = [text.replace(str(path), found.uri) for text in found.problems]
     found.notes = [text.replace(str(path), found.uri) for text in found.notes]
 
 
-def _tell(found: Diagnosis, status: LiveStatus) -> None:
+def _note_status(found: Diagnosis, status: LiveStatus) -> None:
     found.live = {**status.as_dict(), "table": status_table(status).splitlines()}
     if status.problem:
         found.notes.append(status.problem)

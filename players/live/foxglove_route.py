@@ -1,11 +1,7 @@
-"""Foxglove's WebSocket, which `foxglove_bridge` and the Foxglove SDK serve; definitions come with the channels.
+"""Foxglove's WebSocket, as `foxglove_bridge` and the Foxglove SDK serve it; definitions come with channels.
 
-The frames are those of the public protocol: JSON texts with an `op`, and binary messages of one opcode, the number of a
-subscription, the server's time, and the bytes.
-
-The way back over Foxglove's WebSocket: channels of ours, as a client publishes them (`clientPublish`).
-
-A server keeps nothing for those who come late: what is latched is sent again now and then, and when the link is back.
+Frames: JSON with an `op`, or binary: opcode, subscription, server time, bytes.
+Our own channels are published as a client does (`clientPublish`). Servers keep nothing: latched messages are repeated.
 """
 
 from __future__ import annotations
@@ -37,7 +33,7 @@ _LATCHED_AGAIN_S = 5.0
 
 
 class FoxgloveReturn:
-    """Publishes over a connection that comes and goes."""
+    """Publishes over a connection that may drop."""
 
     def __init__(self) -> None:
         self._takes: bool | None = None
@@ -49,13 +45,13 @@ class FoxgloveReturn:
 
     @property
     def problem(self) -> str:
-        """Why nothing is published that was offered, "" where that is no fault of the server's."""
+        """Why offered topics are not published, "" if the server is not at fault."""
         if self._takes is False and self._channels:
             return "the server takes no messages of ROS 2 (it has no clientPublish): nothing is published"
         return ""
 
     def attach(self, connection: Any, server: Mapping[str, Any]) -> None:
-        """Begin to publish, where the server says that it takes messages."""
+        """Begin to publish if the server accepts messages."""
         with self._lock:
             encodings = server.get("supportedEncodings") or ("cdr",)
             self._takes = "clientPublish" in server.get("capabilities", ()) and "cdr" in encodings
@@ -67,7 +63,7 @@ class FoxgloveReturn:
                 self._put(name, self._latched[name])
 
     def detach(self) -> None:
-        """Publish no more until the connection is back."""
+        """Stop publishing until the connection is back."""
         with self._lock:
             self._connection = None
 
@@ -88,7 +84,7 @@ class FoxgloveReturn:
             self._advertise([channel])
 
     def send(self, name: str, data: bytes) -> bool:
-        """Publish a message, and what is latched and was not sent for a while; False where nobody takes it."""
+        """Publish a message, and latched messages that are due; False if no server accepts them."""
         with self._lock:
             if name in self._latched:
                 self._latched[name] = data
@@ -144,11 +140,7 @@ class FoxgloveRoute:
     kind = "Foxglove WebSocket"
 
     def __init__(self, uri: str) -> None:
-        """Parse the address.
-
-        Raises:
-            RecordingError: it is none.
-        """
+        """Parse the address. Raises `RecordingError`: it is none."""
         found = _ADDRESS.fullmatch(uri)
         if found is None or not 0 < int(found["port"] or _PORT) < 65536:
             raise RecordingError(f"found {uri}, expected foxglove://HOST[:{_PORT}]; without a HOST, this machine")
@@ -169,18 +161,18 @@ class FoxgloveRoute:
         self._heard: dict[str, Callable[[bytes], None]] = {}
 
     def start(self, inbox: Inbox) -> None:
-        """Connect and receive in a thread of its own, again and again."""
+        """Connect and receive in a separate thread, with retries."""
         self._thread = threading.Thread(target=self._run, args=(inbox,), name="foxglove", daemon=True)
         self._thread.start()
 
     def subscribe(self, names: Collection[str]) -> None:
-        """Ask for the channels of topics."""
+        """Subscribe to the channels of topics."""
         with self._lock:
             self._wanted |= set(names)
             self._ask()
 
     def health(self) -> Health:
-        """Return whether the server is there, and what it has warned of."""
+        """Return whether the server is connected, and its warnings."""
         if self._connection is None:
             return Health(is_connected=False, problem=self._problem)
         with self._lock:
@@ -197,25 +189,21 @@ class FoxgloveRoute:
         if self._thread is not None:
             self._thread.join(5.0)
 
-    # ---- the way back ------------------------------------------------------------------------------------------------
-
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
         """Announce a topic of ours."""
         del type_hash
         self._return.offer(name, type_name, definition=definition, is_latched=is_latched)
 
     def send(self, name: str, data: bytes) -> bool:
-        """Publish a message of an offered topic; False while the server is away, or takes none."""
+        """Publish a message of an offered topic; False while the server is away or accepts none."""
         return self._return.send(name, data)
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
-        """Have what the server publishes under a name handed over as it comes."""
+        """Call `hear` with each message of a topic."""
         with self._lock:
             self._heard[name] = hear
             self._wanted.add(name)
             self._ask()
-
-    # ---- connection --------------------------------------------------------------------------------------------------
 
     def _run(self, inbox: Inbox) -> None:
         from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage
@@ -267,7 +255,6 @@ class FoxgloveRoute:
                     return
 
     def _hear(self, inbox: Inbox, text: str) -> None:
-        """Take a text; what is no such message is left alone."""
         try:
             said = json.loads(text)
             match said["op"]:
@@ -283,7 +270,7 @@ class FoxgloveRoute:
                 case "status" if said.get("level", 0) >= 1:
                     self._note = f"the server says: {said.get('message', '')}"[:_NOTE_LETTERS]
         except (ValueError, KeyError, TypeError, AttributeError, binascii.Error):
-            self._note = f"the server has sent what is no message of the protocol: {text[:40]!r}"
+            self._note = f"the server has sent no message of the protocol: {text[:40]!r}"
 
     def _advertised(self, inbox: Inbox, channel: Mapping[str, Any]) -> None:
         encoding = str(channel["encoding"])
@@ -314,7 +301,7 @@ class FoxgloveRoute:
             inbox.withdraw(name)
 
     def _ask(self) -> None:
-        """Subscribe to the channels that are wanted; called with the lock. A subscription has its channel's number."""
+        # Called with the lock. A subscription has its channel's number.
         if self._connection is None:
             return
         wanted = [i for i, name in self._channels.items() if name in self._wanted and i not in self._subscribed]

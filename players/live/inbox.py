@@ -1,17 +1,17 @@
-"""What has arrived and was not taken yet: bounded in bytes, and every message that does not fit is counted.
+"""Queue of arrived messages: bounded in bytes, and every dropped message is counted.
 
-Small messages (poses, transforms, calibrations) have room of their own, so that images never push them out; of each
-kind the oldest goes first. A route that can make its peer wait (a pipe) waits instead.
+Small messages (poses, transforms, calibrations) have a queue of their own; the oldest of each queue is dropped first.
+A route that can make its peer wait (a pipe) waits instead.
 """
 
 from __future__ import annotations
 
 import time
 from collections import Counter, deque
+from dataclasses import dataclass, field
 from threading import Condition
 from typing import TYPE_CHECKING
 
-from players.live.rates import Arrivals
 from players.logs.containers import LogMessage
 from players.messages.records import COMPRESSED_IMAGE, IMAGE, POINT_CLOUD
 
@@ -26,12 +26,50 @@ MAX_MESSAGE_BYTES = 64 << 20
 MAX_TOPICS = 5000
 """So many topics are listed; a robot has some hundred."""
 
+_WINDOW_S = 5
 _LARGE = (IMAGE, COMPRESSED_IMAGE, POINT_CLOUD)
 _LARGE_BYTES, _SMALL_BYTES = 128 << 20, 16 << 20
 
 
+@dataclass(slots=True)
+class Arrivals:
+    """The received messages of one topic."""
+
+    num_received: int = 0
+    num_bytes: int = 0
+    first_ns: int | None = None
+    last_ns: int | None = None
+    #: Messages by reason that were dropped, refused, or `lost` on the way.
+    fates: Counter[str] = field(default_factory=Counter)
+    _seconds: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    def add(self, arrival_ns: int, size: int) -> None:
+        """Count a message."""
+        self.num_received += 1
+        self.num_bytes += size
+        self.first_ns = arrival_ns if self.first_ns is None else self.first_ns
+        self.last_ns = arrival_ns
+        second = arrival_ns // 1_000_000_000
+        number, num_bytes = self._seconds.get(second, (0, 0))
+        self._seconds[second] = (number + 1, num_bytes + size)
+        for old in [key for key in self._seconds if key < second - _WINDOW_S]:
+            del self._seconds[old]
+
+    def rate(self, now_ns: int) -> tuple[float, float]:
+        """Return messages and bytes per second over the last whole seconds, or since the first message."""
+        if self.first_ns is None:
+            return 0.0, 0.0
+        now = now_ns // 1_000_000_000
+        whole = range(max(now - _WINDOW_S, self.first_ns // 1_000_000_000 + 1), now)
+        if not whole:
+            seconds = max(0.1, (now_ns - self.first_ns) / 1e9)
+            return self.num_received / seconds, self.num_bytes / seconds
+        found = [self._seconds.get(second, (0, 0)) for second in whole]
+        return sum(number for number, _ in found) / len(whole), sum(size for _, size in found) / len(whole)
+
+
 class ArrivalClock:
-    """Nanoseconds since 1970 that never step: the wall clock when it was made, and a steady one since."""
+    """Nanoseconds since 1970 that never step: wall clock at construction, a steady clock since."""
 
     def __init__(self) -> None:
         self._offset_ns = time.time_ns() - time.monotonic_ns()
@@ -42,8 +80,6 @@ class ArrivalClock:
 
 
 class _Queue:
-    """Messages with the numbers under which they came, up to so many bytes."""
-
     def __init__(self, most_bytes: int) -> None:
         self.items: deque[tuple[int, LogMessage]] = deque()
         self.num_bytes = 0
@@ -59,9 +95,9 @@ class _Queue:
 
 
 class Inbox:
-    """Between the threads of a route and the one that reads; `clock` stamps arrivals.
+    """Queue between a route's threads and the reading thread; `clock` stamps arrivals.
 
-    `tap` is called with every message as it comes (topic, message), before anything is dropped.
+    `tap` is called with every (topic, message) before anything is dropped.
     """
 
     def __init__(
@@ -87,10 +123,8 @@ class Inbox:
         """How many topics were announced beyond `MAX_TOPICS`."""
         self.arrivals: dict[str, Arrivals] = {}
 
-    # ---- for routes --------------------------------------------------------------------------------------------------
-
     def announce(self, topic: Topic) -> None:
-        """Take note of a topic; of two types under one name the first one holds."""
+        """Add a topic; of two types under one name the first one holds."""
         with self._changed:
             self._withdrawn.discard(topic.name)
             if topic.name in self._topics:
@@ -103,16 +137,13 @@ class Inbox:
             self._changed.notify_all()
 
     def withdraw(self, name: str) -> None:
-        """Take note that nobody publishes a topic any more."""
+        """Note that a topic has no publisher any more."""
         with self._changed:
             if name in self._topics:
                 self._withdrawn.add(name)
 
     def put(self, name: str, data: bytes | memoryview, *, waits: bool = False) -> None:
-        """Take a message of an announced topic that has just come; where there is no room, the oldest goes.
-
-        `waits`: for room, instead.
-        """
+        """Add a message of an announced topic; without room, drop the oldest, or wait if `waits`."""
         with self._changed:
             topic = self._topics.get(name)
             if topic is None or self._end is not None:
@@ -137,7 +168,7 @@ class Inbox:
             self._changed.notify_all()
 
     def refuse(self, name: str, fate: str) -> None:
-        """Count a message that has come and is of no use, e.g. of another type than its topic."""
+        """Count a message that cannot be used, e.g. of another type than its topic."""
         with self._changed:
             if self._end is None and name in self._topics:
                 arrived = self._arrived(name)
@@ -145,28 +176,26 @@ class Inbox:
                 arrived.fates[fate] += 1
 
     def lost(self, name: str, number: int) -> None:
-        """Count messages that are known to have been sent and never came."""
+        """Count messages that were sent and never came."""
         with self._changed:
             if self._end is None and name in self._topics:
                 self._arrived(name).fates["lost"] += number
 
     def found(self, name: str) -> None:
-        """Take one back that was counted as lost: it has come, late."""
+        """Uncount a lost message that came late."""
         with self._changed:
             arrived = self._arrived(name)
             if self._end is None and arrived.fates["lost"]:
                 arrived.fates["lost"] -= 1
 
     def close(self, reason: str = "") -> None:
-        """Take no more; what is in it can still be taken. `reason` says why, for people, where that is a fault."""
+        """Accept no more messages; `reason` names the fault, for people."""
         with self._changed:
             self._end = self._end if self._end is not None else reason
             self._changed.notify_all()
 
-    # ---- for the reader ----------------------------------------------------------------------------------------------
-
     def take(self, timeout_s: float) -> LogMessage | None:
-        """Return the oldest message; None where none came in time, or none will come."""
+        """Return the oldest message; None after the timeout, or at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._large.items or self._small.items or self._end is not None, timeout_s)
             queues = [queue for queue in (self._large, self._small) if queue.items]
@@ -178,47 +207,47 @@ class Inbox:
 
     @property
     def is_over(self) -> bool:
-        """Whether everything was taken, and no more will come."""
+        """Whether the queue is closed and empty."""
         with self._changed:
             return self._end is not None and not self._large.items and not self._small.items
 
     @property
     def is_closed(self) -> bool:
-        """Whether no more will come; what is in it may still be taken."""
+        """Whether no more messages will come; the queue may hold some."""
         return self._end is not None
 
     @property
     def end_reason(self) -> str:
-        """Why no more comes, "" where that is no fault, or more may come."""
+        """The fault that ended the stream, "" without one."""
         return self._end or ""
 
     @property
     def topics(self) -> tuple[Topic, ...]:
-        """What was announced, sorted by name; those that were withdrawn may come back."""
+        """Announced topics by name, withdrawn ones included, since they may come back."""
         with self._changed:
             return tuple(self._topics[name] for name in sorted(self._topics))
 
     def topic(self, name: str) -> Topic:
-        """Return what was announced of a topic."""
+        """Return an announced topic."""
         return self._topics[name]
 
     def withdrawn(self) -> frozenset[str]:
-        """Return the topics that nobody publishes now."""
+        """Return the topics without a publisher."""
         with self._changed:
             return frozenset(self._withdrawn)
 
     def is_quiet(self, for_s: float) -> bool:
-        """Return whether for some time no new topic was announced."""
+        """Return whether no new topic was announced for some time."""
         with self._changed:
             return self.clock() - self._announced_ns >= for_s * 1e9
 
     def waiting(self) -> Counter[str]:
-        """Return how many messages of each topic are in it."""
+        """Return the number of queued messages by topic."""
         with self._changed:
             return Counter(message.topic for queue in (self._large, self._small) for _, message in queue.items)
 
     def drop(self, message: LogMessage, fate: str) -> None:
-        """Count a message that was taken and is not passed on."""
+        """Count a message that was taken and not passed on."""
         with self._changed:
             self._arrived(message.topic).fates[fate] += 1
 

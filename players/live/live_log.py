@@ -1,7 +1,7 @@
-"""What arrives, as a log: the same opening, synchroniser and poses read it as read a file.
+"""Arriving messages as a log, read by the code that reads files.
 
-While it is being opened, messages are kept, so that it can be read from its beginning several times: all small ones,
-and of the images the newest. From `begin` on every message is passed on once and forgotten.
+While it is opened, messages are kept so that it can be read repeatedly: all small ones and the newest images.
+After `begin`, each message is passed on once and forgotten.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from players.live.clock_offset import ClockOffset
 from players.logs.log_damage import Flaws
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
 
 if TYPE_CHECKING:
@@ -29,9 +29,9 @@ _POLL_S = 0.2
 
 
 class LiveLog:
-    """A `Log` of what arrives in an inbox; ends when the route does, after `end`, or after `most_s` of mapping.
+    """A `Log` of an inbox; it ends with the route, after `end`, or after `most_s` of mapping.
 
-    `loses_nothing`: the route waits (a recording), and so nothing is forgotten while the log is being opened.
+    `loses_nothing`: the route waits (a recording), so all messages are kept while the log is opened.
     """
 
     files: tuple[Path, ...] = ()
@@ -46,9 +46,9 @@ class LiveLog:
         self.clock_offset = ClockOffset()
         self.inbox = inbox
         self.roles: dict[str, str] = {}
-        """What the topics are for that were asked for, by name."""
+        """Roles of the requested topics, by name."""
         self.hidden: frozenset[str] = frozenset()
-        """Topics of other robots, which whoever reads the log does not see."""
+        """Topics of other robots, which a reader of the log does not see."""
         self._most_s = most_s
         self._loses_nothing = loses_nothing
         self._wanted: frozenset[str] | None = None
@@ -60,51 +60,44 @@ class LiveLog:
 
     @property
     def topics(self) -> tuple[Topic, ...]:
-        """What was announced so far."""
+        """The topics announced so far."""
         return tuple(topic for topic in self.inbox.topics if topic.name not in self.hidden)
 
     def declared(self) -> Mapping[str, int]:
-        """Return how many messages of each topic have come."""
+        """Return the number of received messages of each topic."""
         found = self.inbox.arrivals
         topics = self.inbox.topics
         return {topic.name: found[topic.name].num_received if topic.name in found else 0 for topic in topics}
 
     def left(self) -> Counter[str]:
-        """Return how many messages of each topic have come and were not passed on yet."""
+        """Return the number of received messages of each topic that were not passed on yet."""
         return self.inbox.waiting() + Counter(message.topic for message in self._kept)
 
-    # ---- opening -----------------------------------------------------------------------------------------------------
-
     def want(self, names: Collection[str]) -> None:
-        """Have the images of these topics kept from now on, and of no others; whatever is small is kept in any case."""
+        """Keep the images of these topics only from now on; small messages are always kept."""
         self._wanted = frozenset(names)
 
     def attempt(self, seconds: float) -> None:
-        """Begin an attempt at opening: for so long, `messages` waits for more."""
+        """Begin an attempt at opening: `messages` waits this long for more."""
         self._pass_ends_s = time.monotonic() + seconds
 
     def idle(self, seconds: float) -> None:
-        """Let messages come for a while, and keep them."""
+        """Receive and keep messages for a while."""
         ends_s = time.monotonic() + seconds
         while not self._is_ended and not self.inbox.is_over and (left_s := ends_s - time.monotonic()) > 0:
             self._keep(self._taken(min(left_s, _POLL_S)))
 
     def begin(self) -> None:
-        """End the opening: what is read from now on is passed on once."""
+        """End the opening: messages are passed on once from now on."""
         self._began_s = time.monotonic()
 
     def end(self) -> None:
-        """Take no more; whoever waits for a message is woken."""
+        """Accept no more messages, and wake a waiting reader."""
         self._is_ended = True
         self.inbox.close()
 
-    # ---- reading -----------------------------------------------------------------------------------------------------
-
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
-        """Yield the messages of some topics: in an attempt at opening all that were kept and what comes until its end.
-
-        Once it has begun: what was kept, then what comes, until there is no more.
-        """
+        """Yield kept messages, then arriving ones until the attempt at opening ends, or after `begin` to the end."""
         wanted = set(topics)
         if self._began_s is not None:
             yield from self._running(wanted)
@@ -138,14 +131,12 @@ class LiveLog:
         return self._most_s is not None and time.monotonic() - self._began_s >= self._most_s
 
     def _taken(self, timeout_s: float) -> LogMessage | None:
-        """Return the next message while the log is being opened; from a route that waits, no more than can be kept."""
         if self._loses_nothing and self._kept_bytes[True] > _KEPT_IMAGE_BYTES // 2:
             time.sleep(timeout_s)
             return None
         return self.inbox.take(timeout_s)
 
     def _keep(self, message: LogMessage | None) -> LogMessage | None:
-        """Keep a message while the log is being opened; None where it is of no use."""
         if message is None:
             return None
         topic = self._note(message)
@@ -160,7 +151,7 @@ class LiveLog:
         return message
 
     def _forget(self, is_image: bool) -> None:
-        """Drop the older half of what is kept of one kind: an opening that takes long is not to take memory."""
+        # A long opening must not fill the memory.
         types = {topic.name: topic.type_name in _IMAGES for topic in self.inbox.topics}
         surplus = self._kept_bytes[is_image] // 2
         rest: deque[LogMessage] = deque()
@@ -174,10 +165,9 @@ class LiveLog:
         self._kept = rest
 
     def _note(self, message: LogMessage) -> Topic:
-        """Take the clock's offset from an image, whose header lies at its beginning."""
         topic = self.inbox.topic(message.topic)
         if topic.type_name in _IMAGES and not topic.foreign_type:
-            stamp_ns = peek_stamp_ns(topic, message.data)
+            stamp_ns = serialized_stamp_ns(topic, message.data)
             if stamp_ns is not None:
                 self.clock_offset.add(message.log_ns, stamp_ns)
         return topic

@@ -1,7 +1,7 @@
-"""An MCAP stream that is being written: a pipe, standard input, or a file that grows.
+"""An MCAP stream that is still being written: a pipe, standard input, or a growing file.
 
-Records are read one after another; a chunk is a message's worth of delay. A pipe ends with its writer; of a file that
-grows the end is its footer. What stands still makes its writer wait: nothing is dropped before it is read.
+A chunk delays its messages until it is whole. A pipe ends with its writer, a growing file at its footer.
+The writer waits for the reader: nothing is dropped before it is read.
 """
 
 from __future__ import annotations
@@ -15,22 +15,8 @@ from typing import TYPE_CHECKING
 
 from players.live.inbox import MAX_MESSAGE_BYTES
 from players.live.transport import Health
+from players.logs import mcap_records as mcap
 from players.logs.decompression import UnpackError
-from players.logs.mcap_records import (
-    CHANNEL,
-    CHUNK_OP,
-    FOOTER,
-    HEAD,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_OP,
-    SCHEMA,
-    Described,
-    is_record,
-    learn,
-    topic_of,
-    unpacked_chunk,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -44,7 +30,7 @@ _POLL_S = 0.05
 
 
 class _NotMcapError(Exception):
-    """The bytes are no MCAP; says what was found."""
+    """Bytes that are no MCAP."""
 
 
 class McapStream:
@@ -53,16 +39,15 @@ class McapStream:
     kind = "MCAP stream"
 
     def __init__(self, uri: str, path: Path | None) -> None:
-        """Prepare to read a path, or standard input where there is none."""
         self.uri = uri
         self._path = path
-        self._described = Described()
+        self._described = mcap.Described()
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
         self._health = Health(is_connected=False, problem=f"nothing was written to {path or 'standard input'} yet")
 
     def start(self, inbox: Inbox) -> None:
-        """Read in a thread of its own."""
+        """Read in a separate thread."""
         self._thread = threading.Thread(target=self._run, args=(inbox,), name="mcap-stream", daemon=True)
         self._thread.start()
 
@@ -70,7 +55,7 @@ class McapStream:
         """Do nothing: the writer sends everything."""
 
     def health(self) -> Health:
-        """Return whether something has been read, or why nothing is read any more."""
+        """Return whether something was read, or why reading has ended."""
         return self._health
 
     def stop(self) -> None:
@@ -92,54 +77,47 @@ class McapStream:
         inbox.close(reason)
 
     def _take(self, inbox: Inbox, opcode: int, content: memoryview) -> None:
-        if opcode == CHUNK_OP:
-            records = memoryview(unpacked_chunk(content, 0, len(content)))
-            at = 0
-            while at + HEAD.size <= len(records):
-                inner, length = HEAD.unpack_from(records, at)
-                at += HEAD.size
-                if inner != CHUNK_OP:
+        if opcode == mcap.CHUNK_OP:
+            records = memoryview(mcap.unpacked_chunk(content, 0, len(content)))
+            for inner, at, length in mcap.records_in(records):
+                if inner != mcap.CHUNK_OP:
                     self._take(inbox, inner, records[at : at + length])
-                at += length
-        elif opcode in (SCHEMA, CHANNEL):
-            learn(self._described, opcode, bytes(content))
+        elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
+            mcap.learn(self._described, opcode, bytes(content))
             for channel in self._described.channels:
-                inbox.announce(topic_of(self._described, channel, None))
-        elif opcode == MESSAGE_OP and len(content) >= MESSAGE.size:
-            channel = MESSAGE.unpack_from(content, 0)[0]
+                inbox.announce(mcap.topic_of(self._described, channel, None))
+        elif opcode == mcap.MESSAGE_OP and len(content) >= mcap.MESSAGE.size:
+            channel = mcap.MESSAGE.unpack_from(content, 0)[0]
             known = self._described.channels.get(channel)
             if known is not None and not self._stopped.is_set():
-                inbox.put(known[1], content[MESSAGE.size :], waits=True)
+                inbox.put(known[1], content[mcap.MESSAGE.size :], waits=True)
 
     def _records(self) -> Iterator[tuple[int, memoryview]]:
-        """Yield kind and content of each record until the footer or the end of the stream."""
         buffer, at = bytearray(), 0
-        pieces = self._pieces()
         is_first = True
-        for piece in pieces:
+        for piece in self._pieces():
             buffer += piece
             if is_first:
-                if len(buffer) < len(MAGIC):
+                if len(buffer) < len(mcap.MAGIC):
                     continue
-                if bytes(buffer[: len(MAGIC)]) != MAGIC:
+                if bytes(buffer[: len(mcap.MAGIC)]) != mcap.MAGIC:
                     raise _NotMcapError(f"begins with {bytes(buffer[:8]).hex(' ')}; expected an MCAP stream")
-                at, is_first = len(MAGIC), False
-            while at + HEAD.size <= len(buffer):
-                opcode, length = HEAD.unpack_from(buffer, at)
-                if length > _MAX_RECORD_BYTES or not is_record(opcode, length, length):
-                    raise _NotMcapError(f"holds what is no record (kind {opcode}, {length} bytes); write it anew")
-                if at + HEAD.size + length > len(buffer):
+                at, is_first = len(mcap.MAGIC), False
+            while at + mcap.HEAD.size <= len(buffer):
+                opcode, length = mcap.HEAD.unpack_from(buffer, at)
+                if length > _MAX_RECORD_BYTES or not mcap.is_record(opcode, length, length):
+                    raise _NotMcapError(f"holds no record (kind {opcode}, {length} bytes); write it again")
+                if at + mcap.HEAD.size + length > len(buffer):
                     break
-                if opcode == FOOTER:
+                if opcode == mcap.FOOTER:
                     return
-                begin = at + HEAD.size
+                begin = at + mcap.HEAD.size
                 yield opcode, memoryview(bytes(buffer[begin : begin + length]))
                 at = begin + length
             del buffer[:at]
             at = 0
 
     def _pieces(self) -> Iterator[bytes]:
-        """Yield what can be read, as it comes."""
         if self._path is None:
             yield from self._piped(sys.stdin.fileno())
             return

@@ -1,7 +1,6 @@
-"""Opening a live route: wait until what is needed has come, always saying for what, and map from there on.
+"""Opening of a live route: wait until all needed topics have come, report the missing ones, then map.
 
-What is missing is told by the same code that refuses a log: an attempt at opening fails with its reason, and is made
-again while there is time.
+An attempt opens the messages so far as a log. It is repeated until it succeeds or patience ends.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ _BETWEEN_S = 0.25
 
 
 class LiveMapSource(SourceAround):
-    """The `Source` of a live route, once it is known what to map; `frames` can be asked for once."""
+    """The `Source` of an opened live route; `frames` can be called once."""
 
     def __init__(self, route: LiveSource, log: LiveLog, source: LogSource, recorder: Recorder | None = None) -> None:
         super().__init__(source)
@@ -55,22 +54,22 @@ class LiveMapSource(SourceAround):
 
     @property
     def info(self) -> SourceInfo:
-        """What was found when the route was opened; no two sessions have one identity."""
+        """The diagnosis on opening; each session has its own identity."""
         session = f"{self._log.path}\0{self._source.info.start_ns}"
         return replace(self._source.info, identity=hashlib.sha256(session.encode()).hexdigest())
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames as they come, until the route ends or `interrupt` is called."""
+        """Yield the frames as they arrive, until the route ends or `interrupt` is called."""
         self._log.begin()
         return self._source.frames()
 
     def ledger(self) -> Mapping[str, int]:
-        """Return that of the messages that were read, and how often the robot's clock was set."""
+        """Return the counts of the messages, and how often the robot's clock was set."""
         steps = self._log.clock_offset.num_steps
         return {**self._source.ledger(), **({"clock_steps": steps} if steps else {})}
 
     def account(self) -> Account:
-        """Return where every message that came has ended; what was lost on the way never came."""
+        """Return the account of every received message."""
         kept: Account = self._log_source.account()
         left = self._log.left()
         entries = [self._entry(entry, left[entry.topic]) for entry in kept.topics]
@@ -80,47 +79,41 @@ class LiveMapSource(SourceAround):
         return replace(kept, topics=tuple(entries), explanation=self._log.inbox.end_reason)
 
     def status(self) -> LiveStatus:
-        """Return how the route and its topics are now."""
+        """Return the current status of the route and its topics."""
         return status_of(self._route, self._log)
 
     @property
     def return_link(self) -> ReturnLink | None:
-        """The way back over the same route; None where it has none (a pipe)."""
+        """The way back over the same route; None without one (a pipe)."""
         return self._route if isinstance(self._route, ReturnLink) else None
 
     @property
     def odom_frame(self) -> str:
-        """The frame in which the robot's poses are, "" where a pose file took their place."""
+        """The frame of the robot's poses, "" with a pose file."""
         return self._log_source.setup.plan.path.partition(" <- ")[0]
 
     @property
     def has_ended(self) -> bool:
-        """Whether nothing more is taken."""
+        """Whether no more messages are accepted."""
         return self._log.inbox.is_closed
 
     def interrupt(self) -> None:
-        """End the frames: the run is to end."""
+        """End the frames."""
         self._log.end()
 
     def close(self) -> None:
-        """End the route, and the recording."""
+        """Close the route and the recording."""
         self._log.end()
         self._route.stop()
         if self._recorder is not None:
             self._recorder.close()
 
     def _entry(self, entry: TopicAccount, num_left: int) -> TopicAccount:
-        """Return an entry with what never reached the log: dropped for want of room, or still waiting."""
         arrived = self._log.inbox.arrivals.get(entry.topic)
         dropped = {fate: n for fate, n in arrived.fates.items() if fate != "lost"} if arrived is not None else {}
         not_needed = max(0, entry.not_needed - sum(dropped.values()))
-        is_needed = not entry.not_needed
-        return replace(
-            entry,
-            not_needed=not_needed,
-            not_played=num_left if is_needed else 0,
-            rejected={**entry.rejected, **dropped},
-        )
+        not_played = 0 if entry.not_needed else num_left
+        return replace(entry, not_needed=not_needed, not_played=not_played, rejected={**entry.rejected, **dropped})
 
 
 def open_live(
@@ -130,21 +123,19 @@ def open_live(
     patience_s: float = DEFAULT_PATIENCE_S,
     attempt_s: float = DEFAULT_ATTEMPT_S,
     most_s: float | None = None,
-    tell: Callable[[str], None] = lambda text: None,
+    report: Callable[[str], None] = lambda text: None,
     recorder: Recorder | None = None,
     route: LiveSource | None = None,
     inbox: Inbox | None = None,
 ) -> LiveMapSource:
-    """Return the source that maps a live route as soon as colour, depth, calibration and poses have come.
+    """Return the source of a live route as soon as colour, depth, calibration and poses have come.
 
-    `patience_s` is how long that may take, `attempt_s` how long after the first images topics are waited for that are
-    announced and silent; `tell` is told what is waited for, whenever that changes. Frames end after `most_s` of them.
-    `recorder` takes every message as it comes, and is closed with the source. `route` and `inbox` stand in for those of
-    the address.
+    `patience_s` limits the wait; announced but silent topics are awaited for `attempt_s` after the first images.
+    `report` receives what is missing, whenever that changes. Frames end after `most_s`. `recorder` receives all
+    messages and is closed with the source. `route` and `inbox` replace those of the address.
 
-    Raises:
-        RecordingError: the address names no route, the route has ended, or patience is over: says what is missing.
-        CalibrationError: intrinsics or extrinsics are still missing then, or contradict the images.
+    Raises `RecordingError`: the address is wrong, the route has ended, or a topic is missing when patience ends;
+    `CalibrationError`: intrinsics or extrinsics are missing then, or contradict the images.
     """
     options = options or SourceOptions()
     _check_poses_are_heard(uri, options)
@@ -153,7 +144,7 @@ def open_live(
     log = LiveLog(route, inbox, most_s=most_s, loses_nothing=is_recording(uri))
     try:
         route.start(log.inbox)
-        source = _opened(route, log, options, _Patience(patience_s, attempt_s), tell)
+        source = _opened(route, log, options, _Patience(patience_s, attempt_s), report)
     except BaseException:
         log.end()
         route.stop()
@@ -164,9 +155,9 @@ def open_live(
 
 
 def of_other_robots(path: object, topics: Sequence[Topic], options: SourceOptions, profile: Profile) -> Iterator[str]:
-    """Yield the poses and transforms of other robots than that of the colour camera: their frames may have one name.
+    """Yield the pose and transform topics of other robots, whose frames may have equal names.
 
-    A robot is told by the namespace of its /tf; where there is one of these, nothing is of another.
+    The namespace of its /tf identifies a robot; without one, all topics belong to the camera's robot.
     """
     robots = {topic.name.rpartition("/")[0] for topic in tf_topics(topics)}
     if len(robots) < 2:
@@ -183,11 +174,6 @@ def of_other_robots(path: object, topics: Sequence[Topic], options: SourceOption
 
 
 def _check_poses_are_heard(uri: str, options: SourceOptions) -> None:
-    """Refuse what is estimated from a whole log: a robot that is heard says itself where it is.
-
-    Raises:
-        RecordingError: odometry or the camera's place was to be estimated.
-    """
     for option, value, usual in (
         ("--odometry", options.odometry, ("auto", "topic")),
         ("--extrinsics", options.extrinsics, ("log",)),
@@ -200,17 +186,15 @@ def _check_poses_are_heard(uri: str, options: SourceOptions) -> None:
 
 
 class _Patience(NamedTuple):
-    """How long an opening may take, and each attempt at it."""
-
     most_s: float
     attempt_s: float
 
 
 def _opened(
-    route: LiveSource, log: LiveLog, options: SourceOptions, patience: _Patience, tell: Callable[[str], None]
+    route: LiveSource, log: LiveLog, options: SourceOptions, patience: _Patience, report: Callable[[str], None]
 ) -> LogSource:
     ends_s = time.monotonic() + patience.most_s
-    told = ""
+    reported = ""
     while True:
         is_over = log.inbox.is_over  # before the attempt: it may be the last one that can succeed
         try:
@@ -224,18 +208,16 @@ def _opened(
             if time.monotonic() >= ends_s:
                 waited = f"waited {patience.most_s:g} s for {log.path}"
                 raise type(error)(f"{reason}; {waited}: `hickory-stream doctor {log.path}` shows its topics") from error
-        if reason != told:
-            tell(f"waiting: {reason}")
-            told = reason
+        if reason != reported:
+            report(f"waiting: {reason}")
+            reported = reason
         log.idle(_BETWEEN_S)
 
 
 def subscribe(route: LiveSource, log: LiveLog, options: SourceOptions) -> None:
-    """Ask a route for the topics that mapping needs of those announced so far, once no more of them come in a row.
+    """Subscribe to the topics that mapping needs, once announcements pause.
 
-    Raises:
-        RecordingError: colour, depth or poses are not announced.
-        CalibrationError: there is no such profile or robot.
+    Raises `RecordingError`: colour, depth or poses are not announced; `CalibrationError`: unknown profile or robot.
     """
     log.idle(_BETWEEN_S)
     while not log.inbox.is_quiet(_QUIET_S) and not log.inbox.is_over:
@@ -247,7 +229,7 @@ def subscribe(route: LiveSource, log: LiveLog, options: SourceOptions) -> None:
     profile, _ = choose_profile(topics, options)
     log.hidden = frozenset(of_other_robots(log.path, topics, options, profile))
     topics = log.topics
-    # What is there is asked for even where something else is missing: it may come later than that.
+    # Announced topics are subscribed to even if others are missing.
     small = {topic.name for topic in [*tf_topics(topics), *camera_infos(topics)]}
     try:
         poses = [] if options.pose_file else pose_topics(log.path, topics, options, profile.topics.get("pose", ()))
@@ -262,6 +244,6 @@ def subscribe(route: LiveSource, log: LiveLog, options: SourceOptions) -> None:
 
 
 def _missing(route: LiveSource, log: LiveLog, error: InputError) -> str:
-    """Return what is missing: a route that is down, and may come back, explains everything else."""
+    # A route that is down, and may come back, explains everything else.
     health = route.health()
     return health.problem if health.problem and not health.is_connected and not log.inbox.is_closed else str(error)

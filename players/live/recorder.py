@@ -1,7 +1,7 @@
-"""Writes every message as it came into an MCAP file: types with their definitions, bytes, times of arrival.
+"""Writes every message as it came into an MCAP file: definitions, bytes, times of arrival.
 
-Each record is handed to the system as it is written, without chunks: a file whose writer was killed holds everything up
-to then, and is read like any other. The recording never takes more of the disk than it may, and never slows the map.
+Records are written without chunks: after a kill, the file holds everything up to then.
+The recording keeps within a budget of disk, and never slows the map.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SYNC_S = 5.0
 
 
 class Recorder:
-    """Takes messages from any thread and writes them in its own; `problem` says why it has ended early, or ""."""
+    """Takes messages from any thread and writes them in its own; `problem` is why it ended early, or ""."""
 
     def __init__(
         self,
@@ -39,11 +39,7 @@ class Recorder:
         reserve_bytes: int = _RESERVE_BYTES,
         waiting_bytes: int = _WAITING_BYTES,
     ) -> None:
-        """Begin the file.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Begin the file. Raises `OutputError`: it cannot be written."""
         from mcap.writer import Writer
 
         self.path = path
@@ -68,7 +64,7 @@ class Recorder:
         self._thread.start()
 
     def take(self, topic: Topic, message: LogMessage) -> None:
-        """Have a message written; one for which there is no time or room is counted."""
+        """Queue a message for writing; one without time or room is counted."""
         with self._changed:
             if self._is_over or self.problem or self._waiting_bytes + len(message.data) > self._most_waiting:
                 self.num_not_written += 1
@@ -78,7 +74,7 @@ class Recorder:
             self._changed.notify()
 
     def close(self) -> None:
-        """Write what waits, and end the file."""
+        """Write the queued messages, and end the file."""
         with self._changed:
             self._is_over = True
             self._changed.notify()
@@ -93,7 +89,7 @@ class Recorder:
 
     @property
     def lost(self) -> str:
-        """What of the session is not in the file and why, in one line; "" where everything is."""
+        """What is missing from the file and why, in one line; "" if nothing is."""
         if not self.num_not_written and not self.problem:
             return ""
         why = self.problem or "the disk was too slow"
@@ -131,7 +127,7 @@ class Recorder:
             self._fail(error.strerror or str(error))
 
     def _has_room(self, size: int) -> bool:
-        """Return whether the budget and the disk have room; looks at the disk now and then, and has it synced."""
+        # Syncs the disk now and then.
         if self._stream.tell() + size > self._limit_bytes:
             self._fail(f"it has reached its limit of {self._limit_bytes / 1e9:g} GB (--record-limit)")
             return False

@@ -1,4 +1,4 @@
-"""Which route an address names."""
+"""Routes by the scheme of an address."""
 
 from __future__ import annotations
 
@@ -17,21 +17,17 @@ KNOWN = (
 
 
 def is_live(uri: str) -> bool:
-    """Return whether an address names a live route rather than a log: it has a scheme, and no file has its name."""
+    """Return whether an address names a live route: it has a scheme, and no file has its name."""
     return uri == "-" or (uri.startswith(("mcap:", "zed:")) and not Path(uri).exists()) or "://" in uri
 
 
 def is_recording(uri: str) -> bool:
-    """Return whether an address names what waits for its reader: nothing of it need be left out."""
+    """Return whether an address waits for its reader, so that nothing need be left out."""
     return uri.startswith("zed:") and not uri.startswith("zed://")
 
 
 def route_of(uri: str) -> LiveSource:
-    """Return the route that an address names, not started yet.
-
-    Raises:
-        RecordingError: it names none.
-    """
+    """Return the route that an address names, not started yet. Raises `RecordingError`: it names none."""
     from players.live.mcap_stream import McapStream
 
     if uri == "-":

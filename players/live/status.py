@@ -1,11 +1,11 @@
-"""How a live route and its topics are: rates, ages, losses, what is missing, and the likely reason."""
+"""Status of a live route and its topics: rates, ages, losses, what is missing, and the likely reason."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from players.live.rates import Arrivals
+from players.live.inbox import Arrivals
 from players.messages.records import TF
 
 if TYPE_CHECKING:
@@ -22,32 +22,34 @@ _OFF_S = 1.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopicStatus:
-    """One topic now: `role` in the map ("" for none), `age_s` since its last message (None: none came).
-
-    `lost` never came as far as sequence numbers tell, `dropped` came and was not passed on. `problem` says what is
-    missing and the likely reason, "" where nothing is.
-    """
+    """The current state of one topic."""
 
     topic: str
     type_name: str
+    #: In the map, "" for none.
     role: str
     rate_hz: float
+    #: Since the last message, None before the first.
     age_s: float | None
     bytes_per_s: float
     received: int
+    #: Received and not passed on.
     dropped: int
+    #: Never received, by sequence numbers.
     lost: int
+    #: What is missing and the likely reason, "" if nothing is.
     problem: str
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LiveStatus:
-    """A route now; `clock_offset_s` is our clock less the robot's, None before the first image."""
+    """The current state of a route."""
 
     uri: str
     kind: str
     is_connected: bool
     problem: str
+    #: Our clock less the robot's, None before the first image.
     clock_offset_s: float | None
     clock_steps: int
     unlisted_topics: int
@@ -99,7 +101,6 @@ def status_of(route: LiveSource, log: LiveLog) -> LiveStatus:
 
 
 def _problem(topic: Topic, role: str, age_s: float | None, fates: Mapping[str, int], withdrawn: Collection[str]) -> str:
-    """Return what is wrong with a topic and the likely reason; only of topics that the map needs."""
     if not role:
         return ""
     if topic.name in withdrawn:
@@ -107,12 +108,11 @@ def _problem(topic: Topic, role: str, age_s: float | None, fates: Mapping[str, i
     is_latched = topic.name.endswith("tf_static")
     if age_s is None:
         if is_latched:
-            return "nothing has come: it is sent once, and whoever sends it keeps nothing for late comers"
+            return "nothing has come: it is sent once, and its publisher keeps nothing for late subscribers"
         return "announced, but nothing has come: the camera or its driver may be off, or sends on demand only"
     if not is_latched and role not in ("color_info", "depth_info") and age_s > _SILENT_S:
         return f"silent for {age_s:.0f} s"
-    told = ", ".join(f"{number} {_FATES.get(fate, fate)}" for fate, number in sorted(fates.items()) if number)
-    return told
+    return ", ".join(f"{number} {_FATES.get(fate, fate)}" for fate, number in sorted(fates.items()) if number)
 
 
 _FATES = {
@@ -126,12 +126,12 @@ _FATES = {
 
 
 def status_table(status: LiveStatus) -> str:
-    """Return a status as lines of text: the topics that the map uses, then what is announced beside them."""
+    """Return a status as lines of text: the topics of the map, then other announced ones."""
     clock = ""
     if status.clock_offset_s is not None and abs(status.clock_offset_s) > _OFF_S:
         clock = f"; the robot's clock is {_span(status.clock_offset_s)} ours, its stamps are kept"
     if status.clock_steps:
-        clock += f"; it was set anew {status.clock_steps} time{'s' * (status.clock_steps > 1)}"
+        clock += f"; it was set again {status.clock_steps} time{'s' * (status.clock_steps > 1)}"
     state = "connected" if status.is_connected else f"not connected: {status.problem}"
     note = f"; {status.problem}" if status.is_connected and status.problem else ""
     lines = [f"{status.uri} ({status.kind}): {state}{note}{clock}"]
@@ -153,7 +153,6 @@ def status_table(status: LiveStatus) -> str:
 
 
 def _span(seconds: float) -> str:
-    """Return how a clock lies to ours; `seconds` is ours less the other."""
     side = "behind" if seconds > 0 else "ahead of"
     size = abs(seconds)
     for unit, length in (("days", 86400.0), ("min", 60.0)):

@@ -1,4 +1,4 @@
-"""What every live route has in common: it announces topics, puts messages into an inbox, and says how it is."""
+"""Interface of live routes: they announce topics, put messages into an inbox, and report their health."""
 
 from __future__ import annotations
 
@@ -13,61 +13,45 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Health:
-    """Whether a route is open, and what the operator should know about it ("" where nothing)."""
+    """Whether a route is connected, and a problem for the operator, or ""."""
 
     is_connected: bool
     problem: str = ""
 
 
 class LiveSource(Protocol):
-    """A route by which messages arrive. Its threads, if it has any, are its own affair."""
+    """A route by which messages arrive; its threads are its own."""
 
     @property
     def uri(self) -> str:
-        """How it was asked for."""
-        ...
+        """The address."""
 
     @property
     def kind(self) -> str:
-        """What it is, in words."""
-        ...
+        """The kind of route, in words."""
 
     def start(self, inbox: Inbox) -> None:
-        """Begin to announce topics; a peer that does not answer yet is tried again and again, and is no error.
-
-        Raises:
-            RecordingError: the address can never be one.
-        """
-        ...
+        """Begin to announce topics; an absent peer is retried. Raises `RecordingError`: the address is impossible."""
 
     def subscribe(self, names: Collection[str]) -> None:
-        """Ask for the messages of more topics, those before us that are kept for late comers included.
-
-        A route that is sent everything ignores it.
-        """
-        ...
+        """Subscribe to more topics, latched messages included; a route that receives everything ignores it."""
 
     def health(self) -> Health:
-        """Return how the route is now."""
-        ...
+        """Return the current health."""
 
     def stop(self) -> None:
-        """End it; nothing arrives afterwards."""
-        ...
+        """Close the route; nothing arrives afterwards."""
 
 
 @runtime_checkable
 class ReturnLink(Protocol):
-    """An ability of a route: it can publish to the robot. `send` may take long, and never raises."""
+    """A route that can publish to the robot; `send` may take long, and never raises."""
 
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
-        """Announce a topic (messages are CDR), now and whenever the link comes back; the last latched one is kept."""
-        ...
+        """Announce a topic (messages are CDR) whenever the link is up; the last latched message is kept."""
 
     def send(self, name: str, data: bytes) -> bool:
-        """Publish a message of an offered topic; return False where nobody is there to take it."""
-        ...
+        """Publish a message of an offered topic; return False if nobody receives it."""
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
-        """Have what is published under a name handed over as it comes, on a thread of the link's."""
-        ...
+        """Call `hear`, on a thread of the link, with each message of a topic."""

@@ -1,4 +1,4 @@
-"""What a ZED camera gives, as the messages of ROS 2 that its wrapper publishes: the same players read both."""
+"""Frames of a ZED camera as the ROS 2 messages of its wrapper."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ODOM = "/zed/zed_node/odom"
 _OPTICAL, _WORLD = "zed_left_optical", "odom"
 
 TOPICS = tuple(
-    Topic(name=name, type_name=type_name, num_messages=None, wire="cdr", definition_format="none", definition="")
+    Topic(name=name, type_name=type_name)
     for name, type_name in (
         (COLOR, IMAGE),
         (DEPTH, IMAGE),
@@ -35,10 +35,7 @@ TOPICS = tuple(
 
 
 def world_from_camera(image_world_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (4, 4) with z up and x ahead at the start, of a pose in the SDK's IMAGE axes (x right, y down, z ahead).
-
-    The camera's own axes are the same in both: those of images.
-    """
+    """Return (4, 4), z up and x ahead at the start, of a pose in the SDK's IMAGE axes (x right, y down, z ahead)."""
     turned = np.eye(4)
     turned[:3, :3] = OPTICAL_FROM_FLU.T
     return np.asarray(turned @ image_world_from_camera)
@@ -50,7 +47,7 @@ def color_message(stamp_ns: int, bgra: NDArray[np.uint8]) -> bytes:
 
 
 def depth_message(stamp_ns: int, depth_m: NDArray[np.float32]) -> bytes:
-    """Return (H, W) float32 metres as an image of `32FC1`; what is not finite is no return."""
+    """Return (H, W) float32 metres as an image of `32FC1`; values that are not finite are no return."""
     return _image(stamp_ns, depth_m, "32FC1")
 
 

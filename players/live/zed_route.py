@@ -1,7 +1,6 @@
 """A ZED camera by Stereolabs' SDK: on USB or GMSL, streamed over the network, or an SVO file.
 
-`pyzed.sl` is handed in at one seam (`zed_sdk.load_sdk`). Frames become the messages that the ROS 2 wrapper publishes,
-so that pairing, poses, recording and the ledger are those of every other route. An SVO file waits for its reader.
+Frames become the messages of the ROS 2 wrapper; an SVO file waits for its reader.
 """
 
 from __future__ import annotations
@@ -15,20 +14,8 @@ import numpy as np
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.camera import Camera
+from players.live import zed_messages as zed
 from players.live.transport import Health
-from players.live.zed_messages import (
-    COLOR,
-    COLOR_INFO,
-    DEPTH,
-    DEPTH_INFO,
-    ODOM,
-    TOPICS,
-    color_message,
-    depth_message,
-    info_message,
-    pose_message,
-    world_from_camera,
-)
 from players.live.zed_sdk import check_sdk, load_sdk
 
 if TYPE_CHECKING:
@@ -45,8 +32,6 @@ KNOWN = f"zed://[SERIAL], zed://IP[:{_PORT}], zed:FILE.svo2"
 
 
 class _Address(NamedTuple):
-    """One of the three, or none of them: the first camera that there is."""
-
     serial: int | None = None
     host: str = ""
     port: int = _PORT
@@ -54,16 +39,12 @@ class _Address(NamedTuple):
 
 
 class ZedRoute:
-    """The `LiveSource` of `zed:`; `sl` stands in for the SDK's module."""
+    """The `LiveSource` of `zed:`; `sl` replaces the SDK's module."""
 
     kind = "ZED SDK"
 
     def __init__(self, uri: str, sl: Any = None) -> None:
-        """Parse the address.
-
-        Raises:
-            RecordingError: it is none, the file is missing, or the SDK is.
-        """
+        """Parse the address. Raises `RecordingError`: it is none, the file is missing, or the SDK is."""
         self.uri = uri
         self._address = _address(uri)
         if sl is not None:
@@ -75,8 +56,8 @@ class ZedRoute:
         self._dropped = 0
 
     def start(self, inbox: Inbox) -> None:
-        """Open the camera and grab in a thread of its own; one that is not there is tried again and again."""
-        for topic in TOPICS:
+        """Open the camera and grab in a separate thread, with retries."""
+        for topic in zed.TOPICS:
             inbox.announce(topic)
         self._thread = threading.Thread(target=self._run, args=(inbox,), name="zed", daemon=True)
         self._thread.start()
@@ -85,7 +66,7 @@ class ZedRoute:
         """Do nothing: all of a frame is sent."""
 
     def health(self) -> Health:
-        """Return whether the camera is open, and what the SDK says where it is not, or does not track."""
+        """Return whether the camera is open, and the SDK's reason if it is closed or lost tracking."""
         return self._health
 
     def stop(self) -> None:
@@ -93,8 +74,6 @@ class ZedRoute:
         self._stopped.set()
         if self._thread is not None:
             self._thread.join(10.0)
-
-    # ---- the camera --------------------------------------------------------------------------------------------------
 
     def _run(self, inbox: Inbox) -> None:
         while not self._stopped.is_set():
@@ -113,7 +92,6 @@ class ZedRoute:
             self._stopped.wait(_AGAIN_S)
 
     def _opened(self, camera: Any) -> str | None:
-        """Open a camera and its tracking; return why that failed, None where it did not."""
         sl, address = self._sl, self._address
         settings = sl.InitParameters()
         settings.coordinate_units = sl.UNIT.METER
@@ -138,7 +116,6 @@ class ZedRoute:
         return None
 
     def _grab(self, camera: Any, inbox: Inbox) -> str:
-        """Pass frames on until the end; return why the camera is lost, "" where a file or we have ended."""
         sl = self._sl
         runtime, color, depth, pose = sl.RuntimeParameters(), sl.Mat(), sl.Mat(), sl.Pose()
         pinhole = _pinhole(camera)
@@ -148,7 +125,7 @@ class ZedRoute:
             if error == sl.ERROR_CODE.END_OF_SVOFILE_REACHED:
                 return ""
             if error == sl.ERROR_CODE.CORRUPTED_FRAME:
-                inbox.refuse(COLOR, "corrupted")
+                inbox.refuse(zed.COLOR, "corrupted")
                 continue
             if error != sl.ERROR_CODE.SUCCESS:
                 failures += 1
@@ -161,31 +138,29 @@ class ZedRoute:
             stamp_ns = int(camera.get_timestamp(sl.TIME_REFERENCE.IMAGE).get_nanoseconds())
             state = camera.get_position(pose, sl.REFERENCE_FRAME.WORLD)
             is_tracked = state == sl.POSITIONAL_TRACKING_STATE.OK
-            told = "" if is_tracked else f"the camera is not tracked ({_name(state)}): nothing is mapped"
-            self._health = Health(is_connected=True, problem=told)
+            problem = "" if is_tracked else f"the camera is not tracked ({_name(state)}): nothing is mapped"
+            self._health = Health(is_connected=True, problem=problem)
             waits = self._address.svo is not None
             if is_tracked:
                 tracked = np.array(pose.pose_data(sl.Transform()).m, dtype=np.float64)
-                inbox.put(ODOM, pose_message(stamp_ns, world_from_camera(tracked)), waits=waits)
-            for name in (COLOR_INFO, DEPTH_INFO):
-                inbox.put(name, info_message(stamp_ns, pinhole), waits=waits)
+                inbox.put(zed.ODOM, zed.pose_message(stamp_ns, zed.world_from_camera(tracked)), waits=waits)
+            for name in (zed.COLOR_INFO, zed.DEPTH_INFO):
+                inbox.put(name, zed.info_message(stamp_ns, pinhole), waits=waits)
             camera.retrieve_image(color, sl.VIEW.LEFT)
             camera.retrieve_measure(depth, sl.MEASURE.DEPTH)
-            inbox.put(COLOR, color_message(stamp_ns, color.get_data()), waits=waits)
-            inbox.put(DEPTH, depth_message(stamp_ns, depth.get_data()), waits=waits)
+            inbox.put(zed.COLOR, zed.color_message(stamp_ns, color.get_data()), waits=waits)
+            inbox.put(zed.DEPTH, zed.depth_message(stamp_ns, depth.get_data()), waits=waits)
             self._count_dropped(camera, inbox)
         return ""
 
     def _count_dropped(self, camera: Any, inbox: Inbox) -> None:
-        """Note the frames that the SDK says it has dropped since the last one."""
         number = int(camera.get_frame_dropped_count())
         if number > self._dropped:
-            inbox.lost(COLOR, number - self._dropped)
+            inbox.lost(zed.COLOR, number - self._dropped)
         self._dropped = number
 
 
 def _address(uri: str) -> _Address:
-    """Return what an address names; raises `RecordingError` where that is nothing."""
     if (found := _CAMERA.fullmatch(uri)) is not None:
         return _Address(serial=int(found["serial"]) if found["serial"] else None)
     if (found := _NETWORK.fullmatch(uri)) is not None and 0 < int(found["port"] or _PORT) < 65536:
@@ -199,7 +174,6 @@ def _address(uri: str) -> _Address:
 
 
 def _pinhole(camera: Any) -> Camera:
-    """Return the intrinsics of the rectified left images."""
     lens = camera.get_camera_information().camera_configuration.calibration_parameters.left_cam
     return Camera(
         width=int(lens.image_size.width),

@@ -1,4 +1,4 @@
-"""The ZED SDK's Python module, `pyzed.sl`: the one place where it is imported, and the names of it that are used."""
+"""The ZED SDK's Python module, `pyzed.sl`, and the names that are used of it."""
 
 from __future__ import annotations
 
@@ -52,11 +52,7 @@ _HOW = (
 
 
 def load_sdk() -> Any:
-    """Return the module.
-
-    Raises:
-        RecordingError: it is not installed, or of a version that lacks what is used.
-    """
+    """Return the module. Raises `RecordingError`: it is not installed, or lacks a name."""
     try:
         found = import_module("pyzed.sl")
     except ImportError as error:
@@ -66,7 +62,7 @@ def load_sdk() -> Any:
 
 
 def check_sdk(sl: Any) -> None:
-    """Raise `RecordingError` where a module lacks what is used, e.g. since it is of another version."""
+    """Raise `RecordingError` if the module lacks a name, e.g. in another version."""
     for owner, names in USED.items():
         for name in (None, *names):
             found = getattr(sl, owner, None)

@@ -1,10 +1,8 @@
-"""What Zenoh's keys and liveliness tokens say of ROS 2 topics: the layouts of zenoh-bridge-ros2dds and of rmw_zenoh.
+"""ROS 2 topics in the keys and liveliness tokens of zenoh-bridge-ros2dds and rmw_zenoh.
 
-The bridge: messages under NAMESPACE/TOPIC; publishers have tokens @/ZID/@ros2_lv/MP/KEY/TYPE/QOS, with § for the
-slashes in KEY and TYPE, before version 1.0 without the first two characters.
-
-rmw_zenoh: messages under DOMAIN/TOPIC/TYPE/HASH; tokens, with % for slashes, are
-@ros2_lv/DOMAIN/ZID/NODE/ENTITY/MP/ENCLAVE/NAMESPACE/NODE/TOPIC/TYPE/HASH/QOS.
+The bridge: messages under NAMESPACE/TOPIC; tokens @/ZID/@ros2_lv/MP/KEY/TYPE/QOS, with § for slashes in KEY and
+TYPE, before version 1.0 without the first two characters. rmw_zenoh: messages under DOMAIN/TOPIC/TYPE/HASH; tokens,
+with % for slashes, @ros2_lv/DOMAIN/ZID/NODE/ENTITY/MP/ENCLAVE/NAMESPACE/NODE/TOPIC/TYPE/HASH/QOS.
 """
 
 from __future__ import annotations
@@ -26,26 +24,24 @@ _NO_HASH = "TypeHashNotSupported"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Publication:
-    """A ROS topic that somebody publishes: its absolute name, its type as package/msg/Name.
-
-    `is_latched`: the last messages are kept for those who come late.
-    """
+    """A published ROS topic: its absolute name, its type as package/msg/Name."""
 
     name: str
     type_name: str
     layout: Layout
+    #: The last messages are kept for late subscribers.
     is_latched: bool
     domain: str = "0"
     hash: str = _NO_HASH
 
     @property
     def key(self) -> str:
-        """The key expression of its messages; rmw's of any domain and type, so that another type is noticed."""
+        """The key expression of its messages; rmw's of any domain and type, so that a wrong type is noticed."""
         return self.name.lstrip("/") if self.layout == "bridge" else f"*/{self.name.lstrip('/')}/*/*"
 
 
 def publication_of_token(token: str) -> Publication | None:
-    """Return what a liveliness token announces; None for nodes, subscribers, services, and what is none of ROS's."""
+    """Return the publication of a liveliness token; None for nodes, subscribers, services, and foreign tokens."""
     parts = token.split("/")
     if parts[0] == "@":
         parts = parts[2:]
@@ -69,7 +65,7 @@ def publication_of_token(token: str) -> Publication | None:
 
 
 def publication_of_key(key: str) -> Publication | None:
-    """Return what the key of a message of rmw_zenoh says; None for others, which do not say their type."""
+    """Return the publication of a key of rmw_zenoh; None for others, which lack the type."""
     parts = key.split("/")
     if len(parts) < 4 or not _is_hash(parts[-1]):
         return None
@@ -85,7 +81,7 @@ def publication_of_key(key: str) -> Publication | None:
 
 
 def own_token(publication: Publication, zid: str, entity: int, kind: Literal["MS", "MP"]) -> str | None:
-    """Return the token by which nodes of rmw_zenoh see that we subscribe (MS) or publish (MP); a bridge needs none."""
+    """Return the token of our subscription (MS) or publication (MP) for rmw_zenoh; a bridge needs none."""
     if publication.layout == "bridge":
         return None
     topic = publication.name.replace("/", "%")
@@ -99,7 +95,7 @@ def own_token(publication: Publication, zid: str, entity: int, kind: Literal["MS
 def publication_like(
     other: Publication, name: str, type_name: str, *, namespace: str, type_hash: str, is_latched: bool
 ) -> Publication:
-    """Return a topic of ours as a robot that publishes `other` would see it: in its layout, domain and namespace."""
+    """Return a topic of ours in the layout, domain and namespace of a robot that publishes `other`."""
     prefix = f"/{namespace.strip('/')}" if namespace else ""
     return Publication(
         name=prefix + _absolute(name),
@@ -112,7 +108,7 @@ def publication_like(
 
 
 def publishing_key(publication: Publication) -> str:
-    """Return the key under which we publish: rmw_zenoh's says the type and its hash."""
+    """Return the key for publishing; rmw_zenoh's contains the type and its hash."""
     if publication.layout == "bridge":
         return publication.key
     name, type_name = publication.name.lstrip("/"), _dds_type(publication.type_name)
@@ -120,7 +116,7 @@ def publishing_key(publication: Publication) -> str:
 
 
 def within(publication: Publication, namespace: str) -> str | None:
-    """Return a topic's name as those in a namespace see it; None for one of another robot."""
+    """Return a topic's name within a namespace; None for a topic of another robot."""
     if not namespace:
         return publication.name
     prefix = f"/{namespace.strip('/')}/"
@@ -140,7 +136,7 @@ def _of_bridge(parts: list[str]) -> Publication | None:
 
 
 def _ros_type(name: str) -> str:
-    """Return a type as package/msg/Name; DDS writes package::msg::dds_::Name_."""
+    # DDS writes package::msg::dds_::Name_.
     parts = [part for part in name.split("::") if part != "dds_"]
     return "/".join([*parts[:-1], parts[-1].removesuffix("_")])
 

@@ -1,4 +1,4 @@
-"""The way back over Zenoh: topics of ours in the layout of the robot that is heard, and what it publishes for us."""
+"""The way back over Zenoh: our topics in the robot's layout, and its messages for us."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import time
 import uuid
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from players.live.zenoh_keys import own_token, publication_like, publishing_key
@@ -28,7 +29,7 @@ class _Offer:
 
 
 class ZenohReturn:
-    """Publishes and listens once it is known how the robot's topics are laid out; until then nobody is there."""
+    """Publishes and listens once the layout of the robot's topics is known."""
 
     def __init__(self, namespace: str) -> None:
         self._namespace = namespace
@@ -44,14 +45,14 @@ class ZenohReturn:
         self._gid = uuid.uuid4().bytes
 
     def attach(self, session: Any, like: Publication) -> None:
-        """Begin to publish as a robot does that publishes `like`."""
+        """Begin to publish in the layout of `like`."""
         with self._lock:
             if self._like is None:
                 self._session, self._like = session, like
                 self._declare()
 
     def detach(self) -> None:
-        """Publish no more: the session is being closed."""
+        """Stop publishing, before the session is closed."""
         with self._lock:
             self._session = self._like = None
             declared = [*self._publishers.values(), *self._declared.values(), *self._tokens]
@@ -68,7 +69,7 @@ class ZenohReturn:
             self._declare()
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
-        """Have the messages of a topic handed over as they come."""
+        """Call `hear` with each message of a topic."""
         with self._lock:
             self._listeners[name] = hear
             self._declare()
@@ -94,7 +95,7 @@ class ZenohReturn:
             return False
 
     def _declare(self) -> None:
-        """Declare what was asked for and is not declared yet; called with the lock."""
+        # Called with the lock.
         if self._session is None or self._like is None:
             return
         import zenoh
@@ -121,7 +122,8 @@ class ZenohReturn:
             self._announce(ours, "MP")
         for name, hear in self._listeners.items():
             if name not in self._declared:
-                self._declared[name] = self._session.declare_subscriber(self._key_of(name), _handing_over(hear))
+                key = self._ours(name, _Offer(type_name="", type_hash="", is_latched=False)).key
+                self._declared[name] = self._session.declare_subscriber(key, partial(_hand_over, hear))
 
     def _announce(self, ours: Publication, kind: Any) -> None:
         # Our own entities are numbered apart from those of the subscriptions.
@@ -131,19 +133,9 @@ class ZenohReturn:
 
     def _ours(self, name: str, offer: _Offer) -> Publication:
         assert self._like is not None
-        return publication_like(
-            self._like,
-            name,
-            offer.type_name,
-            namespace=self._namespace,
-            type_hash=offer.type_hash,
-            is_latched=offer.is_latched,
-        )
-
-    def _key_of(self, name: str) -> str:
-        """Return the keys of a topic that we listen to, whatever its type's hash."""
-        return self._ours(name, _Offer(type_name="", type_hash="", is_latched=False)).key
+        named = {"namespace": self._namespace, "type_hash": offer.type_hash}
+        return publication_like(self._like, name, offer.type_name, **named, is_latched=offer.is_latched)
 
 
-def _handing_over(hear: Callable[[bytes], None]) -> Callable[[Any], None]:
-    return lambda sample: hear(sample.payload.to_bytes())
+def _hand_over(hear: Callable[[bytes], None], sample: Any) -> None:
+    hear(sample.payload.to_bytes())

@@ -1,6 +1,6 @@
-"""ROS 2 over Zenoh: robots that run zenoh-bridge-ros2dds or rmw_zenoh, joined as a client.
+"""ROS 2 over Zenoh: a client of zenoh-bridge-ros2dds or rmw_zenoh.
 
-A client neither listens nor scouts: what is talked to is the address that was named, this machine if none was.
+A client neither listens nor scouts: it connects to the named address, or to this machine.
 """
 
 from __future__ import annotations
@@ -14,16 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import RecordingError
+from players.live import zenoh_keys
 from players.live.transport import Health
-from players.live.zenoh_keys import (
-    HASHED_KEYS,
-    TOKENS,
-    Publication,
-    own_token,
-    publication_of_key,
-    publication_of_token,
-    within,
-)
 from players.live.zenoh_return import ZenohReturn
 from players.logs.containers import Topic
 
@@ -47,11 +39,7 @@ class ZenohRoute:
     kind = "ROS 2 over Zenoh"
 
     def __init__(self, uri: str) -> None:
-        """Parse the address.
-
-        Raises:
-            RecordingError: it is none.
-        """
+        """Parse the address. Raises `RecordingError`: it is none."""
         found = _ADDRESS.fullmatch(uri)
         if found is None or not 0 < int(found["port"] or _PORT) < 65536:
             raise RecordingError(
@@ -66,7 +54,7 @@ class ZenohRoute:
         self._lock = threading.RLock()
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
-        self._publications: dict[str, Publication] = {}
+        self._publications: dict[str, zenoh_keys.Publication] = {}
         self._tokens: defaultdict[str, set[str]] = defaultdict(set)
         self._other_types: dict[str, str] = {}
         self._wanted: set[str] = set()
@@ -77,19 +65,19 @@ class ZenohRoute:
         self._return = ZenohReturn(self._namespace)
 
     def start(self, inbox: Inbox) -> None:
-        """Connect in a thread of its own, again and again until it is answered; Zenoh itself reconnects later."""
+        """Connect in a separate thread, with retries; Zenoh itself reconnects later."""
         self._inbox = inbox
         self._thread = threading.Thread(target=self._connect, name="zenoh-connect", daemon=True)
         self._thread.start()
 
     def subscribe(self, names: Collection[str]) -> None:
-        """Ask for topics; those that are kept for late comers with what came before us."""
+        """Subscribe to topics, with earlier messages of latched ones."""
         with self._lock:
             self._wanted |= set(names)
             self._declare_wanted()
 
     def health(self) -> Health:
-        """Return whether a router or a peer is there, and what is odd about the topics."""
+        """Return whether a router or a peer is connected, and problems of topics."""
         session = self._session
         if session is None:
             return Health(is_connected=False, problem=self._problem)
@@ -127,22 +115,18 @@ class ZenohRoute:
             for thread in callers:
                 thread.join(max(0.0, ends_s - time.monotonic()))
 
-    # ---- the way back ------------------------------------------------------------------------------------------------
-
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
         """Announce a topic of ours; ROS 2 over Zenoh sends no definitions."""
         del definition
         self._return.offer(name, type_name, type_hash=type_hash, is_latched=is_latched)
 
     def send(self, name: str, data: bytes) -> bool:
-        """Publish a message of an offered topic; False while the robot is away, or nobody listens."""
+        """Publish a message of an offered topic; False while the robot is away or nobody listens."""
         return self._return.send(name, data)
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
-        """Have what the robot publishes under a name handed over as it comes."""
+        """Call `hear` with each message of a topic."""
         self._return.listen(name, hear)
-
-    # ---- connection --------------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
         import zenoh
@@ -171,18 +155,19 @@ class ZenohRoute:
             with self._lock:
                 self._session = session
                 liveliness = session.liveliness()
-            self._watching = [liveliness.declare_subscriber(tokens, self._on_token, history=True) for tokens in TOKENS]
+            self._watching = [
+                liveliness.declare_subscriber(tokens, self._on_token, history=True) for tokens in zenoh_keys.TOKENS
+            ]
             if not self._stopped.wait(_TOKENLESS_S):
                 self._listen_to_keys()
             return
 
     def _listen_to_keys(self) -> None:
-        """Where no token came, learn of topics from the keys of messages, until topics are asked for."""
         with self._lock:
             if not self._publications and not self._wanted:
-                self._listening = [self._session.declare_subscriber(keys, self._on_key) for keys in HASHED_KEYS]
-
-    # ---- topics ------------------------------------------------------------------------------------------------------
+                self._listening = [
+                    self._session.declare_subscriber(keys, self._on_key) for keys in zenoh_keys.HASHED_KEYS
+                ]
 
     def _on_token(self, sample: Any) -> None:
         import zenoh
@@ -190,10 +175,10 @@ class ZenohRoute:
         token = str(sample.key_expr)
         if self._session is not None and str(self._session.zid()) in token.split("/"):
             return  # one of ours
-        publication = publication_of_token(token)
+        publication = zenoh_keys.publication_of_token(token)
         if publication is None:
             return
-        name = within(publication, self._namespace)
+        name = zenoh_keys.within(publication, self._namespace)
         if name is None:
             return
         assert self._inbox is not None
@@ -209,38 +194,27 @@ class ZenohRoute:
         self._learn(name, publication)
 
     def _on_key(self, sample: Any) -> None:
-        publication = publication_of_key(str(sample.key_expr))
-        name = within(publication, self._namespace) if publication is not None else None
+        publication = zenoh_keys.publication_of_key(str(sample.key_expr))
+        name = zenoh_keys.within(publication, self._namespace) if publication is not None else None
         if publication is not None and name is not None:
             self._learn(name, publication)
 
-    def _learn(self, name: str, publication: Publication) -> None:
+    def _learn(self, name: str, publication: zenoh_keys.Publication) -> None:
         assert self._inbox is not None
         with self._lock:
             known = self._publications.setdefault(name, publication)
             if known.type_name != publication.type_name:
                 self._other_types[name] = publication.type_name
                 return
-        self._inbox.announce(
-            Topic(
-                name=name,
-                type_name=publication.type_name,
-                num_messages=None,
-                wire="cdr",
-                definition_format="none",
-                definition="",
-            )
-        )
+        self._inbox.announce(Topic(name=name, type_name=publication.type_name))
         with self._lock:
             self._declare_wanted()
             session = self._session
         if session is not None:
             self._return.attach(session, publication)
 
-    # ---- messages ----------------------------------------------------------------------------------------------------
-
     def _declare_wanted(self) -> None:
-        """Subscribe to what is wanted and was announced; called with the lock."""
+        # Called with the lock.
         if self._session is None or not self._wanted:
             return
         import zenoh
@@ -263,12 +237,12 @@ class ZenohRoute:
                 self._ask_cache(publication, name)
             else:
                 declared.append(self._session.declare_subscriber(publication.key, take))
-            token = own_token(publication, str(self._session.zid()), len(self._declared), "MS")
+            token = zenoh_keys.own_token(publication, str(self._session.zid()), len(self._declared), "MS")
             if token is not None:
                 declared.append(self._session.liveliness().declare_token(token))
 
-    def _ask_cache(self, publication: Publication, name: str) -> None:
-        """Ask bridges before 1.5, which have no advanced publishers, for what they keep."""
+    def _ask_cache(self, publication: zenoh_keys.Publication, name: str) -> None:
+        # Bridges before 1.5 have no advanced publishers, but answer queries.
         if publication.layout != "bridge":
             return
 
@@ -282,7 +256,7 @@ class ZenohRoute:
         assert self._inbox is not None
         publication = self._publications[name]
         if publication.layout == "rmw":
-            found = publication_of_key(str(sample.key_expr))
+            found = zenoh_keys.publication_of_key(str(sample.key_expr))
             if found is not None and found.type_name != publication.type_name:
                 self._inbox.refuse(name, "other_type")
                 return
@@ -290,7 +264,7 @@ class ZenohRoute:
         self._inbox.put(name, sample.payload.to_bytes())
 
     def _count_lost(self, name: str, attachment: Any) -> None:
-        """Note a gap in the numbers of a publisher of rmw_zenoh; a message that comes late fills one."""
+        # A late message fills a gap in the sequence numbers of rmw_zenoh.
         if attachment is None or len(data := attachment.to_bytes()) != _ATTACHMENT.size:
             return
         sequence, _, _, publisher = _ATTACHMENT.unpack(data)
@@ -305,10 +279,8 @@ class ZenohRoute:
 
 
 def _callback_threads() -> list[threading.Thread]:
-    """Return the threads in which Zenoh (1.10) calls us, one a subscriber; they end once nothing is declared.
-
-    They are daemons where a daemon thread declared the subscriber, as ours does, and nobody else waits for them.
-    """
+    # Zenoh (1.10) calls from one thread a subscriber, a daemon if a daemon declared the subscriber, as here. They end
+    # once nothing is declared, and nothing else joins them.
     own = threading.current_thread()
     return [
         thread

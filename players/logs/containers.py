@@ -1,23 +1,26 @@
-"""What all recorded logs have in common: topics, raw messages in the order of the file, and their types.
+"""Topics and raw messages, as all recorded logs have them.
 
-A message type is compiled from the definition in the log, or from ROS 2's own if the log has none. A definition that
-cannot be parsed makes only its topic unreadable.
+A message type is compiled from the definition in the log, or from ROS 2's own if the log has none.
+A definition that cannot be parsed makes only its topic unreadable.
 """
 
 from __future__ import annotations
 
+import hashlib
 import struct
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from players.logs.log_damage import Flaws
 
 DefinitionFormat = Literal["msg", "idl", "protobuf", "jsonschema", "none"]
+_SAMPLE_BYTES = 1 << 20
 Wire = Literal["cdr", "ros1", "protobuf", "json", "other"]
 
 
@@ -27,12 +30,12 @@ class Topic:
 
     name: str
     type_name: str
-    num_messages: int | None
-    wire: Wire
-    definition_format: DefinitionFormat
-    definition: str
+    num_messages: int | None = None
+    wire: Wire = "cdr"
+    definition_format: DefinitionFormat = "none"
+    definition: str = ""
+    #: A type from outside ROS; `type_name` is then its equivalent in ROS.
     foreign_type: str = ""
-    """The name of a type from outside ROS; `type_name` is then its equivalent in ROS."""
 
 
 class LogMessage(NamedTuple):
@@ -44,7 +47,7 @@ class LogMessage(NamedTuple):
 
 
 class UnreadableMessageError(Exception):
-    """One message cannot be deserialised. The reader counts it; it is not shown to the user."""
+    """A message that cannot be deserialised; the reader counts it."""
 
 
 class Log(Protocol):
@@ -53,43 +56,35 @@ class Log(Protocol):
     @property
     def path(self) -> Path | str:
         """The file, the folder, or the address."""
-        ...
 
     @property
     def kind(self) -> str:
         """What it is, in words."""
-        ...
 
     @property
     def files(self) -> tuple[Path, ...]:
         """All files of the log, in order."""
-        ...
 
     @property
     def topics(self) -> tuple[Topic, ...]:
         """The topics, sorted by name."""
-        ...
 
     @property
     def flaws(self) -> Flaws:
         """The damage found so far; complete after a pass over all topics."""
-        ...
 
     @property
     def checksum(self) -> str:
         """The checksum that protects the messages against altered bytes, in words; "" if there is none."""
-        ...
 
     def declared(self) -> Mapping[str, int] | None:
         """Return the declared number of messages of each topic, None if the log declares none."""
-        ...
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics, from the beginning, reading each chunk of the file once.
 
         Unreadable messages are skipped and noted in `flaws`.
         """
-        ...
 
 
 def normalized_type(name: str) -> str:
@@ -110,11 +105,20 @@ def merged_topics(topics: Iterable[Topic]) -> tuple[Topic, ...]:
     return tuple(by_name[name] for name in sorted(by_name))
 
 
+def summed_by(name_of: Callable[[int], str], counts: Mapping[int, int] | None) -> dict[str, int] | None:
+    """Return counts by topic from those by channel or connection; None for None."""
+    if counts is None:
+        return None
+    total: Counter[str] = Counter()
+    for number, count in counts.items():
+        total[name_of(number)] += count
+    return dict(total)
+
+
 def deserialize(topic: Topic, data: Any) -> Any:
     """Return the message of raw bytes; arrays in it are read-only views of them.
 
-    Raises:
-        UnreadableMessageError: the type cannot be compiled, or the bytes do not fit it.
+    Raises `UnreadableMessageError`: the type cannot be compiled, or the bytes do not fit it.
     """
     from rosbags.serde import SerdeError
     from rosbags.typesys import TypesysError
@@ -140,14 +144,27 @@ def deserialize(topic: Topic, data: Any) -> Any:
 
 @lru_cache(maxsize=64)
 def _typestore(type_name: str, definition_format: DefinitionFormat, definition: str) -> Any:
-    """Return a store that knows one type and all that it consists of."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     if definition_format == "none" or not definition.strip():
         return get_typestore(Stores.ROS2_HUMBLE)
     store = get_typestore(Stores.EMPTY)
-    if definition_format == "msg":
-        store.register(get_types_from_msg(definition, type_name))
-    else:
-        store.register(get_types_from_idl(definition))
+    is_msg = definition_format == "msg"
+    store.register(get_types_from_msg(definition, type_name) if is_msg else get_types_from_idl(definition))
     return store
+
+
+def files_identity(files: Sequence[Path], sampled: Sequence[Path] | None = None) -> str:
+    """Return the sha256 over name and size of all files, and the first and last MiB of the `sampled` ones (or of all).
+
+    The folder is not included, so that a log keeps its identity when it is moved.
+    """
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(f"{file.name}\0{file.stat().st_size}\0".encode())
+    for file in files if sampled is None else sampled:
+        with file.open("rb") as stream:
+            digest.update(stream.read(_SAMPLE_BYTES))
+            stream.seek(max(_SAMPLE_BYTES, file.stat().st_size - _SAMPLE_BYTES))
+            digest.update(stream.read(_SAMPLE_BYTES))
+    return digest.hexdigest()

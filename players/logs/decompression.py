@@ -1,4 +1,4 @@
-"""Decompression with a bound that is checked before memory is allocated, since a declared size may be wrong."""
+"""Decompression with a limit that is checked before memory is allocated, since a declared size may be wrong."""
 
 from __future__ import annotations
 
@@ -27,8 +27,7 @@ def release(data: mmap.mmap, start: int, end: int) -> None:
 def unpack(compression: str, data: Any, size: int | None, *, limit: int = MAX_UNPACKED_BYTES) -> Any:
     """Return the unpacked bytes, exactly `size` of them if it is known.
 
-    Raises:
-        UnpackError: the declared size is over the limit, the bytes are damaged, or they unpack to another size.
+    Raises `UnpackError`: the declared size is over the limit, the bytes are damaged, or they unpack to another size.
     """
     if size is not None and size > limit:
         raise UnpackError(f"claims to unpack to {size} bytes, over the limit of {limit}")
@@ -39,7 +38,7 @@ def unpack(compression: str, data: Any, size: int | None, *, limit: int = MAX_UN
 
 
 def _unpack(compression: str, data: Any, most: int) -> bytes:
-    """Return the unpacked bytes, at most one more than `most`."""
+    # At most one byte more than `most`.
     try:
         if compression == "zstd":
             return _zstd(data, most)

@@ -1,7 +1,7 @@
-"""Image folders as a source: the part that all layouts of `folder_layouts` share.
+"""Image folders as a source, for all layouts of `folder_layouts`.
 
-Every file was found and paired when the folder was opened; images are read when a frame is reached (colour) or decoded
-(depth). Frames are those of the colour camera, and the poses are its poses.
+Files are found and paired on opening; colour is read when a frame is reached, depth when it is decoded.
+Frames are those of the colour camera, and the poses are its poses.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.records import Frame, RawFrame, SourceInfo
-from players.logs.counts import Ledger
-from players.logs.identity import files_identity
-from players.logs.message_account import Account, TopicAccount
+from players.logs.containers import files_identity
+from players.logs.message_account import Account, Ledger, TopicAccount
 from players.messages.depth_registration import Registration, register_depth
 from players.messages.image_decoding import compressed_size, decode_color, decode_depth_png
 
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.geometry.camera import Camera
     from hickory_stream.geometry.depth_sensor import DepthSensor
 
 
@@ -47,40 +45,41 @@ class FolderFrame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FolderContent:
-    """What a layout found in a folder.
-
-    `frames` are in the order of their stamps. `fates` counts, by reason, the files that became no frame. `text_files`
-    hold poses and intrinsics; with the names and sizes of the images they identify the folder.
-    """
+    """The frames that a layout found in a folder, in the order of their stamps."""
 
     kind: str
     registration: Registration
     depth_units_per_m: float
     sensor: DepthSensor
     frames: tuple[FolderFrame, ...]
+    #: Counts, by reason, of files that became no frame.
     fates: Mapping[str, int]
     streams: tuple[tuple[str, str], ...]
+    #: Poses and intrinsics; with the names and sizes of the images they identify the folder.
     text_files: tuple[Path, ...]
+
+    @property
+    def images(self) -> list[Path]:
+        """The files of all frames, colour before depth."""
+        return [file for frame in self.frames for file in (frame.color, frame.depth)]
 
 
 class FolderSource:
     """A `Source` of an image folder."""
 
     def __init__(self, folder: Path, content: FolderContent) -> None:
-        """Check that the folder has frames.
-
-        Raises:
-            RecordingError: no frame has colour, depth and a pose.
-        """
+        """Raises `RecordingError`: no frame has colour, depth and a pose."""
         if not content.frames:
             found = ", ".join(f"{count} {fate}" for fate, count in content.fates.items() if count) or "no images"
             raise RecordingError(f"{folder}: no frame has colour, depth and a pose; found {found}")
         self._content = content
         self._ledger = Ledger()
-        self._info = SourceInfo(
+        images = content.images
+        sampled = [*content.text_files, *images[:2], *images[-2:]]
+        self.info = SourceInfo(
             uri=str(folder),
             kind=content.kind,
-            identity=_identity(content),
+            identity=files_identity([*content.text_files, *images], sampled),
             camera=content.registration.color_camera,
             num_frames=len(content.frames),
             start_ns=content.frames[0].stamp_ns,
@@ -88,16 +87,10 @@ class FolderSource:
             streams=content.streams,
         )
 
-    @property
-    def info(self) -> SourceInfo:
-        """The diagnosis of the folder when it was opened."""
-        return self._info
-
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames from the beginning; a frame whose colour has another size is counted and skipped.
 
-        Raises:
-            CalibrationError: no frame has the size that the intrinsics are for.
+        Raises `CalibrationError`: no frame has the size that the intrinsics are for.
         """
         ledger = self._ledger = Ledger()
         for fate, number in self._content.fates.items():
@@ -123,9 +116,8 @@ class FolderSource:
             index += 1
         if index == 0:
             raise CalibrationError(
-                f"{self._info.uri}: the intrinsics are for {camera.width}x{camera.height} pixels; no image is"
+                f"{self.info.uri}: the intrinsics are for {camera.width}x{camera.height} pixels; no image is"
             )
-
         ledger.is_complete = True
 
     def ledger(self) -> Mapping[str, int]:
@@ -154,22 +146,21 @@ class FolderSource:
 
     def num_bytes(self) -> int:
         """Return the size of everything that is played: images, poses and intrinsics."""
-        content = self._content
-        images = [file for frame in content.frames for file in (frame.color, frame.depth)]
-        return sum(file.stat().st_size for file in {*content.text_files, *images})
+        return sum(file.stat().st_size for file in {*self._content.text_files, *self._content.images})
 
     def close(self) -> None:
         """Do nothing: no file stays open between frames."""
 
 
 def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes: bytes, ledger: Ledger) -> Frame:
-    """Return the decoded frame: colour, and depth registered into it."""
     try:
         rgb = decode_color(color_bytes, str(files.color))
-        depth_m = content.sensor.returns(
-            decode_depth_png(_read(files.depth), content.depth_units_per_m, str(files.depth))
-        )
-        _check_size(depth_m, content.registration.depth_camera, files.depth)
+        decoded = decode_depth_png(_read(files.depth), content.depth_units_per_m, str(files.depth))
+        depth_m = content.sensor.returns(decoded)
+        camera = content.registration.depth_camera
+        if depth_m.shape != (camera.height, camera.width):
+            size = f"{depth_m.shape[1]}x{depth_m.shape[0]}"
+            raise RecordingError(f"{files.depth} has {size} pixels; expected {camera.width}x{camera.height}")
     except RecordingError:
         ledger.count("unreadable_image")
         raise
@@ -186,21 +177,8 @@ def _decode(content: FolderContent, files: FolderFrame, index: int, color_bytes:
     )
 
 
-def _check_size(depth_m: NDArray[np.float32], camera: Camera, file: Path) -> None:
-    """Check that depth has the size that its intrinsics are for; raises `RecordingError`."""
-    height, width = depth_m.shape
-    if (width, height) != (camera.width, camera.height):
-        raise RecordingError(f"{file} has {width}x{height} pixels; expected {camera.width}x{camera.height}")
-
-
 def _read(file: Path) -> bytes:
     try:
         return file.read_bytes()
     except OSError as error:
         raise RecordingError(f"{file} cannot be read: {error.strerror}") from error
-
-
-def _identity(content: FolderContent) -> str:
-    images = [file for frame in content.frames for file in (frame.color, frame.depth)]
-    sampled = [*content.text_files, *images[:2], *images[-2:]]
-    return files_identity([*content.text_files, *images], sampled)

@@ -1,7 +1,7 @@
-"""The layouts of image folders: 7-Scenes, TUM RGB-D, Replica, HOPE, and `rgb/ depth/` with its text files.
+"""Layouts of image folders: 7-Scenes, TUM RGB-D, Replica, HOPE, and `rgb/ depth/` with its text files.
 
-The world is z up. A `gravity-direction.txt` (the unit vector down in the log's world) turns the log's world upright;
-without one, the log's z axis is taken to be up.
+The world is z up. `gravity-direction.txt` (the unit vector down) turns the log's world upright.
+Without one, the log's z axis is taken to be up.
 """
 
 from __future__ import annotations
@@ -14,18 +14,8 @@ import numpy as np
 
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
+from players.logs import folder_text
 from players.logs.folder import FolderContent, FolderFrame, FolderSource
-from players.logs.folder_text import (
-    GRAVITY,
-    read_cam_params,
-    read_hope_camera,
-    read_intrinsics,
-    read_pose_file,
-    read_pose_rows,
-    read_stamped_rows,
-    read_tum_track,
-    read_world_from_log,
-)
 from players.logs.synchronizer import Leftover, Stamped, default_tolerance_ns, pair_nearest
 from players.messages.depth_registration import Registration
 from players.messages.image_decoding import compressed_size
@@ -33,7 +23,7 @@ from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC
 from players.profile import Intrinsics, Profile, load_profile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -55,29 +45,22 @@ def open_seven_scenes(folder: Path, options: SourceOptions) -> FolderSource:
     """
     profile_name = options.profile or "seven_scenes"
     profile = load_profile(profile_name)
-    depth_intrinsics = read_intrinsics(folder / INTRINSICS)
+    depth_intrinsics = folder_text.read_intrinsics(folder / INTRINSICS)
     poses = _by_number(folder.glob("frame-*.pose.txt"))
     colors = _by_number(file for file in folder.glob("frame-*.color.*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number(folder.glob("frame-*.depth.png"))
     found = _Collector(folder, profile, options)
-    for number in sorted(colors.keys() | depths.keys()):
-        found.add(
-            number * 1_000_000_000 // profile.frame_rate_hz,
-            colors.get(number),
-            depths.get(number),
-            read_pose_file(poses[number]) if number in poses else None,
-        )
+    found.add_numbered(colors, depths, {i: folder_text.read_pose_file(file) for i, file in poses.items()})
     return found.source(
         kind="7-Scenes folder",
         depth_intrinsics=depth_intrinsics,
-        color_intrinsics=profile.color or depth_intrinsics,
-        depth_units_per_m=profile.depth_units_per_m,
+        color_intrinsics=profile.color,
         streams={
             "color": "frame-*.color.*",
             "depth": "frame-*.depth.png",
             "camera_info": f"{INTRINSICS}, profile {profile_name}",
             "pose": "frame-*.pose.txt",
-            "stamps": f"number in the name / {profile.frame_rate_hz} Hz",
+            "stamps": found.clock,
         },
         text_files=[folder / INTRINSICS, *(poses[number] for number in sorted(poses))],
     )
@@ -101,18 +84,19 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
     if missing:
         raise RecordingError(f"{folder} looks like TUM RGB-D but has no {', '.join(missing)}")
     has_intrinsics = (folder / INTRINSICS).is_file()
-    intrinsics = read_intrinsics(folder / INTRINSICS) if has_intrinsics else profile.color
+    intrinsics = folder_text.read_intrinsics(folder / INTRINSICS) if has_intrinsics else profile.color
     if intrinsics is None:
         raise CalibrationError(f"{folder} has no {INTRINSICS} (3x3), and the profile {profile_name} has no intrinsics")
     images = {
-        name: [(ns, folder / words[0]) for ns, words in read_stamped_rows(files[name], 2)] for name in ("rgb", "depth")
+        name: [(ns, folder / words[0]) for ns, words in folder_text.read_stamped_rows(files[name], 2)]
+        for name in ("rgb", "depth")
     }
     tolerance_ns = options.sync_tolerance_ns
     if tolerance_ns is None:
         tolerance_ns = default_tolerance_ns(*([stamp_ns for stamp_ns, _ in rows] for rows in images.values()))
     track = None
     if has_poses:
-        track = read_tum_track(files["groundtruth"], options.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS)
+        track = folder_text.read_tum_track(files["groundtruth"], options.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS)
     found = _Collector(folder, profile, options)
     stamped = [Stamped("color", *row) for row in images["rgb"]] + [Stamped("depth", *row) for row in images["depth"]]
     for match in pair_nearest(sorted(stamped, key=lambda image: image.stamp_ns), tolerance_ns):
@@ -125,8 +109,6 @@ def open_tum(folder: Path, options: SourceOptions) -> FolderSource:
     return found.source(
         kind="TUM RGB-D folder",
         depth_intrinsics=intrinsics,
-        color_intrinsics=intrinsics,
-        depth_units_per_m=profile.depth_units_per_m,
         streams={
             "color": "rgb.txt",
             "depth": "depth.txt",
@@ -150,8 +132,8 @@ def open_posed_folder(folder: Path, options: SourceOptions) -> FolderSource:
         if not (folder / name).is_file():
             error = CalibrationError if name == CAM_PARAMS else RecordingError
             raise error(f"{folder} has no {name}; the layout is rgb/, depth/, {CAM_PARAMS} and {CAMERA_POSES}")
-    intrinsics, units_per_m = read_cam_params(folder / CAM_PARAMS)
-    poses = read_pose_rows(folder / CAMERA_POSES)
+    intrinsics, units_per_m = folder_text.read_cam_params(folder / CAM_PARAMS)
+    poses = folder_text.read_pose_rows(folder / CAMERA_POSES)
     colors = _by_number(file for file in (folder / "rgb").glob("*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number((folder / "depth").glob("*.png"))
     numbers = sorted(colors.keys() | depths.keys())
@@ -165,7 +147,6 @@ def open_posed_folder(folder: Path, options: SourceOptions) -> FolderSource:
     return found.source(
         kind="posed folder",
         depth_intrinsics=intrinsics,
-        color_intrinsics=intrinsics,
         depth_units_per_m=units_per_m,
         streams={
             "color": "rgb/*",
@@ -187,28 +168,24 @@ def open_replica(folder: Path, options: SourceOptions) -> FolderSource:
     parameters = next((f for f in (folder / CAM_PARAMS, folder.parent / CAM_PARAMS) if f.is_file()), None)
     intrinsics, units_per_m = profile.color, profile.depth_units_per_m
     if parameters is not None:
-        intrinsics, units_per_m = read_cam_params(parameters)
+        intrinsics, units_per_m = folder_text.read_cam_params(parameters)
     if intrinsics is None:
         raise CalibrationError(f"{folder} has no {CAM_PARAMS}, and the profile {profile.name} has no intrinsics")
-    poses = read_pose_rows(folder / TRAJECTORY)
+    poses = folder_text.read_pose_rows(folder / TRAJECTORY)
     colors = _by_number(file for file in (folder / "results").glob("frame*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number((folder / "results").glob("depth*.png"))
     found = _Collector(folder, profile, options)
-    for number in sorted(colors.keys() | depths.keys()):
-        pose = poses[number] if number < len(poses) else None
-        stamp_ns = number * 1_000_000_000 // profile.frame_rate_hz
-        found.add(stamp_ns, colors.get(number), depths.get(number), pose)
+    found.add_numbered(colors, depths, dict(enumerate(poses)))
     return found.source(
         kind="Replica folder",
         depth_intrinsics=intrinsics,
-        color_intrinsics=intrinsics,
         depth_units_per_m=units_per_m,
         streams={
             "color": "results/frame*",
             "depth": "results/depth*.png",
             "camera_info": str(parameters or f"profile {profile.name}"),
             "pose": TRAJECTORY,
-            "stamps": f"number in the name / {profile.frame_rate_hz} Hz",
+            "stamps": found.clock,
         },
         text_files=[folder / TRAJECTORY, *([parameters] if parameters is not None else [])],
     )
@@ -223,53 +200,55 @@ def open_hope(folder: Path, options: SourceOptions) -> FolderSource:
     colors = _by_number(file for file in folder.glob("*_rgb.*") if file.suffix in _COLOR_SUFFIXES)
     depths = _by_number(folder.glob("*_depth.png"))
     jsons = _by_number(folder.glob("*.json"))
-    found = _Collector(folder, profile, options)
-    intrinsics: Intrinsics | None = None
-    for number in sorted(colors.keys() | depths.keys()):
-        pose = None
-        if number in jsons:
-            camera, pose = read_hope_camera(jsons[number], profile.extrinsics_units_per_m)
-            intrinsics = intrinsics or camera
-        stamp_ns = number * 1_000_000_000 // profile.frame_rate_hz
-        found.add(stamp_ns, colors.get(number), depths.get(number), pose)
-    if intrinsics is None:
+    units_per_m = profile.extrinsics_units_per_m
+    numbers = sorted(jsons.keys() & (colors.keys() | depths.keys()))
+    cameras = {number: folder_text.read_hope_camera(jsons[number], units_per_m) for number in numbers}
+    if not cameras:
         raise CalibrationError(f"{folder} has no NNNN.json with camera.intrinsics beside its {len(colors)} images")
+    found = _Collector(folder, profile, options)
+    found.add_numbered(colors, depths, {number: pose for number, (_, pose) in cameras.items()})
     return found.source(
         kind="HOPE folder",
-        depth_intrinsics=intrinsics,
-        color_intrinsics=intrinsics,
-        depth_units_per_m=profile.depth_units_per_m,
+        depth_intrinsics=cameras[numbers[0]][0],
         streams={
             "color": "*_rgb.*",
             "depth": "*_depth.png",
             "camera_info": "*.json",
             "pose": "*.json",
-            "stamps": f"number in the name / {profile.frame_rate_hz} Hz",
+            "stamps": found.clock,
         },
         text_files=[jsons[number] for number in sorted(jsons)],
     )
 
 
 class _Collector:
-    """Collects frames, counts the other files, and converts poses to the colour camera in an upright world."""
-
     def __init__(self, folder: Path, profile: Profile, options: SourceOptions) -> None:
         self._folder = folder
         self._estimates_poses = options.estimates_poses
         self._ignores_poses = options.pose_topic == NO_TOPIC
-        self._world_from_log = read_world_from_log(folder)
-        self._up = GRAVITY if (folder / GRAVITY).is_file() else "z of the log"
+        self._world_from_log = folder_text.read_world_from_log(folder)
+        self._up = folder_text.GRAVITY if (folder / folder_text.GRAVITY).is_file() else "z of the log"
         self._color_from_depth = from_rotation_translation(np.eye(3), np.array(profile.color_from_depth_m))
         self._depth_from_color = invert(self._color_from_depth)
-        self._sensor = profile.sensor
+        self._profile = profile
         self._frames: list[FolderFrame] = []
         self._fates: Counter[str] = Counter()
         self._unposed_ns: list[int] = []
 
+    @property
+    def clock(self) -> str:
+        return f"number in the name / {self._profile.frame_rate_hz} Hz"
+
+    def add_numbered(
+        self, colors: Mapping[int, Path], depths: Mapping[int, Path], poses: Mapping[int, NDArray[np.float64] | None]
+    ) -> None:
+        for number in sorted(colors.keys() | depths.keys()):
+            stamp_ns = number * 1_000_000_000 // self._profile.frame_rate_hz
+            self.add(stamp_ns, colors.get(number), depths.get(number), poses.get(number))
+
     def add(
         self, stamp_ns: int, color: Path | None, depth: Path | None, log_from_depth: NDArray[np.float64] | None
     ) -> None:
-        """Add a frame, or count its files under the reason why there is none."""
         if color is None or not color.is_file():
             self._fates["depth_without_color"] += 1
         elif depth is None or not depth.is_file():
@@ -290,27 +269,26 @@ class _Collector:
         *,
         kind: str,
         depth_intrinsics: Intrinsics,
-        color_intrinsics: Intrinsics,
-        depth_units_per_m: float,
         streams: dict[str, str],
         text_files: list[Path],
+        color_intrinsics: Intrinsics | None = None,
+        depth_units_per_m: float | None = None,
         pose_span_ns: tuple[int, int] | None = None,
     ) -> FolderSource:
-        """Return the source; the sizes of the images are those of the first frame."""
         if not self._frames:
             error = NoPosesError if self._unposed_ns and pose_span_ns is None else RecordingError
             raise error(self._why_empty(pose_span_ns))
         first = self._frames[0]
         registration = Registration(
             depth_camera=depth_intrinsics.camera(_size_of(first.depth)),
-            color_camera=color_intrinsics.camera(_size_of(first.color)),
+            color_camera=(color_intrinsics or depth_intrinsics).camera(_size_of(first.color)),
             color_from_depth=self._color_from_depth,
         )
         content = FolderContent(
             kind=kind,
             registration=registration,
-            depth_units_per_m=depth_units_per_m,
-            sensor=self._sensor,
+            depth_units_per_m=depth_units_per_m or self._profile.depth_units_per_m,
+            sensor=self._profile.sensor,
             frames=tuple(self._frames),
             fates=dict(self._fates),
             streams=(*streams.items(), ("up", self._up)),
@@ -319,7 +297,6 @@ class _Collector:
         return FolderSource(self._folder, content)
 
     def _why_empty(self, pose_span_ns: tuple[int, int] | None) -> str:
-        """Return why there is no frame with colour, depth and a pose."""
         if self._unposed_ns and pose_span_ns is not None:
             first_ns, last_ns = min(self._unposed_ns), max(self._unposed_ns)
             return (
@@ -331,7 +308,7 @@ class _Collector:
 
 
 def _by_number(files: Iterable[Path]) -> dict[int, Path]:
-    """Return the files by the last number in the first part of their name (frame-000012.color.jpg: 12)."""
+    # frame-000012.color.jpg: 12
     numbered = {}
     for file in sorted(files):
         digits = re.findall(r"\d+", file.name.split(".")[0])
@@ -341,11 +318,6 @@ def _by_number(files: Iterable[Path]) -> dict[int, Path]:
 
 
 def _size_of(file: Path) -> tuple[int, int]:
-    """Return (width, height) of an image file.
-
-    Raises:
-        RecordingError: it is neither JPEG nor PNG.
-    """
     size = compressed_size(file.read_bytes()[: 1 << 16])
     if size is None:
         raise RecordingError(f"{file} is neither JPEG nor PNG, or is torn")

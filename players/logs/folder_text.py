@@ -1,8 +1,9 @@
-"""The text files of image folders: intrinsics, poses, gravity, lists of stamped images."""
+"""Text files of image folders: intrinsics, poses, gravity, lists of stamped images."""
 
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING, Any
 
@@ -23,11 +24,7 @@ GRAVITY = "gravity-direction.txt"
 
 
 def read_text(file: Path) -> str:
-    """Return the text of a file.
-
-    Raises:
-        RecordingError: it cannot be read, or holds no text.
-    """
+    """Return the text of a file. Raises `RecordingError`: it cannot be read, or holds no text."""
     try:
         return file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -37,8 +34,7 @@ def read_text(file: Path) -> str:
 def read_numbers(file: Path) -> NDArray[np.float64]:
     """Return all numbers of a file (N,), separated by space or commas.
 
-    Raises:
-        RecordingError: something in it is no number.
+    Raises `RecordingError`: something in it is no number.
     """
     try:
         return np.array([float(word) for word in read_text(file).replace(",", " ").split()])
@@ -49,8 +45,7 @@ def read_numbers(file: Path) -> NDArray[np.float64]:
 def read_intrinsics(file: Path) -> Intrinsics:
     """Return the intrinsics of a text file with a 3x3 matrix K, row by row.
 
-    Raises:
-        CalibrationError: the file is missing or holds no such matrix.
+    Raises `CalibrationError`: the file is missing or holds no such matrix.
     """
     if not file.is_file():
         raise CalibrationError(f"{file.parent} has no {file.name}; it must hold the 3x3 intrinsics of the depth camera")
@@ -66,8 +61,7 @@ def read_cam_params(file: Path) -> tuple[Intrinsics, float]:
     Accepted are fx, fy, cx, cy or a 3x3 K, at the top or under `camera`; `scale`, `depth_scale` or
     `depth_units_per_m` (default 1000).
 
-    Raises:
-        CalibrationError: the file cannot be read or a value is missing.
+    Raises `CalibrationError`: the file cannot be read or a value is missing.
     """
     try:
         table: dict[str, Any] = json.loads(read_text(file))
@@ -90,8 +84,7 @@ def read_cam_params(file: Path) -> tuple[Intrinsics, float]:
 def read_world_from_log(folder: Path) -> NDArray[np.float64]:
     """Return the rotation (4, 4) that turns z up: from `gravity-direction.txt`, else the identity.
 
-    Raises:
-        RecordingError: the file holds no direction.
+    Raises `RecordingError`: the file holds no direction.
     """
     file = folder / GRAVITY
     if not file.is_file():
@@ -110,8 +103,7 @@ def read_pose_file(file: Path) -> NDArray[np.float64] | None:
 def read_hope_camera(file: Path, units_per_m: float) -> tuple[Intrinsics, NDArray[np.float64] | None]:
     """Return the intrinsics and world_from_camera (4, 4) of a HOPE json; None if its extrinsics are no rigid transform.
 
-    Raises:
-        CalibrationError: it cannot be read, or has no intrinsics.
+    Raises `CalibrationError`: it cannot be read, or has no intrinsics.
     """
     try:
         camera = json.loads(read_text(file))["camera"]
@@ -121,19 +113,18 @@ def read_hope_camera(file: Path, units_per_m: float) -> tuple[Intrinsics, NDArra
         raise CalibrationError(
             f"{file}: {error!r}; expected camera.intrinsics (3x3) and camera.extrinsics (4x4, camera from world)"
         ) from error
+    intrinsics = Intrinsics(fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]), cy=float(k[1, 2]))
     rigid = nearest_rigid(camera_from_world)
     if rigid is None or not (k[0, 0] > 0 and k[1, 1] > 0):
-        return Intrinsics(fx=k[0, 0], fy=k[1, 1], cx=k[0, 2], cy=k[1, 2]), None
+        return intrinsics, None
     rigid[:3, 3] /= units_per_m
-    intrinsics = Intrinsics(fx=float(k[0, 0]), fy=float(k[1, 1]), cx=float(k[0, 2]), cy=float(k[1, 2]))
     return intrinsics, invert(rigid)
 
 
 def read_pose_rows(file: Path) -> list[NDArray[np.float64] | None]:
     """Return a pose per line of 16 or 12 numbers, row by row; None for a line that is no rigid transform.
 
-    Raises:
-        RecordingError: a line has another number of numbers.
+    Raises `RecordingError`: a line has another number of numbers.
     """
     poses = []
     for number, line in enumerate(read_text(file).splitlines(), start=1):
@@ -154,8 +145,7 @@ def read_pose_rows(file: Path) -> list[NDArray[np.float64] | None]:
 def read_stamped_rows(file: Path, columns: int) -> list[tuple[int, list[str]]]:
     """Return the rows of a TUM list: the stamp in nanoseconds, exactly, and the words behind it.
 
-    Raises:
-        RecordingError: a row has fewer columns, or does not begin with seconds.
+    Raises `RecordingError`: a row has fewer columns, or does not begin with seconds.
     """
     rows = []
     for number, line in enumerate(read_text(file).splitlines(), start=1):
@@ -175,18 +165,15 @@ def read_stamped_rows(file: Path, columns: int) -> list[tuple[int, list[str]]]:
 def read_tum_track(file: Path, max_gap_ns: int) -> PoseTrack:
     """Return the trajectory of a TUM file: `stamp tx ty tz qx qy qz qw`; rows that are no pose are left out.
 
-    Raises:
-        RecordingError: no row is a pose.
+    Raises `RecordingError`: no row is a pose.
     """
     stamps_ns, rows = [], []
     for stamp_ns, words in read_stamped_rows(file, 8):
-        try:
+        with suppress(ValueError):
             row = [float(word) for word in words[:7]]
-        except ValueError:
-            continue
-        if is_pose_row(row):
-            stamps_ns.append(stamp_ns)
-            rows.append(row)
+            if is_pose_row(row):
+                stamps_ns.append(stamp_ns)
+                rows.append(row)
     track = track_of(stamps_ns, rows, max_gap_ns)
     if track is None:
         raise RecordingError(f"{file} holds no pose; expected rows of: stamp tx ty tz qx qy qz qw")
@@ -194,5 +181,4 @@ def read_tum_track(file: Path, max_gap_ns: int) -> PoseTrack:
 
 
 def _rigid_of_row(row: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the pose of 12 or 16 numbers, row by row, or None if they are no rigid transform."""
     return nearest_rigid(row.reshape(-1, 4)[:3]) if row.size in (12, 16) else None

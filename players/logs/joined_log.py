@@ -1,7 +1,6 @@
 """Several logs as one: split recordings, or odometry in a separate bag.
 
-They are merged by header stamp rather than by log time: odometry that was computed later, in a replay, has the header
-stamps of the images but the log times of the replay.
+Logs are merged by header stamp, since odometry from a replay has the log times of the replay.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from players.logs.containers import merged_topics
 from players.logs.log_damage import Flaws
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _Head:
-    """The next message of a log, and the log's position in time."""
-
     message: LogMessage
     rest: Iterator[LogMessage]
     stamp_ns: int
@@ -74,10 +71,7 @@ class JoinedLog:
             self._next(i, log.messages([name for name in topics if name in self._topic_of[i]]), None)
             for i, log in enumerate(self.logs)
         ]
-        while True:
-            waiting = [(head.stamp_ns, i) for i, head in enumerate(heads) if head is not None]
-            if not waiting:
-                return
+        while waiting := [(head.stamp_ns, i) for i, head in enumerate(heads) if head is not None]:
             _, i = min(waiting)
             head = heads[i]
             assert head is not None
@@ -89,7 +83,5 @@ class JoinedLog:
         if message is None:
             return None
         # Static transforms may have any stamp, and stamps may be unset: neither changes the log's position in time.
-        stamp_ns = peek_stamp_ns(self._topic_of[i][message.topic], message.data) or 0
-        if before_ns is None and stamp_ns == 0:
-            return _Head(message, rest, 0)
+        stamp_ns = serialized_stamp_ns(self._topic_of[i][message.topic], message.data) or 0
         return _Head(message, rest, max(stamp_ns, before_ns or 0))

@@ -1,7 +1,4 @@
-"""Flaws in the bytes of a log: each is listed once, with its position and the messages lost to it.
-
-A log may be read several times; the same flaw is found each time, hence the set of places.
-"""
+"""Flaws in the bytes of a log, each listed once by its place, however often the log is read."""
 
 from __future__ import annotations
 
@@ -13,32 +10,39 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class Flaw:
-    """Bytes that could not be read: `what` in words, from `offset` on, `num_bytes` of them.
-
-    `lost` is the number of lost messages by topic, as far as an index tells; `num_unknown` is the number of further
-    lost messages of unknown topics.
-    """
+    """Bytes that could not be read."""
 
     file: str
     offset: int
     what: str
     num_bytes: int
+    #: Lost messages by topic, as far as an index counts them.
     lost: tuple[tuple[str, int], ...] = ()
+    #: Further lost messages of unknown topics.
     num_unknown: int = 0
 
     @property
     def num_lost(self) -> int:
-        """How many messages are known to be lost."""
+        """Number of messages known to be lost."""
         return self.num_unknown + sum(number for _, number in self.lost)
 
 
 class Flaws:
     """The flaws of one log; a flaw found again at the same place replaces the earlier one."""
 
-    def __init__(self) -> None:
+    def __init__(self, file: str = "") -> None:
+        self._file = file
         self._by_place: dict[tuple[str, int], Flaw] = {}
+
+    def note(
+        self, offset: int, what: str, num_bytes: int, lost: Mapping[str, int] | None = None, num_unknown: int = 0
+    ) -> None:
+        """Add a flaw of the file; `lost` messages by topic, "" for unknown ones."""
+        known = {topic: number for topic, number in (lost or {}).items() if topic}
+        num_unknown += (lost or {}).get("", 0)
+        self.add(Flaw(self._file, offset, what, num_bytes, tuple(known.items()), num_unknown))
 
     def add(self, flaw: Flaw) -> None:
         """Note a flaw; of two at one place the later one is kept, since it is more complete."""
@@ -53,7 +57,7 @@ class Flaws:
 
     @property
     def num_bytes(self) -> int:
-        """How many bytes could not be read."""
+        """Number of unreadable bytes."""
         return sum(flaw.num_bytes for flaw in self)
 
     def lost(self) -> Mapping[str, int]:

@@ -1,38 +1,29 @@
-"""Opening a log: which topics play which role, how depth gets into the colour image, and where the camera was.
+"""Opening of a log: roles of topics, registration of depth, and the poses of the camera.
 
-Only the beginning of the log is read, up to the first images of both topics, their calibrations, and poses that are
-connected to the camera.
+Only the beginning is read: up to images of both topics, their calibrations, and poses connected to the camera.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import from_rotation_translation
+from players.logs import topic_discovery as discovery
 from players.logs.containers import UnreadableMessageError, deserialize
 from players.logs.log_setup import LogSetup
 from players.logs.log_source import LogSource
 from players.logs.synchronizer import default_tolerance_ns
 from players.logs.time_base import choose_clock
-from players.logs.topic_discovery import (
-    ImageTopics,
-    camera_infos,
-    choose_images,
-    info_names,
-    is_rectified,
-    pose_topics,
-    tf_topics,
-)
 from players.messages.calibration import Lens, lens_of
 from players.messages.depth_registration import Registration
 from players.messages.images import LogImage, Probe, check_color_encoding, check_depth_encoding, image_of
 from players.messages.records import TF
 from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC
-from players.poses.camera_poses import UNPOSED, PosePlan, PoseStream, RigReader, plan_poses
+from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader, PoseStream, plan_poses
 from players.poses.pose_file import read_pose_file
 from players.poses.tf import FrameTree
 from players.profile import Profile, guess_profile, load_profile, profiles_with_robots, robots_in
@@ -60,10 +51,10 @@ class Opening:
     options: SourceOptions
     profile: Profile
     is_profile_guessed: bool
-    topics: ImageTopics
+    topics: discovery.ImageTopics
     color: Probe
     depth: Probe
-    reader: RigReader
+    reader: PoseReader
     infos: tuple[str | None, str | None]
     plan: PosePlan | None
     is_pose_named: bool
@@ -90,11 +81,6 @@ def choose_profile(topics: Sequence[Topic], options: SourceOptions) -> tuple[Pro
 
 
 def _check_robot(robot: str, profile: Profile, topics: Sequence[Topic]) -> None:
-    """Check that the named robot has topics in the log, since the name would otherwise have no effect.
-
-    Raises:
-        CalibrationError: the profile has no robots, or the log has no topic of this one.
-    """
     if not profile.has_robots:
         kind = f"the profile {profile.name}" if profile.name else "this kind of log"
         raise CalibrationError(
@@ -109,9 +95,8 @@ def _check_robot(robot: str, profile: Profile, topics: Sequence[Topic]) -> None:
 def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogSource:
     """Return the source of a log; `is_live`: its messages arrive while it is read.
 
-    Raises:
-        RecordingError: colour, depth or poses are missing, or never meet in time.
-        CalibrationError: intrinsics or the frames between pose and camera are missing.
+    Raises `RecordingError`: colour, depth or poses are missing, or never meet in time; `CalibrationError`: intrinsics
+    or the frames between pose and camera are missing.
     """
     opening = read_opening(log, options)
     color_image, depth_image = opening.color.first, opening.depth.first
@@ -185,21 +170,20 @@ def open_log(log: Log, options: SourceOptions, *, is_live: bool = False) -> LogS
 def read_opening(log: Log, options: SourceOptions) -> Opening:
     """Return the contents of the beginning of a log, whether or not they suffice to play it.
 
-    Raises:
-        RecordingError: there are no messages, or no topics of colour, depth or poses.
+    Raises `RecordingError`: there are no messages, or no topics of colour, depth or poses.
     """
     if not any(topic.num_messages != 0 for topic in log.topics):
         raise RecordingError(f"{log.path} ({log.kind}) holds no messages{_damage_of(log)}")
     profile, is_guessed = choose_profile(log.topics, options)
-    topics = choose_images(log.path, log.topics, options, profile.topics)
+    topics = discovery.choose_images(log.path, log.topics, options, profile.topics)
     poses = [] if options.pose_file else _pose_topics(log, options, profile)
     is_named = options.pose_topic not in (None, NO_TOPIC) or (
         bool(profile.topics.get("pose")) and any(topic.name in profile.topics["pose"] for topic in poses)
     )
     is_named = is_named and not all(topic.type_name in TF for topic in poses)
-    wanted = [*poses, *tf_topics(log.topics), *camera_infos(log.topics)]
+    wanted = [*poses, *discovery.tf_topics(log.topics), *discovery.camera_infos(log.topics)]
     max_gap_ns = options.max_pose_gap_ns or profile.max_pose_gap_ns or DEFAULT_MAX_POSE_GAP_NS
-    reader = RigReader(wanted, max_gap_ns, profile.jump_limits, uses_log_time=options.clock == "log")
+    reader = PoseReader(wanted, max_gap_ns, profile.jump_limits, uses_log_time=options.clock == "log")
     pose_file = None
     if options.pose_file is not None:
         pose_file = read_pose_file(options.pose_file, profile.pose_file)
@@ -226,9 +210,8 @@ def read_opening(log: Log, options: SourceOptions) -> Opening:
 
 
 def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Topic]:
-    """Return the topics that may hold poses; none if odometry is to estimate them without."""
     try:
-        return pose_topics(log.path, log.topics, options, profile.topics.get("pose", ()))
+        return discovery.pose_topics(log.path, log.topics, options, profile.topics.get("pose", ()))
     except NoPosesError:
         if not options.estimates_poses:
             raise
@@ -236,9 +219,6 @@ def _pose_topics(log: Log, options: SourceOptions, profile: Profile) -> list[Top
 
 
 def _filled(opening: Opening, wanted: set[str]) -> Opening:
-    """Read messages until everything needed has been found."""
-    from dataclasses import replace
-
     log, reader, topics = opening.log, opening.reader, opening.topics
     probes = {topics.color.name: opening.color, topics.depth.name: opening.depth}
     first_ns: int | None = None
@@ -248,8 +228,7 @@ def _filled(opening: Opening, wanted: set[str]) -> Opening:
         if probe is None:
             reader.add(message)
         else:
-            # Progress is measured by the images: another bag of the log may have been recorded years later, in a
-            # replay.
+            # Progress is measured by the images: another bag of the log may have been recorded years later.
             first_ns = message.log_ns if first_ns is None else first_ns
             passed_ns = max(passed_ns, message.log_ns - first_ns)
             if not probe.is_full:
@@ -280,7 +259,6 @@ def _look_at(probe: Probe, data: object, log_ns: int) -> None:
 
 
 def _infos(opening: Opening) -> tuple[str | None, str | None]:
-    """Return the calibration topics of colour and depth, None if not found yet."""
     named = (opening.options.color_info_topic, opening.options.depth_info_topic)
     found = []
     for probe, name, role in zip((opening.color, opening.depth), named, ("color_info", "depth_info"), strict=True):
@@ -289,12 +267,11 @@ def _infos(opening: Opening) -> tuple[str | None, str | None]:
     return found[0], found[1]
 
 
-def _find_info(reader: RigReader, probe: Probe, name: str | None, listed: Sequence[str]) -> str | None:
-    """Return the topic of an image's calibration: named, listed, beside it by name, or the only one of its frame."""
+def _find_info(reader: PoseReader, probe: Probe, name: str | None, listed: Sequence[str]) -> str | None:
     assert probe.first is not None
     if name is not None:
         return name if name in reader.infos else None
-    for candidate in (*listed, *info_names(probe.topic)):
+    for candidate in (*listed, *discovery.info_names(probe.topic)):
         if candidate in reader.infos:
             return candidate
     same_frame = [info for info in sorted(reader.infos) if reader.infos[info].frame == probe.first.frame]
@@ -332,11 +309,6 @@ def _plan(opening: Opening, camera_frame: str) -> PosePlan:
 
 
 def _info_topic(opening: Opening, topic: Topic, image: LogImage, found: str | None, option: str) -> str:
-    """Return the topic of an image's calibration.
-
-    Raises:
-        CalibrationError: there is none.
-    """
     if found is None:
         known = opening.reader.infos
         infos = ", ".join(f"{info} (frame {known[info].frame})" for info in sorted(known)) or "none"
@@ -344,18 +316,17 @@ def _info_topic(opening: Opening, topic: Topic, image: LogImage, found: str | No
         asked = options.color_info_topic if option == "--color-info-topic" else options.depth_info_topic
         raise CalibrationError(
             f"{opening.log.path}: no intrinsics for {topic.name}: no CameraInfo on "
-            f"{asked or ' or '.join(info_names(topic))}, nor one of frame {image.frame}; "
+            f"{asked or ' or '.join(discovery.info_names(topic))}, nor one of frame {image.frame}; "
             f"CameraInfo topics: {infos}. Name one with {option}"
         )
     return found
 
 
-def _lens(reader: RigReader, info: str, topic: Topic, image: LogImage) -> Lens:
-    return lens_of(reader.infos[info], topic=info, image_size=image.size, is_rectified=is_rectified(topic))
+def _lens(reader: PoseReader, info: str, topic: Topic, image: LogImage) -> Lens:
+    return lens_of(reader.infos[info], topic=info, image_size=image.size, is_rectified=discovery.is_rectified(topic))
 
 
 def _depth_lens(opening: Opening, color_info: str, color_lens: Lens) -> tuple[str, Lens]:
-    """Return the depth's calibration: its own, or that of colour if frame and size are the same."""
     color, depth = opening.color.first, opening.depth.first
     assert color is not None and depth is not None
     if opening.options.depth_info_topic is None and opening.infos[1] is None:
@@ -367,11 +338,6 @@ def _depth_lens(opening: Opening, color_info: str, color_lens: Lens) -> tuple[st
 
 
 def _color_from_depth(opening: Opening, color_frame: str, depth_frame: str) -> tuple[NDArray[np.float64], str]:
-    """Return the transform between the two cameras, and its origin in words.
-
-    Raises:
-        CalibrationError: neither TF nor the profile connects them rigidly.
-    """
     tree = opening.reader.tree()
     chain = tree.chain(color_frame, depth_frame)
     if chain is not None and chain.edges and chain.is_static:
@@ -398,14 +364,13 @@ def _color_from_depth(opening: Opening, color_frame: str, depth_frame: str) -> t
     )
 
 
-def _span(reader: RigReader, plan: PosePlan) -> tuple[int, int] | None:
+def _span(reader: PoseReader, plan: PosePlan) -> tuple[int, int] | None:
     tracks = [track for key in plan.keys if (track := reader.track(key, 0)) is not None and track.num_added]
     spans = [(track.first_ns or 0, track.newest_ns or 0) for track in tracks]
     return (max(start for start, _ in spans), min(end for _, end in spans)) if spans else None
 
 
 def _damage_of(log: Log) -> str:
-    """Return the damage found so far as an addition to a message, "" where there is none."""
     if not len(log.flaws):
         return ""
     first = next(iter(log.flaws))

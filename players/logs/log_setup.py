@@ -1,4 +1,4 @@
-"""The record of what was determined when a log was opened."""
+"""What opening determined about a log."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A recorded log as a source: images are paired and poses interpolated in one pass over the log.
+"""A recorded log as a source: images are paired and poses interpolated in one pass.
 
-Opening reads up to the first complete frame, so that a log that cannot be mapped is refused before anything is written.
-A pair of images waits until poses up to its stamp have been read, or none can be expected.
+Opening reads up to the first complete frame, so that an unusable log is refused before anything is written.
+A pair waits until poses up to its stamp have been read, or none can be expected.
 """
 
 from __future__ import annotations
@@ -17,17 +17,16 @@ import numpy as np
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
-from players.logs.containers import UnreadableMessageError, deserialize
-from players.logs.counts import Ledger
-from players.logs.identity import files_identity
+from players.logs.containers import UnreadableMessageError, deserialize, files_identity
+from players.logs.message_account import Ledger, account_of
 from players.logs.synchronizer import Leftover, Pair, Stamped, pair_epochs
 from players.logs.timeline import Order, Timeline
 from players.messages.depth_registration import Registration, register_depth, with_motion
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 from players.messages.images import LogImage, color_of, depth_of, image_of
 from players.messages.point_clouds import scan_of
 from players.messages.records import POINT_CLOUD
-from players.poses.camera_poses import UNPOSED, RigReader
+from players.poses.camera_poses import UNPOSED, PoseReader
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -48,7 +47,6 @@ _PATIENCE_NS = 500_000_000
 _KEPT_NS = 5_000_000_000
 """How long poses older than the current frame are kept."""
 
-
 _KEPT_WITHOUT_FRAMES_NS = 60_000_000_000
 _FORGET_EVERY = 5000
 
@@ -59,60 +57,46 @@ class LogSource:
     def __init__(self, log: Log, setup: LogSetup) -> None:
         """Read up to the first frame.
 
-        Raises:
-            RecordingError: there is no frame with colour, depth and a pose; the message says which do not coincide in
-            time.
-            CalibrationError: all images have another size than their calibration.
+        Raises `RecordingError`: there is no frame with colour, depth and a pose; the message says which do not coincide
+        in time; `CalibrationError`: all images have another size than their calibration.
         """
         self._log = log
-        self._setup = setup
+        self.setup = setup
         self._ledger = Ledger()
         first = next(self.frames(), None)
         if first is None:
             raise self._why_empty()
-        self._info = SourceInfo(
+        numbers = (setup.topics.color.num_messages, setup.topics.depth.num_messages)
+        #: `num_frames` is an upper bound: images may lack partners.
+        self.info = SourceInfo(
             uri=str(log.path),
             kind=log.kind,
             identity=files_identity(log.files),
             camera=setup.registration.color_camera,
-            num_frames=_fewer(setup.topics.color.num_messages, setup.topics.depth.num_messages),
+            num_frames=None if None in numbers else min(n for n in numbers if n is not None),
             start_ns=first.stamp_ns,
             end_ns=None,
             streams=setup.streams,
         )
 
-    @property
-    def info(self) -> SourceInfo:
-        """What was found when the log was opened; `num_frames` is an upper bound, since images may lack partners."""
-        return self._info
-
     def with_plan(self, plan: PosePlan) -> LogSource:
         """Return the same log with poses from another plan.
 
-        Raises:
-            RecordingError: no frame has a pose by that plan.
+        Raises `RecordingError`: no frame has a pose by that plan.
         """
-        streams = {**dict(self._setup.streams), "frames": plan.path, "extrinsics": plan.extrinsics}
-        return LogSource(self._log, replace(self._setup, plan=plan, streams=tuple(streams.items())))
+        streams = {**dict(self.setup.streams), "frames": plan.path, "extrinsics": plan.extrinsics}
+        return LogSource(self._log, replace(self.setup, plan=plan, streams=tuple(streams.items())))
 
     def clouds(self) -> tuple[str, ...]:
         """Return the topics of point clouds, those with the most messages first."""
         clouds = [topic for topic in self._log.topics if topic.type_name == POINT_CLOUD and topic.num_messages != 0]
         return tuple(topic.name for topic in sorted(clouds, key=lambda t: (-(t.num_messages or 0), t.name)))
 
-    @property
-    def setup(self) -> LogSetup:
-        """The topics, calibrations and poses that were determined when the log was opened."""
-        return self._setup
-
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames from the beginning, in the order of their stamps; the ledger counts what became no frame.
-
-        After a jump back in time (a looped log) the stamps begin again.
-        """
+        """Yield the frames in the order of their stamps, which begin again after a jump back in time (a looped log)."""
         ledger = self._ledger = Ledger()
-        setup = self._setup
-        reader = RigReader(setup.small_topics, setup.max_gap_ns, setup.jump_limits, uses_log_time=setup.uses_log_time)
+        setup = self.setup
+        reader = PoseReader(setup.small_topics, setup.max_gap_ns, setup.jump_limits, uses_log_time=setup.uses_log_time)
         if setup.pose_file is not None and setup.plan.stream is not None:
             reader.load(setup.plan.stream, *setup.pose_file)
         waiting: deque[tuple[int, Pair]] = deque()
@@ -127,7 +111,9 @@ class LogSource:
             elif match[1] is None:
                 pass  # The message may be the pose that the first pair waits for.
             elif isinstance(match[1], Leftover):
-                self._count_leftover(match[1], ledger)
+                fate = _fate_of(match[1])
+                ledger.count(fate)
+                ledger.reject(match[1].item.topic, fate)
             else:
                 waiting.append((match[0], match[1]))
             while waiting and (is_ended or self._is_settled(*waiting[0], reader, newest)):
@@ -146,19 +132,16 @@ class LogSource:
         ledger.is_complete = True
 
     def scans(self, topic_name: str) -> Iterator[Scan]:
-        """Yield the sweeps of a LiDAR's topic (`sensor_msgs/PointCloud2`), in the order of the log, for odometry.
+        """Yield the sweeps of a LiDAR's topic (`sensor_msgs/PointCloud2`), for odometry; unreadable ones are skipped.
 
-        Mapping uses none. Sweeps that cannot be read are skipped with a warning.
-
-        Raises:
-            RecordingError: there is no such topic; names those that there are.
+        Raises `RecordingError`: there is no such topic.
         """
         clouds = {topic.name: topic for topic in self._log.topics if topic.type_name == POINT_CLOUD}
         if topic_name not in clouds:
             there = f"those of point clouds are {', '.join(sorted(clouds))}" if clouds else "it has no point clouds"
             raise RecordingError(f"{self._log.path} has no point clouds in {topic_name}; {there}")
         for message in self._log.messages([topic_name]):
-            stamp_ns = message.log_ns if self._setup.uses_log_time else None
+            stamp_ns = message.log_ns if self.setup.uses_log_time else None
             try:
                 yield scan_of(deserialize(clouds[topic_name], message.data), stamp_ns)
             except (UnreadableMessageError, RecordingError) as error:
@@ -167,36 +150,30 @@ class LogSource:
     def ledger(self) -> Mapping[str, int]:
         """Return the counts of the latest pass.
 
-        Each colour image is in one of `frames`, `no_pose`, `frame_of_other_size`, `color_without_depth`, `late_color`,
-        `duplicate_color`, `color_stamp_off` or `unreadable_message`, and each depth image likewise; the first three
-        count pairs. `unreadable_image` and `depth_without_returns` are found on decoding, among the `frames`.
+        Each image is counted under `frames`, `no_pose`, `frame_of_other_size` (pairs) or under one other name.
+        `unreadable_image` and `depth_without_returns` are found on decoding, among the `frames`.
         """
         return self._ledger.as_dict()
 
     def account(self) -> Account:
         """Return the ledger of every message in the latest pass."""
-        from players.logs.message_account import account_of
-
-        return account_of(self._log, self._setup, self._ledger)
+        return account_of(self._log, self.setup, self._ledger)
 
     def close(self) -> None:
         """Do nothing: each pass over the log opens and closes its own files."""
 
     def _images(
-        self, ledger: Ledger, reader: RigReader, newest: dict[int, int]
+        self, ledger: Ledger, reader: PoseReader, newest: dict[int, int]
     ) -> Iterator[tuple[int, Stamped | None]]:
-        """Yield the images of both topics with their epochs, in the order of the log; other messages go to the rig.
-
-        `newest` is updated with the newest stamp of each epoch. For a live log, None is yielded for other messages.
-        """
-        topics = self._setup.topics
+        # For a live log, None stands for other messages.
+        topics = self.setup.topics
         roles = {topics.color.name: ("color", topics.color), topics.depth.name: ("depth", topics.depth)}
         timelines = {name: Timeline() for name in roles}
-        for message in self._log.messages({*roles, *(topic.name for topic in self._setup.small_topics)}):
+        for message in self._log.messages({*roles, *(topic.name for topic in self.setup.small_topics)}):
             ledger.read[message.topic] += 1
             if message.topic not in roles:
                 reader.add(message)
-                if self._setup.is_live:
+                if self.setup.is_live:
                     if ledger.read[message.topic] % _FORGET_EVERY == 0:
                         # Poses are otherwise dropped per frame: without images, a camera that is off would fill the
                         # memory.
@@ -204,7 +181,7 @@ class LogSource:
                     yield 0, None
                 continue
             stream, topic = roles[message.topic]
-            stamp_ns = message.log_ns if self._setup.uses_log_time else peek_stamp_ns(topic, message.data)
+            stamp_ns = message.log_ns if self.setup.uses_log_time else serialized_stamp_ns(topic, message.data)
             if stamp_ns is None:
                 stamp_ns = message.log_ns  # Too short for a header, hence unreadable.
             for placed in timelines[message.topic].add(stamp_ns, message):
@@ -230,47 +207,36 @@ class LogSource:
             ledger.unreadable[topic.name] += 1
             return None
 
-    def _is_settled(self, epoch: int, pair: Pair, reader: RigReader, newest: dict[int, int]) -> bool:
-        """Return whether the pose of a pair is known, or cannot be expected any more."""
+    def _is_settled(self, epoch: int, pair: Pair, reader: PoseReader, newest: dict[int, int]) -> bool:
         needed_ns = max(pair.stamp_ns, pair.depth_stamp_ns) if self._moves_depth(pair) else pair.stamp_ns
-        if self._setup.plan.reaches(needed_ns, epoch, reader) or max(newest) > epoch:
+        if self.setup.plan.reaches(needed_ns, epoch, reader) or max(newest) > epoch:
             return True
-        return newest[epoch] - pair.stamp_ns > self._setup.max_gap_ns + _PATIENCE_NS
+        return newest[epoch] - pair.stamp_ns > self.setup.max_gap_ns + _PATIENCE_NS
 
     def _moves_depth(self, pair: Pair) -> bool:
-        """Return whether depth has to be moved by the camera's motion: it is of another camera and another stamp.
-
-        Registered depth is left as it is, and so is depth with log times, which are not the times of exposure.
-        """
+        # Log times are not the times of exposure.
         is_apart = pair.depth_stamp_ns != pair.stamp_ns
-        return is_apart and not self._setup.uses_log_time and not self._setup.registration.is_identity
+        return is_apart and not self.setup.uses_log_time and not self.setup.registration.is_identity
 
     def _registration(
-        self, pair: Pair, world_from_camera: NDArray[np.float64], epoch: int, reader: RigReader
+        self, pair: Pair, world_from_camera: NDArray[np.float64], epoch: int, reader: PoseReader
     ) -> Registration:
-        """Return the registration of the depth of a pair, with the camera's motion between the two stamps if known."""
-        registration = self._setup.registration
-        then = self._setup.plan.at(pair.depth_stamp_ns, epoch, reader) if self._moves_depth(pair) else None
+        registration = self.setup.registration
+        then = self.setup.plan.at(pair.depth_stamp_ns, epoch, reader) if self._moves_depth(pair) else None
         return registration if then is None else with_motion(registration, compose(invert(world_from_camera), then))
 
-    def _count_leftover(self, leftover: Leftover, ledger: Ledger) -> None:
-        fate = _fate_of(leftover)
-        ledger.count(fate)
-        ledger.reject(leftover.item.topic, fate)
-
     def _frame(
-        self, index: int, pair: Pair, epoch: int, last_ns: int | None, ledger: Ledger, reader: RigReader
+        self, index: int, pair: Pair, epoch: int, last_ns: int | None, ledger: Ledger, reader: PoseReader
     ) -> RawFrame | None:
-        """Return the frame of a pair, or None when it is of another size or has no pose."""
-        registration = self._setup.registration
-        if not (_has_size(pair.color, self._setup.color_lens) and _has_size(pair.depth, self._setup.depth_lens)):
+        registration = self.setup.registration
+        if not (_has_size(pair.color, self.setup.color_lens) and _has_size(pair.depth, self.setup.depth_lens)):
             self._refuse(pair, "frame_of_other_size", ledger)
             return None
-        plan = self._setup.plan
+        plan = self.setup.plan
         world_from_camera = plan.at(pair.stamp_ns, epoch, reader)
         is_posed = world_from_camera is not None and plan is not UNPOSED
         if world_from_camera is None:
-            if not self._setup.estimates_poses:
+            if not self.setup.estimates_poses:
                 self._refuse(pair, "no_pose", ledger)
                 return None
             world_from_camera = np.eye(4)
@@ -278,21 +244,14 @@ class LogSource:
         jump = plan.jump_between(last_ns, pair.stamp_ns, epoch, reader) if last_ns is not None else None
         if jump is not None:
             ledger.count("pose_jumps")
-        is_passed_on = pair.color.is_compressed and not self._setup.color_lens.is_distorted
+        registered = self._registration(pair, world_from_camera, epoch, reader)
+        is_passed_on = pair.color.is_compressed and not self.setup.color_lens.is_distorted
         return RawFrame(
             index=index,
             stamp_ns=pair.stamp_ns,
             camera=registration.color_camera,
             world_from_camera=world_from_camera,
-            decode=partial(
-                _decode,
-                self._setup,
-                self._registration(pair, world_from_camera, epoch, reader),
-                pair,
-                index,
-                world_from_camera,
-                ledger,
-            ),
+            decode=partial(_decode, self.setup, registered, pair, index, world_from_camera, ledger),
             color_bytes=(pair.color.data() or None) if is_passed_on else None,
             after_from_before=jump.after_from_before if jump is not None else None,
             is_posed=is_posed,
@@ -304,21 +263,20 @@ class LogSource:
         ledger.reject(pair.depth.topic, fate)
 
     def _why_empty(self) -> RecordingError | CalibrationError:
-        """Return the error for a log without a complete frame."""
-        fates, path, topics = self._ledger.as_dict(), self._log.path, self._setup.topics
+        fates, path, topics = self._ledger.as_dict(), self._log.path, self.setup.topics
         if fates.get("no_pose"):
             images = _span_text(self._stamps(topics.color))
             return RecordingError(
-                f"{path}: no image has a pose: images from {images}, poses of {self._setup.plan.source} "
-                f"from {_span_text(self._setup.pose_span_ns or (0, 0))}; name another with --pose-topic"
+                f"{path}: no image has a pose: images from {images}, poses of {self.setup.plan.source} "
+                f"from {_span_text(self.setup.pose_span_ns or (0, 0))}; name another with --pose-topic"
             )
         if fates.get("frame_of_other_size"):
-            lenses = (self._setup.color_lens.camera, self._setup.depth_lens.camera)
+            lenses = (self.setup.color_lens.camera, self.setup.depth_lens.camera)
             sizes = " and ".join(f"{camera.width}x{camera.height}" for camera in lenses)
             return CalibrationError(
                 f"{path}: the camera infos are for {sizes} pixels; no pair of images has these sizes"
             )
-        tolerance = f"{self._setup.tolerance_ns / 1e6:.1f} ms"
+        tolerance = f"{self.setup.tolerance_ns / 1e6:.1f} ms"
         return RecordingError(
             f"{path}: no colour image has a depth image within {tolerance}: {topics.color.name} "
             f"from {_span_text(self._stamps(topics.color))}, {topics.depth.name} from "
@@ -326,21 +284,16 @@ class LogSource:
         )
 
     def _stamps(self, topic: Topic) -> tuple[int, int]:
-        """Return the first and the last stamp of an image topic, by reading all of it."""
-        uses_log = self._setup.uses_log_time
-        stamps = [m.log_ns if uses_log else peek_stamp_ns(topic, m.data) or 0 for m in self._log.messages([topic.name])]
+        uses_log = self.setup.uses_log_time
+        stamps = [
+            m.log_ns if uses_log else serialized_stamp_ns(topic, m.data) or 0 for m in self._log.messages([topic.name])
+        ]
         return (min(stamps), max(stamps)) if stamps else (0, 0)
 
 
 def _decode(
-    setup: LogSetup,
-    registration: Registration,
-    pair: Pair,
-    index: int,
-    world_from_camera: NDArray[np.float64],
-    ledger: Ledger,
+    setup: LogSetup, registration: Registration, pair: Pair, index: int, pose: NDArray[np.float64], ledger: Ledger
 ) -> Frame:
-    """Return the decoded frame: rectified colour, and rectified depth registered into it."""
     try:
         rgb = color_of(pair.color)
         depth_m = depth_of(pair.depth, setup.depth_units_per_m)
@@ -362,20 +315,19 @@ def _decode(
         rgb=rgb,
         depth_m=depth_m,
         camera=registration.color_camera,
-        world_from_camera=world_from_camera,
+        world_from_camera=pose,
         sensor=setup.sensor,
     )
 
 
 def _check_size(shape: tuple[int, ...], lens: Lens, image: LogImage) -> None:
-    """Check the size of the decoded pixels, for images whose header was damaged; raises `RecordingError`."""
     if shape[:2] != (lens.camera.height, lens.camera.width):
         expected = f"{lens.camera.width}x{lens.camera.height}"
         raise RecordingError(f"{image} has {shape[1]}x{shape[0]} pixels; expected {expected}")
 
 
 def _has_size(image: LogImage, lens: Lens) -> bool:
-    """Return whether an image has its calibration's size; with a damaged header this is known after decoding only."""
+    # With a damaged header, the size is known after decoding only.
     return image.size is None or image.size == (lens.camera.width, lens.camera.height)
 
 
@@ -383,10 +335,6 @@ def _fate_of(leftover: Leftover) -> str:
     if leftover.is_late:
         return f"late_{leftover.stream}"
     return "color_without_depth" if leftover.stream == "color" else "depth_without_color"
-
-
-def _fewer(a: int | None, b: int | None) -> int | None:
-    return None if a is None or b is None else min(a, b)
 
 
 def _span_text(span_ns: tuple[int, int]) -> str:

@@ -1,9 +1,7 @@
-"""MCAP files, whole or damaged: chunk by chunk in the order of the file, every checksum verified.
+"""MCAP files, whole or damaged, in the order of the file, with every checksum verified.
 
-A bad chunk is skipped and the rest read. The index at the end is used as long as it fits the file. If it is missing,
-damaged or wrong, the records are read one after another from the beginning; after bytes that are no record, reading
-resumes at the next chunk. Messages come in the order of the file rather than of log time; they are sorted by header
-stamp later (`sync.py`).
+A bad chunk is skipped. The index at the end is used as long as it fits the file; else all records are read.
+After damaged bytes, reading resumes at the next chunk.
 """
 
 from __future__ import annotations
@@ -17,29 +15,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import RecordingError
-from players.logs.containers import LogMessage, merged_topics
+from players.logs import mcap_records as mcap
+from players.logs.containers import LogMessage, merged_topics, summed_by
 from players.logs.decompression import UnpackError, release
-from players.logs.log_damage import Flaw, Flaws
-from players.logs.mcap_records import (
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    CHUNK_OP,
-    DATA_END,
-    FOOTER,
-    HEAD,
-    INDEX,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_OP,
-    SCHEMA,
-    STATISTICS,
-    Described,
-    is_record,
-    learn,
-    topic_of,
-    unpacked_chunk,
-)
+from players.logs.log_damage import Flaws
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -47,24 +26,21 @@ if TYPE_CHECKING:
 
     from players.logs.containers import Topic
 
-_FOOTER_BYTES = HEAD.size + 20
+_FOOTER_BYTES = mcap.HEAD.size + 20
 _CHUNK_PATTERN = re.compile(rb"\x06(?=[\s\S]{5}\x00{3}[\s\S]{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))")
 _RECORD_PATTERN = re.compile(rb"[\x03-\x05\x0f](?=[\s\S]{4}\x00{4})")
 
 
 @dataclass(slots=True)
 class _Chunk:
-    """A chunk record at `offset`, `num_bytes` with its header; `counts` by channel id, None without an index."""
-
+    # `counts` by channel id, None without an index
     offset: int
     num_bytes: int
     counts: dict[int, int] | None = None
 
 
 @dataclass(slots=True)
-class _Survey(Described):
-    """The structure of a file: schemas and channels by id, chunks, and the declared number of messages."""
-
+class _Survey(mcap.Described):
     chunks: list[_Chunk] = field(default_factory=list)
     loose_counts: Counter[int] = field(default_factory=Counter)
     declared: dict[int, int] | None = None
@@ -83,15 +59,14 @@ class McapLog:
     def __init__(self, path: Path) -> None:
         """Read the summary; without a valid one, all records are read to find the channels.
 
-        Raises:
-            RecordingError: not one channel can be read.
+        Raises `RecordingError`: not one channel can be read.
         """
         self.path = path
         self.files = (path,)
-        self.flaws = Flaws()
+        self.flaws = Flaws(path.name)
         with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             self._survey = _read_summary(data) or self._walk_whole(data)
-            is_cut_off = data[-len(MAGIC) :] != MAGIC
+            is_cut_off = data[-len(mcap.MAGIC) :] != mcap.MAGIC
             if not self._survey.channels and len(self.flaws):
                 found = "is cut off: its end is missing" if is_cut_off else "is damaged"
                 first = next(iter(self.flaws))
@@ -108,13 +83,7 @@ class McapLog:
 
     def declared(self) -> dict[str, int] | None:
         """Return the declared number of messages of each topic, None if the file declares none."""
-        counts = self._survey.declared
-        if counts is None:
-            return None
-        by_topic: Counter[str] = Counter()
-        for channel, number in counts.items():
-            by_topic[self._name(channel)] += number
-        return dict(by_topic)
+        return summed_by(self._name, self._survey.declared)
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the file; unreadable ones are noted in `flaws`."""
@@ -138,10 +107,7 @@ class McapLog:
             _is_chunk_at(data, chunk)
         return [((c.offset, c.offset + c.num_bytes), sum((c.counts or {}).values())) for c in self._survey.chunks]
 
-    # ---- reading -----------------------------------------------------------------------------------------------------
-
     def _chunked(self, data: mmap.mmap, wanted: set[str], read: set[int]) -> Iterator[LogMessage]:
-        """Yield the messages of the chunks that were not `read` yet; chunks without any of the topics are skipped."""
         survey = self._survey
         for chunk in survey.chunks:
             if chunk.offset in read:
@@ -152,7 +118,7 @@ class McapLog:
             if chunk.counts and not any(self._name(channel) in wanted for channel in chunk.counts):
                 continue
             try:
-                records = unpacked_chunk(data, chunk.offset + HEAD.size, chunk.offset + chunk.num_bytes)
+                records = mcap.unpacked_chunk(data, chunk.offset + mcap.HEAD.size, chunk.offset + chunk.num_bytes)
             except UnpackError as error:
                 self._bad_chunk(chunk, str(error))
                 continue
@@ -160,166 +126,141 @@ class McapLog:
             release(data, chunk.offset, chunk.offset + chunk.num_bytes)
 
     def _records(self, records: Any, chunk: _Chunk, wanted: set[str]) -> Iterator[LogMessage]:
-        """Yield the messages of an unpacked chunk, as views of it."""
         view, at, end = memoryview(records), 0, len(records)
         names = {channel: name for channel, (_, name, _) in self._survey.channels.items() if name in wanted}
         unknown = 0
-        while at + HEAD.size <= end:
-            opcode, length = HEAD.unpack_from(view, at)
-            at += HEAD.size
+        while at + mcap.HEAD.size <= end:
+            opcode, length = mcap.HEAD.unpack_from(view, at)
+            at += mcap.HEAD.size
             if length > end - at:
                 break
-            if opcode == MESSAGE_OP and length >= MESSAGE.size:
-                channel, _, log_ns, _ = MESSAGE.unpack_from(view, at)
+            if opcode == mcap.MESSAGE_OP and length >= mcap.MESSAGE.size:
+                channel, _, log_ns, _ = mcap.MESSAGE.unpack_from(view, at)
                 name = names.get(channel)
                 if name is not None:
-                    yield LogMessage(name, log_ns, view[at + MESSAGE.size : at + length])
+                    yield LogMessage(name, log_ns, view[at + mcap.MESSAGE.size : at + length])
                 elif channel not in self._survey.channels:
                     unknown += 1
             at += length
         if unknown:
             what = "messages of channels that no readable record describes"
-            self._flaw(chunk.offset, what, 0, num_unknown=unknown)
+            self.flaws.note(chunk.offset, what, 0, num_unknown=unknown)
         elif at != end:
-            self._flaw(chunk.offset, "the chunk ends within a record", end - at)
+            self.flaws.note(chunk.offset, "the chunk ends within a record", end - at)
 
     def _loose(self, data: mmap.mmap, wanted: set[str]) -> Iterator[LogMessage]:
-        """Yield the messages of a file without chunks, and verify the one checksum over all of them."""
         view, crc, crc_at = memoryview(data), 0, 0
         try:
             for opcode, at, length in self._walk(data):
-                if opcode == MESSAGE_OP:
-                    channel, _, log_ns, _ = MESSAGE.unpack_from(data, at)
+                if opcode == mcap.MESSAGE_OP:
+                    channel, _, log_ns, _ = mcap.MESSAGE.unpack_from(data, at)
                     name = self._name(channel)
                     if name in wanted:
-                        yield LogMessage(name, log_ns, bytes(view[at + MESSAGE.size : at + length]))
+                        yield LogMessage(name, log_ns, bytes(view[at + mcap.MESSAGE.size : at + length]))
                     elif channel not in self._survey.channels:
-                        self._flaw(at, "a message of a channel that no readable record describes", 0, num_unknown=1)
-                elif opcode == DATA_END:
+                        what = "a message of a channel that no readable record describes"
+                        self.flaws.note(at, what, 0, num_unknown=1)
+                elif opcode == mcap.DATA_END:
                     (expected,) = struct.unpack_from("<I", data, at)
-                    crc = zlib.crc32(view[crc_at : at - HEAD.size], crc) if expected else 0
+                    crc = zlib.crc32(view[crc_at : at - mcap.HEAD.size], crc) if expected else 0
                     if crc != expected:
-                        self._flaw(at, "the checksum over all messages differs: at least one of them was altered", 0)
+                        what = "the checksum over all messages differs: at least one of them was altered"
+                        self.flaws.note(at, what, 0)
         finally:
             view.release()
 
-    # ---- the walk ----------------------------------------------------------------------------------------------------
-
     def _walk_whole(self, data: mmap.mmap) -> _Survey:
-        """Return the structure of a file from a pass over all records; bytes that are no record are noted as flaws."""
         survey = _Survey()
         for opcode, at, length in self._walk(data):
-            if opcode == CHUNK_OP:
-                survey.chunks.append(_Chunk(at - HEAD.size, length + HEAD.size))
-            elif opcode == INDEX and survey.chunks:
+            if opcode == mcap.CHUNK_OP:
+                survey.chunks.append(_Chunk(at - mcap.HEAD.size, length + mcap.HEAD.size))
+            elif opcode == mcap.INDEX and survey.chunks:
                 channel, size = struct.unpack_from("<HI", data, at)
                 last = survey.chunks[-1]
                 last.counts = {**(last.counts or {}), channel: size // 16}
-            elif opcode == MESSAGE_OP:
-                survey.loose_counts[MESSAGE.unpack_from(data, at)[0]] += 1
-            elif opcode == STATISTICS:
+            elif opcode == mcap.MESSAGE_OP:
+                survey.loose_counts[mcap.MESSAGE.unpack_from(data, at)[0]] += 1
+            elif opcode == mcap.STATISTICS:
                 survey.declared = _statistics(data, at, length)
-            elif opcode in (SCHEMA, CHANNEL):
-                learn(survey, opcode, data[at : at + length])
+            elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
+                mcap.learn(survey, opcode, data[at : at + length])
         for chunk in survey.chunks:
             if chunk.counts is None or not chunk.counts.keys() <= survey.channels.keys():
                 self._learn_chunk(data, chunk, survey)
         return survey
 
     def _walk(self, data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
-        """Yield (opcode, offset of the content, length) of every record; resumes after damaged bytes."""
-        at, end = (len(MAGIC) if data[: len(MAGIC)] == MAGIC else 0), len(data)
+        at, end = (len(mcap.MAGIC) if data[: len(mcap.MAGIC)] == mcap.MAGIC else 0), len(data)
         is_chunked = _CHUNK_PATTERN.search(data) is not None
         while at < end:
-            if at + HEAD.size <= end:
-                opcode, length = HEAD.unpack_from(data, at)
-                if is_record(opcode, length, end - at - HEAD.size):
-                    yield opcode, at + HEAD.size, length
-                    at += HEAD.size + length
-                    if opcode == FOOTER:
+            if at + mcap.HEAD.size <= end:
+                opcode, length = mcap.HEAD.unpack_from(data, at)
+                if mcap.is_record(opcode, length, end - at - mcap.HEAD.size):
+                    yield opcode, at + mcap.HEAD.size, length
+                    at += mcap.HEAD.size + length
+                    if opcode == mcap.FOOTER:
                         return
                     continue
-            if data[at:end] == MAGIC[: end - at]:
+            if data[at:end] == mcap.MAGIC[: end - at]:
                 return
             following = _next_record(data, at + 1, is_chunked=is_chunked)
-            self._flaw(at, "bytes that are no record" if following < end else "the file is cut off", following - at)
+            what = "bytes that are no record" if following < end else "the file is cut off"
+            self.flaws.note(at, what, following - at)
             at = following
 
     def _learn_chunk(self, data: mmap.mmap, chunk: _Chunk, survey: _Survey) -> None:
-        """Read the channels in a chunk and count its messages, if there is no index."""
         try:
-            records = unpacked_chunk(data, chunk.offset + HEAD.size, chunk.offset + chunk.num_bytes)
+            records = mcap.unpacked_chunk(data, chunk.offset + mcap.HEAD.size, chunk.offset + chunk.num_bytes)
         except UnpackError as error:
             self._bad_chunk(chunk, str(error))
             return
         counts: Counter[int] = Counter()
-        at, end = 0, len(records)
-        while at + HEAD.size <= end:
-            opcode, length = HEAD.unpack_from(records, at)
-            at += HEAD.size
-            if length > end - at:
-                break
-            if opcode == MESSAGE_OP and length >= MESSAGE.size:
-                counts[MESSAGE.unpack_from(records, at)[0]] += 1
-            elif opcode in (SCHEMA, CHANNEL):
-                learn(survey, opcode, bytes(records[at : at + length]))
-            at += length
+        for opcode, at, length in mcap.records_in(records):
+            if opcode == mcap.MESSAGE_OP and length >= mcap.MESSAGE.size:
+                counts[mcap.MESSAGE.unpack_from(records, at)[0]] += 1
+            elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
+                mcap.learn(survey, opcode, bytes(records[at : at + length]))
         chunk.counts = dict(counts)
-
-    # ---- small things ------------------------------------------------------------------------------------------------
 
     def _name(self, channel: int) -> str:
         known = self._survey.channels.get(channel)
         return known[1] if known else ""
 
     def _bad_chunk(self, chunk: _Chunk, reason: str) -> None:
-        lost: Counter[str] = Counter()
-        for channel, number in (chunk.counts or {}).items():
-            lost[self._name(channel)] += number
-        unknown = lost.pop("", 0)
-        self._flaw(chunk.offset, f"a chunk {reason}", chunk.num_bytes, lost=tuple(lost.items()), num_unknown=unknown)
-
-    def _flaw(
-        self, offset: int, what: str, num_bytes: int, *, lost: tuple[tuple[str, int], ...] = (), num_unknown: int = 0
-    ) -> None:
-        self.flaws.add(
-            Flaw(file=self.path.name, offset=offset, what=what, num_bytes=num_bytes, lost=lost, num_unknown=num_unknown)
-        )
+        self.flaws.note(chunk.offset, f"a chunk {reason}", chunk.num_bytes, summed_by(self._name, chunk.counts))
 
     def _topics(self) -> tuple[Topic, ...]:
         survey = self._survey
-        counts: dict[int, int] | None = survey.declared
+        counts = survey.declared
         if counts is None:
-            found = Counter(survey.loose_counts)
+            counts = Counter(survey.loose_counts)
             for chunk in survey.chunks:
-                found.update(chunk.counts or {})
-            counts = dict(found)
-        return merged_topics([topic_of(survey, channel, counts.get(channel, 0)) for channel in survey.channels])
+                counts.update(chunk.counts or {})
+        return merged_topics([mcap.topic_of(survey, channel, counts.get(channel, 0)) for channel in survey.channels])
 
 
 def _read_summary(data: mmap.mmap) -> _Survey | None:
-    """Return the content of the summary at the end, or None if there is no valid one."""
-    tail = len(data) - len(MAGIC) - _FOOTER_BYTES
-    if tail < len(MAGIC) or data[-len(MAGIC) :] != MAGIC or data[: len(MAGIC)] != MAGIC:
+    tail = len(data) - len(mcap.MAGIC) - _FOOTER_BYTES
+    if tail < len(mcap.MAGIC) or data[-len(mcap.MAGIC) :] != mcap.MAGIC or data[: len(mcap.MAGIC)] != mcap.MAGIC:
         return None
-    opcode, length = HEAD.unpack_from(data, tail)
-    start, _, crc = struct.unpack_from("<QQI", data, tail + HEAD.size)
-    if opcode != FOOTER or length != 20 or not 0 < start < tail:
+    opcode, length = mcap.HEAD.unpack_from(data, tail)
+    start, _, crc = struct.unpack_from("<QQI", data, tail + mcap.HEAD.size)
+    if opcode != mcap.FOOTER or length != 20 or not 0 < start < tail:
         return None
-    if crc and zlib.crc32(data[start : len(data) - len(MAGIC) - 4]) != crc:
+    if crc and zlib.crc32(data[start : len(data) - len(mcap.MAGIC) - 4]) != crc:
         return None
     survey, at = _Survey(is_indexed=True), start
     try:
         while at < tail:
-            opcode, length = HEAD.unpack_from(data, at)
-            at += HEAD.size
-            if not is_record(opcode, length, tail - at):
+            opcode, length = mcap.HEAD.unpack_from(data, at)
+            at += mcap.HEAD.size
+            if not mcap.is_record(opcode, length, tail - at):
                 return None
-            if opcode in (SCHEMA, CHANNEL):
-                learn(survey, opcode, data[at : at + length])
-            elif opcode == CHUNK_INDEX:
+            if opcode in (mcap.SCHEMA, mcap.CHANNEL):
+                mcap.learn(survey, opcode, data[at : at + length])
+            elif opcode == mcap.CHUNK_INDEX:
                 survey.chunks.append(_chunk_of_index(data[at : at + length]))
-            elif opcode == STATISTICS:
+            elif opcode == mcap.STATISTICS:
                 survey.declared = _statistics(data, at, length)
             at += length
     except (struct.error, UnicodeDecodeError):
@@ -340,31 +281,27 @@ def _chunk_of_index(record: bytes) -> _Chunk:
 
 
 def _is_chunk_at(data: mmap.mmap, chunk: _Chunk) -> bool:
-    """Return whether a chunk is where the index says, and complete its counts from the message indices behind it."""
-    if chunk.offset + chunk.num_bytes > len(data) or chunk.num_bytes < HEAD.size + 40:
+    if chunk.offset + chunk.num_bytes > len(data) or chunk.num_bytes < mcap.HEAD.size + 40:
         return False
-    opcode, length = HEAD.unpack_from(data, chunk.offset)
-    if opcode != CHUNK_OP or length + HEAD.size != chunk.num_bytes:
+    opcode, length = mcap.HEAD.unpack_from(data, chunk.offset)
+    if opcode != mcap.CHUNK_OP or length + mcap.HEAD.size != chunk.num_bytes:
         return False
     if chunk.counts:
         at = chunk.offset + chunk.num_bytes
         for _ in range(len(chunk.counts)):
-            if at + HEAD.size + 6 > len(data):
+            if at + mcap.HEAD.size + 6 > len(data):
                 break
-            opcode, length = HEAD.unpack_from(data, at)
-            channel, size = struct.unpack_from("<HI", data, at + HEAD.size)
-            if opcode != INDEX or channel not in chunk.counts or size + 6 != length:
+            opcode, length = mcap.HEAD.unpack_from(data, at)
+            channel, size = struct.unpack_from("<HI", data, at + mcap.HEAD.size)
+            if opcode != mcap.INDEX or channel not in chunk.counts or size + 6 != length:
                 break
             chunk.counts[channel] = size // 16
-            at += HEAD.size + length
+            at += mcap.HEAD.size + length
     return True
 
 
 def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
-    """Return the beginning of the next valid record, or the end of the file.
-
-    In a file with chunks this must be a chunk: what looks like a message may lie inside a chunk with a damaged header.
-    """
+    # In a file with chunks only a chunk is valid: a damaged chunk may hold what looks like a message.
     end = len(data)
     pattern = _CHUNK_PATTERN if is_chunked else _RECORD_PATTERN
     for match in pattern.finditer(data, start):
@@ -372,30 +309,29 @@ def _next_record(data: mmap.mmap, start: int, *, is_chunked: bool) -> int:
         if _is_chain(data, at, 1 if is_chunked else 3):
             return at
     # No chunk follows: the summary, found from the footer, may still hold channels.
-    tail = end - len(MAGIC) - _FOOTER_BYTES
-    if tail > start and data[-len(MAGIC) :] == MAGIC:
-        (summary,) = struct.unpack_from("<Q", data, tail + HEAD.size)
+    tail = end - len(mcap.MAGIC) - _FOOTER_BYTES
+    if tail > start and data[-len(mcap.MAGIC) :] == mcap.MAGIC:
+        (summary,) = struct.unpack_from("<Q", data, tail + mcap.HEAD.size)
         if start <= summary < tail and _is_chain(data, summary, 2):
             return int(summary)
     return end
 
 
 def _is_chain(data: mmap.mmap, at: int, links: int) -> bool:
-    """Return whether this many records follow each other from here on, or up to the end of the file."""
     for _ in range(links):
-        if at + HEAD.size > len(data):
+        if at + mcap.HEAD.size > len(data):
             return at == len(data)
-        opcode, length = HEAD.unpack_from(data, at)
-        if not is_record(opcode, length, len(data) - at - HEAD.size) or opcode >= 0x80:
+        opcode, length = mcap.HEAD.unpack_from(data, at)
+        if not mcap.is_record(opcode, length, len(data) - at - mcap.HEAD.size) or opcode >= 0x80:
             return False
-        if opcode == CHUNK_OP:
-            _, _, _, _, name_bytes = CHUNK.unpack_from(data, at + HEAD.size)
+        if opcode == mcap.CHUNK_OP:
+            _, _, _, _, name_bytes = mcap.CHUNK.unpack_from(data, at + mcap.HEAD.size)
             if name_bytes > 4:
                 return False
-            (packed,) = struct.unpack_from("<Q", data, at + HEAD.size + CHUNK.size + name_bytes)
-            if packed != length - CHUNK.size - name_bytes - 8:
+            (packed,) = struct.unpack_from("<Q", data, at + mcap.HEAD.size + mcap.CHUNK.size + name_bytes)
+            if packed != length - mcap.CHUNK.size - name_bytes - 8:
                 return False
-        at += HEAD.size + length
+        at += mcap.HEAD.size + length
     return True
 
 

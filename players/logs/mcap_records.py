@@ -1,4 +1,4 @@
-"""The record types of MCAP, in a file or a stream: schemas, channels and chunks."""
+"""Record types of MCAP, in a file or a stream: schemas, channels and chunks."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from players.logs.decompression import UnpackError, unpack
 from players.messages.foxglove import ROS_TYPES
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from players.logs.containers import DefinitionFormat, Wire
 
 MAGIC = b"\x89MCAP0\r\n"
 _WIRES: dict[str, Wire] = {"cdr": "cdr", "ros1": "ros1", "protobuf": "protobuf", "json": "json"}
 _FORMATS: dict[str, DefinitionFormat] = {
-    "ros2msg": "msg",
-    "ros1msg": "msg",
-    "ros2idl": "idl",
-    "protobuf": "protobuf",
-    "jsonschema": "jsonschema",
+    **{"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl"},
+    **{"protobuf": "protobuf", "jsonschema": "jsonschema"},
 }
 
 HEAD = struct.Struct("<BQ")
@@ -30,23 +29,7 @@ CHUNK = struct.Struct("<QQQII")
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE_OP, CHUNK_OP, INDEX = 1, 2, 3, 4, 5, 6, 7
 CHUNK_INDEX, STATISTICS, DATA_END = 8, 0x0B, 0x0F
 # The minimum length of a record of each type; a shorter one is invalid.
-_LEAST_BYTES = {
-    1: 8,
-    2: 20,
-    3: 14,
-    4: 16,
-    5: 22,
-    6: 40,
-    7: 6,
-    8: 56,
-    9: 36,
-    10: 32,
-    11: 46,
-    12: 8,
-    13: 20,
-    14: 17,
-    15: 4,
-}
+_LEAST_BYTES = dict(enumerate((8, 20, 14, 16, 22, 40, 6, 56, 36, 32, 46, 8, 20, 17, 4), start=1))
 
 
 @dataclass(slots=True)
@@ -60,8 +43,7 @@ class Described:
 def topic_of(described: Described, channel: int, num_messages: int | None) -> Topic:
     """Return the topic of a channel."""
     schema_id, name, encoding = described.channels[channel]
-    type_name, schema_encoding, definition = described.schemas.get(schema_id, ("", "", b""))
-    return make_topic(name, encoding, type_name, schema_encoding, definition, num_messages)
+    return make_topic(name, encoding, *described.schemas.get(schema_id, ("", "", b"")), num_messages)
 
 
 def make_topic(
@@ -75,7 +57,8 @@ def make_topic(
         num_messages=num_messages,
         wire=_WIRES.get(encoding, "other"),
         definition_format=_FORMATS.get(schema_encoding, "none"),
-        definition=_text_of(definition, schema_encoding),
+        # Descriptors of protobuf are bytes, stored as Latin-1 text.
+        definition=definition.decode("latin-1" if schema_encoding == "protobuf" else "utf-8", errors="replace"),
     )
 
 
@@ -94,7 +77,7 @@ def schema_of(topic: Topic) -> tuple[str, str, bytes]:
 
 
 def learn(described: Described, opcode: int, record: bytes) -> None:
-    """Note a schema or a channel; one that does not parse is left out, so that its messages are of no known topic."""
+    """Add a schema or a channel; one that does not parse is left out, so that its messages have no known topic."""
     try:
         (number,) = struct.unpack_from("<H", record, 0)
         if opcode == SCHEMA:
@@ -108,14 +91,13 @@ def learn(described: Described, opcode: int, record: bytes) -> None:
             encoding, _ = _string(record, at)
             described.channels[number] = (schema, topic, encoding)
     except (struct.error, UnicodeDecodeError, ValueError):
-        return
+        pass
 
 
 def unpacked_chunk(data: Any, at: int, end: int) -> Any:
     """Return the records of a chunk whose content lies in `data` from `at` to `end`.
 
-    Raises:
-        UnpackError: it is damaged.
+    Raises `UnpackError`: it is damaged.
     """
     _, _, size, crc, name_bytes = CHUNK.unpack_from(data, at)
     at += CHUNK.size
@@ -137,6 +119,18 @@ def unpacked_chunk(data: Any, at: int, end: int) -> Any:
     return records
 
 
+def records_in(chunk: Any) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, place and length of each whole record in an unpacked chunk."""
+    at, end = 0, len(chunk)
+    while at + HEAD.size <= end:
+        opcode, length = HEAD.unpack_from(chunk, at)
+        at += HEAD.size
+        if length > end - at:
+            return
+        yield opcode, at, length
+        at += length
+
+
 def is_record(opcode: int, length: int, room: int) -> bool:
     """Return whether a record can have this opcode and length; opcodes from 0x80 on are private."""
     return length <= room and (opcode >= 0x80 or length >= _LEAST_BYTES.get(opcode, room + 1))
@@ -147,8 +141,3 @@ def _string(record: bytes, at: int) -> tuple[str, int]:
     if size > len(record) - at - 4:
         raise ValueError("a string that is longer than its record")
     return record[at + 4 : at + 4 + size].decode("utf-8"), at + 4 + size
-
-
-def _text_of(definition: bytes, encoding: str) -> str:
-    """Return a definition as text; the descriptors of protobuf are bytes, stored as Latin-1 text."""
-    return definition.decode("latin-1" if encoding == "protobuf" else "utf-8", errors="replace")

@@ -1,8 +1,7 @@
-"""The ledger of a log: every message in exactly one bucket, checked against the counts that the container declares.
+"""Account of a log: every message in exactly one bucket, compared with the counts that the container declares.
 
-Used: part of a frame, or a pose, transform or calibration that frames need. Not needed: of a topic that was not asked
-for. Rejected, with the reason. Unreadable: in damaged bytes, or in bytes that do not fit the message type. Not played:
-behind the end of the pass. What remains is the difference to the declared count, 0 for a sound log.
+Used: part of a frame, or a pose, transform or calibration. Not needed: of a topic that was not asked for.
+Unreadable: damaged. Not played: behind the end of the pass. The rest is the difference, 0 for a sound log.
 """
 
 from __future__ import annotations
@@ -10,17 +9,46 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from itertools import islice
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from players.logs.containers import Log
-    from players.logs.counts import Ledger
     from players.logs.log_setup import LogSetup
 
 
-_FLAWS_TOLD = 5
+_MAX_FLAWS = 5
+
+
+class Ledger:
+    """Counts by name, with a lock, since frames are decoded in other threads than the reading one.
+
+    `read` and `rejected` count by topic; a message that was read, and is neither rejected nor unreadable, is used.
+    """
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+        self._lock = Lock()
+        self.read: Counter[str] = Counter()
+        self.unreadable: Counter[str] = Counter()
+        self.rejected: Counter[tuple[str, str]] = Counter()
+        self.is_complete = False
+
+    def count(self, fate: str, number: int = 1) -> None:
+        """Add `number` to the count of that name."""
+        with self._lock:
+            self._counts[fate] += number
+
+    def reject(self, topic: str, reason: str) -> None:
+        """Note a message that was read and cannot be used; called by the thread that reads."""
+        self.rejected[topic, reason] += 1
+
+    def as_dict(self) -> dict[str, int]:
+        """Return the counts so far, sorted by name."""
+        with self._lock:
+            return dict(sorted((fate, number) for fate, number in self._counts.items() if number))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -42,41 +70,34 @@ class TopicAccount:
 
     @property
     def difference(self) -> int:
-        """How many messages the container declares that are in no bucket."""
+        """Number of declared messages that are in no bucket."""
         return 0 if self.declared is None else self.declared - self.total
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Account:
-    """The messages of a log by topic and bucket; `is_complete`: the pass reached the end of the log.
-
-    `flaws` describes the first damaged places. For a folder of images, files are counted instead of messages.
-    """
+    """The messages of a log by topic and bucket; for a folder, files are counted."""
 
     topics: tuple[TopicAccount, ...]
+    #: The pass reached the end of the log.
     is_complete: bool
     num_flaws: int = 0
+    #: The first damaged places.
     flaws: tuple[str, ...] = ()
     explanation: str = ""
     unit: str = "messages"
 
     def as_dict(self) -> dict[str, Any]:
         """Return it for `ledger.json`."""
-        total: Counter[str] = Counter()
+        names = ("used", "not_needed", "unreadable", "not_played", "difference")
         rejected: Counter[str] = Counter()
         for entry in self.topics:
-            total["used"] += entry.used
-            total["not_needed"] += entry.not_needed
-            total["unreadable"] += entry.unreadable
-            total["not_played"] += entry.not_played
-            total["difference"] += entry.difference
             rejected.update(entry.rejected)
+        is_declared = all(e.declared is not None for e in self.topics)
         return {
             "unit": self.unit,
-            "declared": None
-            if any(e.declared is None for e in self.topics)
-            else sum(e.declared or 0 for e in self.topics),
-            **total,
+            "declared": sum(e.declared or 0 for e in self.topics) if is_declared else None,
+            **({name: sum(getattr(e, name) for e in self.topics) for name in names} if self.topics else {}),
             "rejected": dict(sorted(rejected.items())),
             "is_complete": self.is_complete,
             "damaged_places": self.num_flaws,
@@ -84,12 +105,9 @@ class Account:
             "explanation": self.explanation,
             "topics": {
                 entry.topic: {
-                    "declared": entry.declared,
-                    "used": entry.used,
-                    "not_needed": entry.not_needed,
+                    **{name: getattr(entry, name) for name in ("declared", "used", "not_needed")},
                     "rejected": dict(sorted(entry.rejected.items())),
-                    "unreadable": entry.unreadable,
-                    "not_played": entry.not_played,
+                    **{name: getattr(entry, name) for name in ("unreadable", "not_played")},
                 }
                 for entry in self.topics
             },
@@ -110,20 +128,17 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
             readable = max(0, (claimed or 0) - unreadable)
             entries.append(TopicAccount(topic=topic.name, declared=claimed, not_needed=readable, unreadable=unreadable))
             continue
-        rejected = Counter(
-            {reason: number for (name, reason), number in rejected_of.items() if name == topic.name and number}
-        )
-        read = ledger.read[topic.name]
-        bad = ledger.unreadable[topic.name]
+        rejected = {reason: number for (name, reason), number in rejected_of.items() if name == topic.name and number}
+        read, bad = ledger.read[topic.name], ledger.unreadable[topic.name]
         not_played = 0 if ledger.is_complete or claimed is None else max(0, claimed - read - unreadable)
         entries.append(
             TopicAccount(
                 topic=topic.name,
                 declared=claimed,
-                used=read - bad - rejected.total(),
+                used=read - bad - sum(rejected.values()),
                 unreadable=unreadable + bad,
                 not_played=not_played,
-                rejected=dict(rejected),
+                rejected=rejected,
             )
         )
     if lost.get(""):
@@ -132,18 +147,17 @@ def account_of(log: Log, setup: LogSetup, ledger: Ledger) -> Account:
         topics=tuple(entries),
         is_complete=ledger.is_complete,
         num_flaws=len(log.flaws),
-        flaws=tuple(f"{f.file} at byte {f.offset}: {f.what}" for f in islice(log.flaws, _FLAWS_TOLD)),
+        flaws=tuple(f"{f.file} at byte {f.offset}: {f.what}" for f in islice(log.flaws, _MAX_FLAWS)),
         explanation=_explanation(log, entries),
     )
 
 
 def _explanation(log: Log, entries: list[TopicAccount]) -> str:
-    """Return why the sum of the buckets differs from the declared count, "" if they agree."""
     difference = sum(entry.difference for entry in entries)
     if log.declared() is None:
         return "the container declares no totals (its index is missing or damaged): they are those that were found"
     if difference > 0:
-        return f"{difference} messages lay in damaged bytes of which no index tells the topic"
+        return f"{difference} messages lay in damaged bytes whose topics no index lists"
     if difference < 0:
         return f"{-difference} messages more than the container declares were found: its index is older than its data"
     return ""

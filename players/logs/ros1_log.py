@@ -1,8 +1,7 @@
-"""ROS 1 bags, whole or damaged: indexed, unindexed, cut off, none, bz2 or lz4.
+"""ROS 1 bags, whole or damaged: indexed, unindexed, cut off, uncompressed, bz2 or lz4.
 
-The library rosbags is not used, since it refuses a bag whose index is damaged. The index at the end is used as long as
-it fits; else the records are read one after another from the beginning. ROS 1 bags have no checksums; instead, every
-message of a chunk is compared with the chunk's own index, and rejected if its beginning, end or connection differ.
+The library rosbags refuses a bag with a damaged index. Here all records are read where no index fits.
+Bags have no checksums: a message is rejected if its place or connection differs from the chunk's index.
 """
 
 from __future__ import annotations
@@ -11,13 +10,13 @@ import mmap
 import re
 import struct
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import RecordingError
-from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type
+from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type, summed_by
 from players.logs.decompression import UnpackError, release, unpack
-from players.logs.log_damage import Flaw, Flaws
+from players.logs.log_damage import Flaws
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -41,8 +40,7 @@ class _WrongIndexError(Exception):
 
 @dataclass(slots=True)
 class _Chunk:
-    """A chunk: its position, its compression, and the index behind it: (connection, log time) by offset."""
-
+    # `index` is (connection, log time) by offset.
     offset: int
     data_at: int
     data_end: int
@@ -60,18 +58,14 @@ class Ros1Log:
     """A `Log` in one ROS 1 bag."""
 
     kind = "ROS 1 bag"
+    #: None of the bag; bz2 and (optionally) lz4 have their own.
     checksum = ""
-    """ROS 1 bags have no checksum; the formats bz2 and (optionally) lz4 have their own."""
 
     def __init__(self, path: Path) -> None:
-        """Read the index, or all records if no index fits.
-
-        Raises:
-            RecordingError: not one connection can be read.
-        """
+        """Read the index, or all records if no index fits. Raises `RecordingError`: not one connection can be read."""
         self.path = path
         self.files = (path,)
-        self.flaws = Flaws()
+        self.flaws = Flaws(path.name)
         self._connections: dict[int, Topic] = {}
         self._declared: Counter[int] | None = None
         self._chunk_places: list[int] = []
@@ -92,12 +86,7 @@ class Ros1Log:
 
     def declared(self) -> dict[str, int] | None:
         """Return the declared number of messages of each topic, None without an index."""
-        if self._declared is None:
-            return None
-        by_topic: Counter[str] = Counter()
-        for connection, number in self._declared.items():
-            by_topic[self._name(connection)] += number
-        return dict(by_topic)
+        return summed_by(self._name, self._declared)
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the file; unreadable ones are noted in `flaws`."""
@@ -112,7 +101,6 @@ class Ros1Log:
                 yield from self._chunks(data, set(topics), read)
 
     def _chunks(self, data: mmap.mmap, topics: set[str], read: set[int]) -> Iterator[LogMessage]:
-        """Yield the messages of the chunks that were not `read` yet."""
         names = {number: topic.name for number, topic in self._connections.items() if topic.name in topics}
         for place in self._chunk_places:
             if place in read:
@@ -122,7 +110,7 @@ class Ros1Log:
             except _NoRecordError as error:
                 if self._is_indexed:
                     raise _WrongIndexError from error
-                self._flaw(place, f"a chunk is not there: {error}", 0)
+                self.flaws.note(place, f"a chunk is not there: {error}", 0)
                 continue
             read.add(place)
             if chunk.index and not any(connection in names for connection, _ in chunk.index.values()):
@@ -137,14 +125,10 @@ class Ros1Log:
 
     def chunk_spans(self, data: mmap.mmap) -> list[tuple[tuple[int, int], int]]:
         """Return where each chunk and the index behind it begin and end, and how many messages it has."""
-        spans = []
-        for place in self._chunk_places:
-            chunk = _chunk_at(data, place)
-            spans.append(((place, chunk.index_end), len(chunk.index)))
-        return spans
+        chunks = [_chunk_at(data, place) for place in self._chunk_places]
+        return [((chunk.offset, chunk.index_end), len(chunk.index)) for chunk in chunks]
 
     def _content(self, content: Any, chunk: _Chunk, names: dict[int, str]) -> Iterator[LogMessage]:
-        """Yield the messages of a chunk; after an invalid record, continue at the next one of the index."""
         view, at, end = memoryview(content), 0, len(content)
         starts = sorted(chunk.index)
         lost: Counter[str] = Counter()
@@ -159,29 +143,16 @@ class Ros1Log:
                     lost[self._name(chunk.index[at][0])] += 1
                 at = next((start for start in starts if start > at), end)
                 continue
-            if connection is not None:
-                name = names.get(connection)
-                if name is not None:
-                    yield LogMessage(name, _stamp_ns(header), view[data_at:data_end])
+            if connection in names:
+                yield LogMessage(names[connection], _stamp_ns(header), view[data_at:data_end])
             at = data_end
         if first_bad is not None:
-            unknown = lost.pop("", 0)
-            self._flaw(
-                chunk.offset,
-                f"records in a chunk that its index does not confirm, the first at byte {first_bad} of it",
-                0,
-                lost=tuple(lost.items()),
-                num_unknown=unknown,
-            )
+            what = f"records in a chunk that its index does not confirm, the first at byte {first_bad} of it"
+            self.flaws.note(chunk.offset, what, 0, lost)
 
     def _checked(
         self, header: dict[bytes, bytes], at: int, data_end: int, chunk: _Chunk, end: int, view: memoryview
     ) -> int | None:
-        """Return the connection of a valid message, None for a record that is no message.
-
-        Raises:
-            _NoRecordError: it differs from the index of the chunk, or its connection is unknown.
-        """
         op = _op(header)
         if op == _CONNECTION:
             self._learn(header, view[:0])
@@ -198,10 +169,7 @@ class Ros1Log:
                 raise _NoRecordError("a message of another length than the index has")
         return connection
 
-    # ---- the index and the walk --------------------------------------------------------------------------------------
-
     def _read_index(self, data: mmap.mmap) -> bool:
-        """Read connections and chunk places at the end; return whether they fit the bag's header."""
         try:
             header, _, at = _record(data, len(MAGIC), len(data))
             index_at, num_connections, num_chunks = (
@@ -237,7 +205,6 @@ class Ros1Log:
         return True
 
     def _walk_whole(self, data: mmap.mmap) -> None:
-        """Read all records; after damaged bytes, continue at the next chunk."""
         at, end = len(MAGIC), len(data)
         while at < end:
             try:
@@ -248,7 +215,8 @@ class Ros1Log:
                     (declared,) = _SIZE.unpack_from(data, data_at - 4)
                     if declared != data_end - data_at:
                         missing = declared - (data_end - data_at)
-                        self._flaw(at, f"the bag is cut off within a chunk, of which {missing} bytes are missing", 0)
+                        what = f"the bag is cut off within a chunk, of which {missing} bytes are missing"
+                        self.flaws.note(at, what, 0)
                 elif data_end != data_at + _SIZE.unpack_from(data, data_at - 4)[0]:
                     raise _NoRecordError("data beyond the end")
                 elif op == _CONNECTION:
@@ -258,13 +226,12 @@ class Ros1Log:
             except _NoRecordError:
                 following = _next_chunk(data, at + 1)
                 what = "bytes that are no record" if following < end else "the bag is cut off"
-                self._flaw(at, what, following - at)
+                self.flaws.note(at, what, following - at)
                 at = following
             else:
                 at = data_end
 
     def _learn_chunk(self, data: mmap.mmap, at: int) -> None:
-        """Note a chunk, and read the connections in it unless its index names only known ones."""
         chunk = _chunk_at(data, at)
         self._chunk_places.append(at)
         if chunk.index and all(connection in self._connections for connection, _ in chunk.index.values()):
@@ -284,7 +251,6 @@ class Ros1Log:
                 return
 
     def _learn(self, header: dict[bytes, bytes], content: Any) -> None:
-        """Note a connection, unless it is known already."""
         number = _number(header, b"conn")
         if number in self._connections or not len(content):
             return
@@ -296,19 +262,10 @@ class Ros1Log:
         except (_NoRecordError, KeyError, UnicodeDecodeError):
             return
         self._connections[number] = Topic(
-            name=name,
-            type_name=normalized_type(type_name),
-            num_messages=None,
-            wire="ros1",
-            definition_format="msg",
-            definition=definition,
+            name=name, type_name=normalized_type(type_name), wire="ros1", definition_format="msg", definition=definition
         )
 
-    # ---- small things ------------------------------------------------------------------------------------------------
-
     def _topics(self) -> tuple[Topic, ...]:
-        from dataclasses import replace
-
         counts = self._declared
         if counts is None:
             counts = Counter()
@@ -317,10 +274,8 @@ class Ros1Log:
                     counts.update(_chunk_at(data, place).counts)
         is_known = self._declared is not None or bool(counts)
         return merged_topics(
-            [
-                replace(topic, num_messages=counts.get(number, 0) if is_known else None)
-                for number, topic in self._connections.items()
-            ]
+            replace(topic, num_messages=counts.get(number, 0) if is_known else None)
+            for number, topic in self._connections.items()
         )
 
     def _name(self, connection: int) -> str:
@@ -328,23 +283,11 @@ class Ros1Log:
         return topic.name if topic else ""
 
     def _bad_chunk(self, chunk: _Chunk, reason: str) -> None:
-        lost: Counter[str] = Counter()
-        for connection, number in chunk.counts.items():
-            lost[self._name(connection)] += number
-        unknown = lost.pop("", 0)
         num_bytes = chunk.data_end - chunk.offset
-        self._flaw(chunk.offset, f"a chunk {reason}", num_bytes, lost=tuple(lost.items()), num_unknown=unknown)
-
-    def _flaw(
-        self, offset: int, what: str, num_bytes: int, *, lost: tuple[tuple[str, int], ...] = (), num_unknown: int = 0
-    ) -> None:
-        self.flaws.add(
-            Flaw(file=self.path.name, offset=offset, what=what, num_bytes=num_bytes, lost=lost, num_unknown=num_unknown)
-        )
+        self.flaws.note(chunk.offset, f"a chunk {reason}", num_bytes, summed_by(self._name, chunk.counts))
 
 
 def _unpacked(data: mmap.mmap, chunk: _Chunk) -> Any:
-    """Return the records of a chunk; raises `UnpackError`."""
     if chunk.compression == "none":
         return unpack("none", data[chunk.data_at : chunk.data_end], chunk.size)
     with memoryview(data) as view, view[chunk.data_at : chunk.data_end] as packed:
@@ -352,13 +295,7 @@ def _unpacked(data: mmap.mmap, chunk: _Chunk) -> Any:
 
 
 def _record(data: Any, at: int, end: int, *, is_cut_off_well: bool = False) -> tuple[dict[bytes, bytes], int, int]:
-    """Return the header fields of the record at a place, and where its data begins and ends.
-
-    `is_cut_off_well`: data that exceeds the end is accepted as far as it is there.
-
-    Raises:
-        _NoRecordError: there is none, or it does not fit before `end`.
-    """
+    # `is_cut_off_well`: data that exceeds the end is accepted as far as it is there.
     if at + 4 > end:
         raise _NoRecordError("too short")
     (header_bytes,) = _SIZE.unpack_from(data, at)
@@ -419,11 +356,6 @@ def _is_chunk(data: Any, at: int) -> bool:
 
 
 def _chunk_at(data: Any, at: int, *, with_index: bool = True) -> _Chunk:
-    """Return the chunk at a place, with the index records that follow it.
-
-    Raises:
-        _NoRecordError: there is no chunk, or it is cut off.
-    """
     end = len(data)
     header, data_at, data_end = _record(data, at, end, is_cut_off_well=True)
     if _op(header) != _CHUNK:
@@ -452,7 +384,6 @@ def _chunk_at(data: Any, at: int, *, with_index: bool = True) -> _Chunk:
 
 
 def _next_chunk(data: mmap.mmap, start: int) -> int:
-    """Return where the next whole chunk begins, or the end of the bag."""
     for match in _CHUNK_OP.finditer(data, start):
         # The fields of a header come in any order: the record begins somewhere before this one.
         for at in range(max(start, match.start() - 64), match.start() - 3):

@@ -1,7 +1,6 @@
-"""ROS 2 bags as folders: sqlite3 or MCAP, whole or split, with or without metadata.yaml, compressed by file or message.
+"""ROS 2 bags as folders: sqlite3 or MCAP, whole or split, compressed by file or message.
 
-Only the order of the files is taken from `metadata.yaml`. Without one, or if it names files that are missing, the files
-of the folder are read in the order of their names.
+`metadata.yaml` gives the order of the files only; without a valid one, files are read by name.
 """
 
 from __future__ import annotations
@@ -25,8 +24,7 @@ _MAX_FILE_BYTES = 1 << 37
 def open_ros2_bag(folder: Path) -> Log:
     """Return the log of a ROS 2 bag folder.
 
-    Raises:
-        RecordingError: it holds no files of a bag, or none of them can be read.
+    Raises `RecordingError`: it holds no files of a bag, or none of them can be read.
     """
     files = bag_files(folder)
     if not files:
@@ -52,8 +50,12 @@ def bag_files(folder: Path) -> list[Path]:
     metadata = folder / METADATA
     listed = _listed(metadata) if metadata.is_file() else []
     named = [folder / name for name in listed if (folder / name).is_file()]
-    # Files that are not listed belong to the bag too: a recorder that was killed does not list all of them.
-    return named + sorted((file for file in present if file not in named), key=_natural)
+
+    def natural(file: Path) -> list[Any]:  # bag_10 comes after bag_9
+        return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
+
+    # A recorder that was killed does not list all files.
+    return named + sorted((file for file in present if file not in named), key=natural)
 
 
 def open_bag_file(file: Path) -> Log:
@@ -71,32 +73,20 @@ def open_bag_file(file: Path) -> Log:
 
 
 def _listed(metadata: Path) -> list[str]:
-    """Return the files that a metadata.yaml names, even if the rest of it is damaged."""
     text = metadata.read_text(encoding="utf-8", errors="replace")
     block = re.search(r"relative_file_paths:\s*\n((?:\s*-\s*\S.*\n?)+)", text)
-    if block is None:
-        return []
-    names = re.findall(r"-\s*[\"']?([^\"'\n]+?)[\"']?\s*(?:\n|$)", block.group(1))
+    names = re.findall(r"-\s*[\"']?([^\"'\n]+?)[\"']?\s*(?:\n|$)", block.group(1)) if block is not None else []
     return [Path(name).name for name in names]
 
 
-def _natural(file: Path) -> list[Any]:
-    """Return a key by which bag_10 comes after bag_9."""
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
-
-
 def _unpacked_file(file: Path) -> Path:
-    """Return a temporary copy of a file that was compressed as a whole.
-
-    Raises:
-        RecordingError: it is damaged.
-    """
+    import atexit
     import shutil
 
     import zstandard
 
     target = Path(tempfile.mkdtemp(prefix="hickory-bag-")) / file.name.removesuffix(".zstd")
-    _removed_at_exit(target.parent)
+    atexit.register(shutil.rmtree, target.parent, ignore_errors=True)
     try:
         with file.open("rb") as packed, target.open("wb") as unpacked:
             for block in zstandard.ZstdDecompressor().read_to_iter(packed):
@@ -108,10 +98,3 @@ def _unpacked_file(file: Path) -> Path:
         if target.stat().st_size == 0:
             raise RecordingError(f"{file} cannot be unpacked: {error}") from error
     return target
-
-
-def _removed_at_exit(folder: Path) -> None:
-    import atexit
-    import shutil
-
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)

@@ -1,20 +1,19 @@
-"""The sqlite3 files of ROS 2 bags, whole or damaged.
+"""sqlite3 files of ROS 2 bags, whole or damaged; they have no checksums.
 
-A sound file is read by SQLite, in the order of its rows. If SQLite reports damage, the pages are read one by one
-(`sqlite_pages`): every message whose own pages are whole is found again. SQLite files have no checksums.
+SQLite reads a sound file. For a damaged one, `sqlite_pages` finds every message whose own pages are whole.
 """
 
 from __future__ import annotations
 
 import sqlite3
-from collections import Counter
+from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from hickory_stream.errors import RecordingError
-from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type
+from players.logs.containers import LogMessage, Topic, merged_topics, normalized_type, summed_by
 from players.logs.decompression import UnpackError, unpack
-from players.logs.log_damage import Flaw, Flaws
+from players.logs.log_damage import Flaws
 from players.logs.sqlite_pages import PageFile
 
 if TYPE_CHECKING:
@@ -35,12 +34,11 @@ class SqliteLog:
     def __init__(self, path: Path, definitions: dict[str, str] | None = None) -> None:
         """Read the topics; `definitions` are message definitions by type, for types missing from the bag's own table.
 
-        Raises:
-            RecordingError: no topic can be read, or it is a database of something else.
+        Raises `RecordingError`: no topic can be read, or it is a database of something else.
         """
         self.path = path
         self.files = (path,)
-        self.flaws = Flaws()
+        self.flaws = Flaws(path.name)
         self._definitions = definitions or {}
         self._is_sound = True
         self._counts: dict[int, int] | None = None
@@ -67,13 +65,7 @@ class SqliteLog:
 
     def declared(self) -> dict[str, int] | None:
         """Return the number of messages of each topic in the database, None if it is damaged."""
-        if self._counts is None:
-            return None
-        by_topic: Counter[str] = Counter()
-        for number, count in self._counts.items():
-            name = self.topic_rows[number][0] if number in self.topic_rows else ""
-            by_topic[name] += count
-        return dict(by_topic)
+        return summed_by(lambda number: self.topic_rows.get(number, ("",))[0], self._counts)
 
     def messages(self, topics: Collection[str]) -> Iterator[LogMessage]:
         """Yield the messages of some topics in the order of the rows; unreadable ones are noted in `flaws`."""
@@ -95,7 +87,7 @@ class SqliteLog:
                 continue
             values = row.values()
             if values is None:
-                self._flaw(row.offset, f"row {row.rowid} lies in pages that are damaged", 0, num_unknown=1)
+                self.flaws.note(row.offset, f"row {row.rowid} lies in pages that are damaged", 0, num_unknown=1)
             elif (
                 len(values) >= 4 and values[1] in names and isinstance(values[2], int) and isinstance(values[3], bytes)
             ):
@@ -103,18 +95,18 @@ class SqliteLog:
                 if message is not None:
                     yield message
             elif len(values) < 4 or values[1] not in self.topic_rows:
-                self._flaw(row.offset, f"row {row.rowid} is no message", 0, num_unknown=1)
+                self.flaws.note(row.offset, f"row {row.rowid} is no message", 0, num_unknown=1)
 
     def _message(self, name: str, log_ns: int, data: Any, rowid: int) -> LogMessage | None:
-        """Return a message, unpacked if it is zstd, which CDR data cannot be mistaken for."""
+        # CDR data never begins like zstd.
         if not isinstance(data, bytes):
-            self._flaw(rowid, f"row {rowid} holds no bytes", 0, lost=((name, 1),))
+            self.flaws.note(rowid, f"row {rowid} holds no bytes", 0, {name: 1})
             return None
         if data[:4] == _ZSTD:
             try:
                 data = unpack("zstd", data, None)
             except UnpackError as error:
-                self._flaw(rowid, f"the message in row {rowid} {error}", len(data), lost=((name, 1),))
+                self.flaws.note(rowid, f"the message in row {rowid} {error}", len(data), {name: 1})
                 return None
         return LogMessage(name, log_ns, data)
 
@@ -164,29 +156,15 @@ class SqliteLog:
 
     def _give_up(self, error: Exception) -> None:
         self._is_sound = False
-        self._flaw(0, f"SQLite gives up ({error}); its pages are read one by one", 0)
-
-    def _flaw(
-        self, offset: int, what: str, num_bytes: int, *, lost: tuple[tuple[str, int], ...] = (), num_unknown: int = 0
-    ) -> None:
-        self.flaws.add(
-            Flaw(file=self.path.name, offset=offset, what=what, num_bytes=num_bytes, lost=lost, num_unknown=num_unknown)
-        )
+        self.flaws.note(0, f"SQLite gives up ({error}); its pages are read one by one", 0)
 
 
-class _connected:  # used as a function
-    """A read-only connection: a log is never changed, and may lie on a read-only medium."""
-
-    def __init__(self, path: Path) -> None:
-        wal = path.with_name(path.name + "-wal")
-        # A write-ahead log beside the file may hold messages too.
-        mode = "mode=ro" if wal.is_file() and wal.stat().st_size else "mode=ro&immutable=1"
-        self._connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True)
+@contextmanager
+def _connected(path: Path) -> Iterator[sqlite3.Connection]:
+    wal = path.with_name(path.name + "-wal")
+    # A write-ahead log beside the file may hold messages too.
+    mode = "mode=ro" if wal.is_file() and wal.stat().st_size else "mode=ro&immutable=1"
+    with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True)) as connection:
         # The schema of a bag is fixed; triggers and functions in a damaged or hostile file must not run.
-        self._connection.execute("PRAGMA trusted_schema = OFF")
-
-    def __enter__(self) -> sqlite3.Connection:
-        return self._connection
-
-    def __exit__(self, *_: object) -> None:
-        self._connection.close()
+        connection.execute("PRAGMA trusted_schema = OFF")
+        yield connection

@@ -1,8 +1,7 @@
-"""The rows of a damaged SQLite file, page by page, by the file format documented on sqlite.org.
+"""Rows of a damaged SQLite file, page by page, by the file format documented on sqlite.org.
 
-Every leaf page of a table describes its own rows, so that they are found without the B-tree above them. The table of a
-leaf is inferred from the column types of its rows, since rosbag2 has few tables. A row whose overflow pages do not form
-a chain of the right length has no values.
+Leaf pages describe their own rows, so the B-tree above them is not needed. Column types identify the table.
+A row whose overflow pages form no chain of the right length has no values.
 """
 
 from __future__ import annotations
@@ -106,7 +105,6 @@ class PageFile:
         return bytes(stream.read(self._page_bytes))
 
     def _leaf(self, page: bytes, number: int) -> Iterator[tuple[Row, bytes]]:
-        """Yield the rows of a leaf of a table, each with the beginning of its payload; nothing for other pages."""
         start = 100 if number == 1 else 0
         if len(page) < start + 8 or page[start] != _TABLE_LEAF:
             return
@@ -127,7 +125,7 @@ class PageFile:
                 yield Row(self, rowid - (1 << 64) if rowid >> 63 else rowid, offset, payload_bytes), page[at : at + 64]
 
     def _local_bytes(self, payload_bytes: int) -> int:
-        """Return how much of a payload is on the leaf itself (the rule of the file format)."""
+        # The rule of the file format.
         most = self._usable - 35
         if payload_bytes <= most:
             return payload_bytes
@@ -137,7 +135,7 @@ class PageFile:
 
 
 def _table_of(head: bytes) -> str:
-    """Return the table by a row's column types: messages are (null, int, int, blob), topics (null, text, text, ...)."""
+    # messages are (null, int, int, blob), topics (null, text, text, ...)
     types = _types(head)
     if types is None or len(types) < 4:
         return ""
@@ -193,7 +191,7 @@ def _columns(payload: bytes) -> list[Any] | None:
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """Return the number at a place, big-endian in groups of seven bits, and the place behind it."""
+    # Big-endian in groups of seven bits.
     number = 0
     for i in range(9):
         if at >= len(data):

@@ -1,8 +1,7 @@
-"""Pairs of colour and depth by their stamps: one to one, within a tolerance, while the log streams by.
+"""Pairs of colour and depth by their stamps, one to one, within a tolerance, while the log streams by.
 
-The oldest waiting image is decided first: it is paired with the nearest image of the other stream, unless that one has
-a nearer partner. Two images that are each other's nearest are therefore always paired, in any order of arrival, as long
-as one stream is at most `HORIZON_NS` behind the other and each is at most `DISORDER_NS` out of order.
+The oldest waiting image is paired with the nearest of the other stream, unless that one has a nearer partner.
+Mutually nearest images are paired if streams lag at most `HORIZON_NS` and are at most `DISORDER_NS` out of order.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from bisect import insort
 from collections import deque
 from dataclasses import dataclass, field
 from itertools import pairwise
+from operator import attrgetter
 from statistics import median
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -92,7 +92,7 @@ def pair_arriving(
         if image.stamp_ns < passed_ns.get(image.stream, image.stamp_ns):
             yield Leftover(stream=image.stream, stamp_ns=image.stamp_ns, item=image.item, is_late=True)
             continue
-        insort(waiting[image.stream], image, key=_stamp)
+        insort(waiting[image.stream], image, key=attrgetter("stamp_ns"))
         newest_ns[image.stream] = max(image.stamp_ns, newest_ns.get(image.stream, image.stamp_ns))
         settled_ns = max(newest_ns.values()) - horizon_ns
         certain_ns = settled_ns
@@ -153,23 +153,15 @@ def pair_epochs(
 
 
 def _has_twin(waiting: dict[Stream, list[Stamped]]) -> bool:
-    """Return whether the first images of both streams have equal stamps, so that no image can be nearer to either."""
     color, depth = waiting["color"], waiting["depth"]
     return bool(color and depth) and color[0].stamp_ns == depth[0].stamp_ns
 
 
-def _stamp(image: Stamped) -> int:
-    return image.stamp_ns
-
-
 def _oldest(waiting: dict[Stream, list[Stamped]]) -> Stamped | None:
-    """Return the first image in waiting; colour first among equals."""
-    heads = [images[0] for images in waiting.values() if images]
-    return min(heads, key=_stamp) if heads else None
+    return min((images[0] for images in waiting.values() if images), key=attrgetter("stamp_ns"), default=None)
 
 
 def _decide(oldest: Stamped, waiting: dict[Stream, list[Stamped]], tolerance_ns: int) -> Pair | Leftover:
-    """Remove the oldest image, with its partner if it has one, and return them."""
     own = waiting[oldest.stream]
     others = waiting["depth" if oldest.stream == "color" else "color"]
     own.pop(0)
@@ -181,7 +173,6 @@ def _decide(oldest: Stamped, waiting: dict[Stream, list[Stamped]], tolerance_ns:
 
 
 def _is_partner(oldest: Stamped, other: Stamped, rivals: list[Stamped], tolerance_ns: int) -> bool:
-    """Return whether `other` is near enough, and nearer to the oldest image than to any that follows it."""
     distance_ns = other.stamp_ns - oldest.stamp_ns
     return distance_ns <= tolerance_ns and all(
         abs(rival.stamp_ns - other.stamp_ns) >= distance_ns
@@ -191,6 +182,5 @@ def _is_partner(oldest: Stamped, other: Stamped, rivals: list[Stamped], toleranc
 
 
 def _period_ns(stamps_ns: Sequence[int]) -> int | None:
-    ordered = sorted(set(stamps_ns))
-    steps = [after - before for before, after in pairwise(ordered)]
+    steps = [after - before for before, after in pairwise(sorted(set(stamps_ns)))]
     return int(median(steps)) if steps else None

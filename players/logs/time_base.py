@@ -1,8 +1,6 @@
-"""The choice of a log's time base: header stamps, unless they are unusable, else the recorder's.
+"""Choice of a log's time base: header stamps, unless they are unusable, else log times.
 
-The header stamp is the time at which an image was taken; the log time is that at which the recorder received it. Header
-stamps are unusable if they were never set (all zero, or all equal) or if colour and depth are far apart by them; then
-the log time is used for all streams.
+Header stamps (exposure) are unusable if all are zero or equal, or if colour and depth are far apart by them.
 """
 
 from __future__ import annotations
@@ -10,18 +8,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from players.messages.images import Probe
     from players.options import Clock
-    from players.poses.camera_poses import PosePlan, RigReader
+    from players.poses.camera_poses import PosePlan, PoseReader
 
 _APART_NS = 60_000_000_000
 """Streams whose first header stamps differ by more than this, but whose log times do not, have different clocks."""
 
 
 def choose_clock(
-    asked: Clock, color: Probe, depth: Probe, reader: RigReader, plan: PosePlan
+    asked: Clock, color: Probe, depth: Probe, reader: PoseReader, plan: PosePlan
 ) -> tuple[Literal["header", "log"], str]:
     """Return which clock is used, and the reason in words."""
     if asked == "log":
@@ -29,8 +25,9 @@ def choose_clock(
     if asked == "header":
         return "header", "header stamps, as asked"
     for probe in (color, depth):
-        if _is_unset(probe.stamps_ns):
-            return "log", f"log time: the header stamps of {probe.topic.name} are not set (all {probe.stamps_ns[0]})"
+        stamps_ns = probe.stamps_ns
+        if stamps_ns and (max(stamps_ns) == 0 or (len(stamps_ns) > 2 and len(set(stamps_ns)) == 1)):
+            return "log", f"log time: the header stamps of {probe.topic.name} are not set (all {stamps_ns[0]})"
     if color.stamps_ns and depth.stamps_ns:
         header_ns = abs(color.stamps_ns[0] - depth.stamps_ns[0])
         log_ns = abs(color.log_ns[0] - depth.log_ns[0])
@@ -42,7 +39,3 @@ def choose_clock(
         if track is not None and track.num_added == 1 and track.num_duplicates > 20:
             return "log", f"log time: the header stamps of {key[0]} are not set"
     return "header", "header stamps"
-
-
-def _is_unset(stamps_ns: Sequence[int]) -> bool:
-    return len(stamps_ns) > 0 and (max(stamps_ns) == 0 or (len(stamps_ns) > 2 and len(set(stamps_ns)) == 1))

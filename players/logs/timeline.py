@@ -1,7 +1,7 @@
 """Classification of the stamps of one stream: in order, late, duplicate, implausible, or after a jump.
 
-A stamp far from its neighbours is either wrong or the first one after a jump. The next message decides: if it continues
-from the odd stamp, time has jumped. A jump backwards begins a new epoch.
+A stamp far from its neighbours is wrong, or the first after a jump: the next message decides.
+A jump backwards begins a new epoch.
 """
 
 from __future__ import annotations
@@ -98,7 +98,6 @@ class Timeline:
         return -BACKWARDS_NS <= stamp_ns - self._newest_ns <= FORWARD_NS
 
     def _goes_on(self, odd_ns: int, stamp_ns: int) -> bool:
-        """Return whether a stamp continues from the odd one."""
         assert self._newest_ns is not None
         if odd_ns > self._newest_ns:
             # Forward jumps include slow streams, in which every step is longer than a jump.

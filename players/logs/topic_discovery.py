@@ -1,4 +1,4 @@
-"""Discovery of the topics' roles by type and name; `SourceOptions` overrides it."""
+"""Roles of topics by type and name; `SourceOptions` overrides them."""
 
 from __future__ import annotations
 
@@ -37,8 +37,7 @@ def choose_images(
 ) -> ImageTopics:
     """Return the topics of colour and depth: those `listed` by role, else the best names of one camera.
 
-    Raises:
-        RecordingError: there is none, or the log lacks the one that was named; the message lists those it has.
+    Raises `RecordingError`: there is none, or the log lacks the one that was named; the message lists those it has.
     """
     images = [topic for topic in topics if topic.type_name in (IMAGE, COMPRESSED_IMAGE) and topic.num_messages != 0]
     colors = [topic for topic in images if "depth" not in topic.name.lower() and not _words(topic) & _NEITHER]
@@ -72,9 +71,7 @@ def pose_topics(
 ) -> list[Topic]:
     """Return the topics that may hold the camera's pose: the one that was named or listed, else all, except TF.
 
-    Raises:
-        NoPosesError: there is neither pose nor TF.
-        RecordingError: the topic that was named is not there.
+    Raises `NoPosesError`: there is neither pose nor TF; `RecordingError`: the topic that was named is not there.
     """
     if options.pose_topic == NO_TOPIC:
         raise NoPosesError(f"{path} is to be played without its poses (--pose-topic {NO_TOPIC})")
@@ -110,7 +107,6 @@ def is_rectified(image: Topic) -> bool:
 
 
 def _first_of(topics: Iterable[Topic], names: Sequence[str]) -> Topic | None:
-    """Return the first topic of a list that the log has, None if it has none of them."""
     by_name = {topic.name: topic for topic in topics}
     return next((by_name[name] for name in names if name in by_name), None)
 
@@ -131,18 +127,15 @@ def _depth_rank(topic: Topic, color: Topic | None) -> tuple[int, int, int, str]:
 
 
 def _shared_parts(a: str, b: str) -> int:
-    """Return how many leading parts of two names are equal; the topics of one camera share a prefix."""
     parts = list(zip(a.strip("/").split("/")[:-1], b.strip("/").split("/")[:-1], strict=False))
     return next((i for i, (x, y) in enumerate(parts) if x != y), len(parts))
 
 
 def _reversed(name: str) -> str:
-    """Return a key that sorts names in reverse alphabetical order."""
     return "".join(chr(0x10FFFF - ord(letter)) for letter in name)
 
 
 def _named(path: object, topics: Iterable[Topic], name: str | None, option: str) -> Topic | None:
-    """Return the topic that was asked for by name, None if none was."""
     if name is None:
         return None
     candidates = list(topics)
@@ -153,7 +146,6 @@ def _named(path: object, topics: Iterable[Topic], name: str | None, option: str)
 
 
 def _listed(label: str, topics: Sequence[Topic]) -> str:
-    """Return topics with types and counts, for an error."""
     if not topics:
         return f"{label}: none"
     entries = [

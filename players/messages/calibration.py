@@ -1,7 +1,6 @@
-"""Pinhole cameras from `CameraInfo` messages, and the rectification of images.
+"""Pinhole cameras from `CameraInfo` messages, and rectification of images.
 
-In ROS, `K` and `D` describe the raw image and `P` the rectified one, in the same message; the topic's name tells which
-of the two an image is.
+In ROS, `K` and `D` describe the raw image and `P` the rectified one; the topic's name says which an image is.
 """
 
 from __future__ import annotations
@@ -42,15 +41,13 @@ class Lens:
         """Return the image (H, W, 3) as the pinhole camera sees it; black where it saw nothing."""
         if not self.is_distorted:
             return rgb
-        map_x, map_y = self._maps
-        return np.asarray(cv2.remap(rgb, map_x, map_y, cv2.INTER_LINEAR))
+        return np.asarray(cv2.remap(rgb, *self._maps, cv2.INTER_LINEAR))
 
     def rectified_depth(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the depth (H, W) as the pinhole camera sees it: nearest pixels, since depth must not be blended."""
         if not self.is_distorted:
             return depth_m
-        map_x, map_y = self._maps
-        return np.asarray(cv2.remap(depth_m, map_x, map_y, cv2.INTER_NEAREST, borderValue=float("nan")))
+        return np.asarray(cv2.remap(depth_m, *self._maps, cv2.INTER_NEAREST, borderValue=float("nan")))
 
     @cached_property
     def _maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -63,8 +60,7 @@ class Lens:
 def lens_of(info: CameraInfo, *, topic: str, image_size: tuple[int, int] | None, is_rectified: bool) -> Lens:
     """Return the lens of a calibration; `image_size` is used if the message leaves the size unset.
 
-    Raises:
-        CalibrationError: it has no focal length, no size, or an unknown distortion model.
+    Raises `CalibrationError`: it has no focal length, no size, or an unknown distortion model.
     """
     distortion = tuple(float(d) for d in info.D)
     matrix = info.P if is_rectified and info.P[0, 0] > 0 and any(distortion) else info.K
@@ -75,20 +71,12 @@ def lens_of(info: CameraInfo, *, topic: str, image_size: tuple[int, int] | None,
             "name another topic with --color-info-topic or --depth-info-topic"
         )
     if size is None:
-        raise CalibrationError(f"{topic} says no image size, and the first image of its camera is torn")
-    camera = Camera(
-        width=size[0],
-        height=size[1],
-        fx=float(matrix[0, 0]),
-        fy=float(matrix[1, 1]),
-        cx=float(matrix[0, 2]),
-        cy=float(matrix[1, 2]),
-    )
+        raise CalibrationError(f"{topic} has no image size, and the first image of its camera is torn")
+    (fx, _, cx), (_, fy, cy) = matrix[:2, :3].tolist()
+    camera = Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx, cy=cy)
     if is_rectified or not any(distortion):
         return Lens(camera)
     if info.distortion_model not in (*_FISHEYE, *_RADIAL):
-        raise CalibrationError(
-            f"{topic} has the distortion model {info.distortion_model!r}; "
-            f"known are {', '.join((*_RADIAL[:2], *_FISHEYE))}"
-        )
+        known = ", ".join((*_RADIAL[:2], *_FISHEYE))
+        raise CalibrationError(f"{topic} has the distortion model {info.distortion_model!r}; known are {known}")
     return Lens(camera, distortion, info.distortion_model in _FISHEYE)

@@ -1,7 +1,6 @@
-"""Depth of one camera seen from another: reprojected point by point, with a z-buffer.
+"""Registration of depth into another camera, pixel by pixel, with a z-buffer.
 
-A depth pixel is treated as a small square of surface rather than a point. It covers the square that it projects to,
-slightly enlarged, so that adjacent pixels leave no holes if the resolutions are similar; the nearest surface wins.
+A depth pixel is a small square of surface. It covers its projected square, slightly enlarged against holes.
 """
 
 from __future__ import annotations
@@ -69,7 +68,7 @@ def register_depth(depth_m: NDArray[np.float32], registration: Registration) -> 
 
 @kernel
 def _splat(depth_m, source, target, target_from_source, size):
-    """Render every depth pixel as a square into a z-buffer of `size`; intrinsics are (fx, fy, cx, cy)."""
+    # A depth pixel is a square in a z-buffer of `size`; intrinsics are (fx, fy, cx, cy).
     height, width = size
     seen = np.full((height, width), np.nan, dtype=np.float32)
     m = target_from_source

@@ -1,7 +1,4 @@
-"""Foxglove's own messages, as protobuf or JSON, converted to the equivalent ROS messages.
-
-They are converted to objects with the fields of the ROS message, so that the rest of the package handles one kind.
-"""
+"""Foxglove's own messages, as protobuf or JSON, converted to objects with the fields of ROS messages."""
 
 from __future__ import annotations
 
@@ -29,18 +26,12 @@ ROS_TYPES = {
 def decode_foxglove(name: str, wire: str, definition: str, data: Any) -> Any:
     """Return a message as its equivalent ROS message.
 
-    Raises:
-        ValueError: the bytes do not fit the type.
-        KeyError: a field is missing.
+    Raises `ValueError`: the bytes do not fit the type; `KeyError`: a field is missing.
     """
-    return _as_ros(name, _json(data) if wire == "json" else _protobuf(name, definition, bytes(data)))
-
-
-def _json(data: Any) -> Any:
-    fields = json.loads(bytes(data))
+    fields = json.loads(bytes(data)) if wire == "json" else _protobuf(name, definition, bytes(data))
     if not isinstance(fields, dict):
         raise ValueError("no object")
-    return fields
+    return _as_ros(name, fields)
 
 
 def _protobuf(name: str, definition: str, data: bytes) -> Any:
@@ -57,10 +48,8 @@ def _protobuf(name: str, definition: str, data: bytes) -> Any:
     if isinstance(content, bytes):
         message.ClearField("data")
     fields = MessageToDict(message, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
-    for key in ("timestamp",):
-        if message.DESCRIPTOR.fields_by_name.get(key):
-            stamp = getattr(message, key)
-            fields[key] = {"sec": stamp.seconds, "nsec": stamp.nanos}
+    if message.DESCRIPTOR.fields_by_name.get("timestamp"):
+        fields["timestamp"] = {"sec": message.timestamp.seconds, "nsec": message.timestamp.nanos}
     if name == "foxglove.FrameTransforms":
         for entry, transform in zip(fields.get("transforms", []), message.transforms, strict=True):
             entry["timestamp"] = {"sec": transform.timestamp.seconds, "nsec": transform.timestamp.nanos}
@@ -71,7 +60,6 @@ def _protobuf(name: str, definition: str, data: bytes) -> Any:
 
 @lru_cache(maxsize=64)
 def _message_class(name: str, definition: str) -> Any:
-    """Return the class of a message from the descriptors in the log (bytes, stored as Latin-1 text)."""
     from google.protobuf import descriptor_pool, message_factory
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
     from google.protobuf.message import DecodeError
@@ -111,13 +99,8 @@ def _as_ros(name: str, fields: Any) -> Any:
                 p=fields.get("P") or [0.0] * 12,
             )
         case "foxglove.PoseInFrame":
-            pose = fields["pose"]
-            return SimpleNamespace(
-                header=_header(fields),
-                pose=SimpleNamespace(
-                    position=_numbers(pose["position"]), orientation=_numbers(pose["orientation"], w=1.0)
-                ),
-            )
+            place, rotation = _numbers(fields["pose"]["position"]), _numbers(fields["pose"]["orientation"], w=1.0)
+            return SimpleNamespace(header=_header(fields), pose=SimpleNamespace(position=place, orientation=rotation))
         case "foxglove.FrameTransform":
             return SimpleNamespace(transforms=[_transform(fields)])
         case "foxglove.FrameTransforms":
@@ -126,19 +109,16 @@ def _as_ros(name: str, fields: Any) -> Any:
 
 
 def _header(fields: Any, frame: str = "frame_id") -> Any:
-    stamp = fields["timestamp"]
-    return SimpleNamespace(
-        stamp=SimpleNamespace(sec=int(stamp["sec"]), nanosec=int(stamp["nsec"])), frame_id=fields.get(frame, "")
-    )
+    stamp = SimpleNamespace(sec=int(fields["timestamp"]["sec"]), nanosec=int(fields["timestamp"]["nsec"]))
+    return SimpleNamespace(stamp=stamp, frame_id=fields.get(frame, ""))
 
 
 def _transform(fields: Any) -> Any:
+    translation, rotation = _numbers(fields["translation"]), _numbers(fields["rotation"], w=1.0)
     return SimpleNamespace(
         header=_header(fields, "parent_frame_id"),
         child_frame_id=fields.get("child_frame_id", ""),
-        transform=SimpleNamespace(
-            translation=_numbers(fields["translation"]), rotation=_numbers(fields["rotation"], w=1.0)
-        ),
+        transform=SimpleNamespace(translation=translation, rotation=rotation),
     )
 
 

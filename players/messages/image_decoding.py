@@ -1,6 +1,6 @@
-"""Decoding of the images in logs: colour (H, W, 3) uint8 RGB, depth (H, W) float32 metres with NaN.
+"""Decoding of images: colour (H, W, 3) uint8 RGB, depth (H, W) float32 metres with NaN.
 
-Truncated images are refused, since decoders fill the missing rows with grey or with uninitialised memory.
+Truncated images are refused, since decoders fill missing rows with grey or uninitialised memory.
 """
 
 from __future__ import annotations
@@ -24,16 +24,10 @@ MAX_PIXELS = 64_000_000
 """The maximum number of pixels: an image that claims more is damaged, or a decompression bomb."""
 
 _RAW_TYPES = {
-    "rgb8": ("u1", 3),
-    "bgr8": ("u1", 3),
-    "8UC3": ("u1", 3),
-    "rgba8": ("u1", 4),
-    "bgra8": ("u1", 4),
-    "8UC4": ("u1", 4),
-    "mono8": ("u1", 1),
-    "8UC1": ("u1", 1),
-    "mono16": ("u2", 1),
-    "16UC1": ("u2", 1),
+    **dict.fromkeys(("rgb8", "bgr8", "8UC3"), ("u1", 3)),
+    **dict.fromkeys(("rgba8", "bgra8", "8UC4"), ("u1", 4)),
+    **dict.fromkeys(("mono8", "8UC1"), ("u1", 1)),
+    **dict.fromkeys(("mono16", "16UC1"), ("u2", 1)),
     "32FC1": ("f4", 1),
     **dict.fromkeys(("yuv422", "uyvy", "UYVY", "yuv422_yuy2", "yuyv", "YUYV"), ("u1", 2)),
     **dict.fromkeys(("nv12", "nv21"), ("u1", 1)),
@@ -74,8 +68,7 @@ def compressed_size(data: bytes) -> tuple[int, int] | None:
 def png_part(data: bytes, what: str) -> bytes:
     """Return the PNG of a depth message: behind the 12-byte header of `compressedDepth`, or bare.
 
-    Raises:
-        RecordingError: there is no PNG at either place.
+    Raises `RecordingError`: there is no PNG at either place.
     """
     for start in (12, 0):
         if data[start : start + 8] == _PNG:
@@ -86,8 +79,7 @@ def png_part(data: bytes, what: str) -> bytes:
 def decode_color(data: bytes, what: str) -> NDArray[np.uint8]:
     """Return a JPEG or PNG as (H, W, 3) uint8 RGB; `what` names the image in errors.
 
-    Raises:
-        RecordingError: the image is empty, torn or neither JPEG nor PNG.
+    Raises `RecordingError`: the image is empty, torn or neither JPEG nor PNG.
     """
     _check_whole(data, what)
     buffer = np.frombuffer(data, dtype=np.uint8)
@@ -100,8 +92,7 @@ def decode_color(data: bytes, what: str) -> NDArray[np.uint8]:
 def decode_depth_png(data: bytes, units_per_m: float, what: str) -> NDArray[np.float32]:
     """Return a 16-bit PNG as (H, W) float32 metres; 0 and 65535 are no return.
 
-    Raises:
-        RecordingError: the image is empty, torn or not a PNG of one 16-bit channel.
+    Raises `RecordingError`: the image is empty, torn or not a PNG of one 16-bit channel.
     """
     return metres_of_u16(_decode_u16_png(data, what), units_per_m)
 
@@ -123,14 +114,12 @@ def decode_compressed_depth(data: bytes, encoding: str, units_per_m: float, what
     Accepted are 16-bit PNG, with or without the 12-byte header of `compressedDepth` (int32 kind, float32 A, float32 B),
     and RVL with that header. If `encoding` begins with 32FC1, the numbers are inverse depth: A / (number - B) metres.
 
-    Raises:
-        RecordingError: it is empty, torn, of another kind, or inverse depth without its parameters.
+    Raises `RecordingError`: it is empty, torn, of another kind, or inverse depth without its parameters.
     """
     if not data:
         raise RecordingError(f"{what} is empty")
-    is_inverse = encoding.strip().startswith("32FC1")
     numbers = _depth_numbers(data, what)
-    if not is_inverse:
+    if not encoding.strip().startswith("32FC1"):
         return metres_of_u16(numbers, units_per_m)
     kind, a, b = struct.unpack_from("<iff", data, 0)
     if data[:8] == _PNG or kind != 0 or not (np.isfinite((a, b)).all() and a > 0):
@@ -142,7 +131,6 @@ def decode_compressed_depth(data: bytes, encoding: str, units_per_m: float, what
 
 
 def _depth_numbers(data: bytes, what: str) -> NDArray[np.uint16]:
-    """Return the integers (H, W) of compressed depth."""
     if data[:8] == _PNG or data[12:20] == _PNG:
         return _decode_u16_png(png_part(data, what), what)
     width, height = rvl_size(data)
@@ -183,12 +171,10 @@ def _metres(raw, scale):
 def raw_pixels(message: Any, what: str) -> NDArray[Any]:
     """Return the pixels of a `sensor_msgs/Image` as (H, W) or (H, W, C) in native byte order, for any step.
 
-    Raises:
-        RecordingError: fewer bytes than the header announces.
+    Raises `RecordingError`: fewer bytes than the header announces.
     """
     dtype, channels = _RAW_TYPES[message.encoding]
-    big = bool(message.is_bigendian)
-    wire = np.dtype(dtype).newbyteorder(">" if big else "<")
+    wire = np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<")
     row_bytes = message.width * channels * wire.itemsize
     # NV12 and NV21: the chroma plane follows the luma plane, with half as many rows.
     height = message.height * 3 // 2 if message.encoding in ("nv12", "nv21") else message.height
@@ -226,7 +212,7 @@ def depth_of_pixels(pixels: NDArray[Any], units_per_m: float = 1000.0) -> NDArra
 
 
 def _check_whole(data: bytes, what: str) -> None:
-    """Check that an image has its end marker, behind which some cameras pad with zeros; raises `RecordingError`."""
+    # Some cameras pad with zeros behind the end marker.
     if not data:
         raise RecordingError(f"{what} is empty")
     tail = data[-4096:].rstrip(b"\0")[-16:]

@@ -1,7 +1,4 @@
-"""Image messages: their headers without decoding, and lazy decoding.
-
-The first messages of an image topic, which are read when a log is opened.
-"""
+"""Image messages: headers, lazy decoding, and the first messages of a topic."""
 
 from __future__ import annotations
 
@@ -28,7 +25,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from players.logs.containers import Topic
-
 
 _UNITS_PER_M = 1000.0
 """Integer depth is millimetres (REP 118)."""
@@ -65,7 +61,7 @@ def image_of(topic: Topic, message: Any, stamp_ns: int | None = None) -> LogImag
         topic=topic.name,
         stamp_ns=header_stamp_ns(message) if stamp_ns is None else stamp_ns,
         frame=frame_name(message.header.frame_id),
-        size=_compressed_size(message) if is_compressed else _raw_size(message),
+        size=_compressed_size(message) if is_compressed else (int(message.width), int(message.height)),
         is_compressed=is_compressed,
         message=message,
     )
@@ -74,8 +70,7 @@ def image_of(topic: Topic, message: Any, stamp_ns: int | None = None) -> LogImag
 def check_color_encoding(image: LogImage) -> None:
     """Check that colour can be decoded; compressed colour is recognised by its bytes, not by its format string.
 
-    Raises:
-        RecordingError: the encoding is not known.
+    Raises `RecordingError`: the encoding is not known.
     """
     if not image.is_compressed and image.encoding not in COLOR_ENCODINGS:
         raise RecordingError(
@@ -85,14 +80,9 @@ def check_color_encoding(image: LogImage) -> None:
 
 
 def check_depth_encoding(image: LogImage) -> None:
-    """Check that depth can be decoded, to the right unit.
-
-    Raises:
-        RecordingError: the encoding is not known.
-    """
-    if image.is_compressed:
-        return  # Recognised by its bytes: drivers write the format string in many ways.
-    if image.encoding not in DEPTH_ENCODINGS:
+    """Check that depth can be decoded, to the right unit. Raises `RecordingError`: the encoding is not known."""
+    # A compressed image is recognised by its bytes: drivers write the format string in many ways.
+    if not image.is_compressed and image.encoding not in DEPTH_ENCODINGS:
         raise RecordingError(
             f"{image.topic} is encoded as {image.encoding!r}; depth must be one of {', '.join(DEPTH_ENCODINGS)}, "
             "or a CompressedImage of 16-bit PNG or RVL; name another topic with --depth-topic"
@@ -102,8 +92,7 @@ def check_depth_encoding(image: LogImage) -> None:
 def color_of(image: LogImage) -> NDArray[np.uint8]:
     """Return the pixels (H, W, 3) uint8 RGB.
 
-    Raises:
-        RecordingError: the image is empty, torn, or of an encoding that is not known.
+    Raises `RecordingError`: the image is empty, torn, or of an encoding that is not known.
     """
     if image.is_compressed:
         return decode_color(image.data(), str(image))
@@ -114,8 +103,7 @@ def color_of(image: LogImage) -> NDArray[np.uint8]:
 def depth_of(image: LogImage, units_per_m: float = _UNITS_PER_M) -> NDArray[np.float32]:
     """Return the depth (H, W) float32 in metres, NaN = no return; integers are divided by `units_per_m`.
 
-    Raises:
-        RecordingError: the image is empty, torn, or of an encoding that is not known.
+    Raises `RecordingError`: the image is empty, torn, or of an encoding that is not known.
     """
     check_depth_encoding(image)
     if image.is_compressed:
@@ -123,12 +111,7 @@ def depth_of(image: LogImage, units_per_m: float = _UNITS_PER_M) -> NDArray[np.f
     return depth_of_pixels(raw_pixels(image.message, str(image)), units_per_m)
 
 
-def _raw_size(message: Any) -> tuple[int, int]:
-    return int(message.width), int(message.height)
-
-
 def _compressed_size(message: Any) -> tuple[int, int] | None:
-    """Return the size of a JPEG or PNG, also behind the header of `compressedDepth`."""
     # The size of a JPEG follows its tables and comments, which may be long.
     head = np.asarray(message.data[: 1 << 16], dtype=np.uint8).tobytes()
     return compressed_size(head) or compressed_size(head[12:]) or (rvl_size(head) if any(rvl_size(head)) else None)

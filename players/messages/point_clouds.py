@@ -1,7 +1,6 @@
-"""Conversion of point clouds (sensor_msgs/PointCloud2) to the scans of LiDAR odometry.
+"""Conversion of point clouds (sensor_msgs/PointCloud2) to scans for LiDAR odometry.
 
-The message describes its own fields, their offsets and number types. All drivers have x, y and z; the time of a point
-within the sweep is in a field whose name depends on the driver.
+The name of the field with a point's time depends on the driver.
 """
 
 from __future__ import annotations
@@ -31,8 +30,7 @@ MAX_POINTS = 16_000_000
 def scan_of(message: Any, stamp_ns: int | None = None) -> Scan:
     """Return the finite points of a message; `stamp_ns` replaces that of its header.
 
-    Raises:
-        RecordingError: it has no x, y and z, or is shorter than declared.
+    Raises `RecordingError`: it has no x, y and z, or is shorter than declared.
     """
     fields = {field.name: field for field in message.fields}
     at = f"a cloud of {message.header.frame_id!r}"
@@ -45,9 +43,7 @@ def scan_of(message: Any, stamp_ns: int | None = None) -> Scan:
     rows = _rows(message, [fields[name] for name in names], at)
     points = np.stack([rows[axis].ravel().astype(np.float32) for axis in "xyz"], axis=1)
     is_finite = np.isfinite(points).all(axis=1)
-    times_s = None
-    if time_name is not None:
-        times_s = _since(rows[time_name].ravel(), stamp_ns)
+    times_s = _since(rows[time_name].ravel(), stamp_ns) if time_name is not None else None
     return Scan(
         stamp_ns=stamp_ns,
         frame=frame_name(message.header.frame_id),
@@ -57,11 +53,6 @@ def scan_of(message: Any, stamp_ns: int | None = None) -> Scan:
 
 
 def _rows(message: Any, fields: list[Any], at: str) -> NDArray[Any]:
-    """Return the (height, width) points of a message with these fields, without a copy.
-
-    Raises:
-        RecordingError: the message contradicts itself.
-    """
     height, width = int(message.height), int(message.width)
     step, row_step = int(message.point_step), int(message.row_step)
     data = np.ascontiguousarray(message.data, dtype=np.uint8)
@@ -83,19 +74,13 @@ def _rows(message: Any, fields: list[Any], at: str) -> NDArray[Any]:
         raise RecordingError(
             f"{at} has {len(data)} bytes in rows of {row_step}; {height} x {width} points of {step} bytes need {needed}"
         )
-    kind = np.dtype(
-        {
-            "names": [field.name for field in fields],
-            "formats": formats,
-            "offsets": [int(field.offset) for field in fields],
-            "itemsize": step,
-        }
-    )
+    names, offsets = [field.name for field in fields], [int(field.offset) for field in fields]
+    kind = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
     return np.ndarray((height, width), dtype=kind, buffer=data.data, strides=(row_step, step))
 
 
 def _since(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float32] | None:
-    """Return seconds since the stamp; None if the values are no times, since some drivers leave the field empty."""
+    # Some drivers leave the field empty: then the values are no times.
     if not len(values):
         return np.zeros(0, dtype=np.float32)
     seconds = values.astype(np.float64) * (1e-9 if np.issubdtype(values.dtype, np.integer) else 1.0)

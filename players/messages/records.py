@@ -1,7 +1,4 @@
-"""The messages that players need, as records: poses and calibrations.
-
-ROS 1 and ROS 2 differ in the letter case of a few fields only.
-"""
+"""Poses and calibrations as records; ROS 1 and ROS 2 differ in the letter case of a few fields only."""
 
 from __future__ import annotations
 

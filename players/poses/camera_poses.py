@@ -1,11 +1,7 @@
-"""Camera poses of a log: from pose messages and TF frames to poses of the colour camera's optical frame.
+"""Camera poses of a log: from pose messages and TF to poses of the colour camera's optical frame.
 
-By default, the pose comes from an odometry topic whose body frame is connected to the camera by static TF links; else
-from a TF chain that starts at a fixed frame. If the log has no TF, the links are those of its profile. An unknown link
-is an error that names both ends: frames are never guessed.
-
-`RigReader` collects these messages as the log streams by; a `PosePlan`, made when the log is opened, defines which of
-them form the camera's pose.
+An odometry topic with static TF (or profile) links to the camera comes first, then a TF chain from a fixed frame.
+An unknown link is an error that names both ends. `PoseReader` collects messages; a `PosePlan` combines them.
 """
 
 from __future__ import annotations
@@ -20,7 +16,7 @@ from hickory_stream.errors import CalibrationError, NoPosesError
 from hickory_stream.geometry.rigid import compose, invert
 from players.logs.containers import UnreadableMessageError, deserialize
 from players.logs.timeline import Order, Timeline
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 from players.messages.records import CAMERA_INFO, TF, CameraInfo, StampedPose, camera_info_of, poses_of
 from players.poses.interpolation import is_pose_row, pose_of_row
 from players.poses.tf import Edge, FrameTree
@@ -61,8 +57,7 @@ class PoseStream:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Link:
-    """A link of a plan: static, or the key of a moving one with its value when the log was opened."""
-
+    # A static link, or the key of a moving one with its value when the log was opened.
     static: NDArray[np.float64]
     key: Key | None
     is_inverted: bool
@@ -70,16 +65,16 @@ class _Link:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PosePlan:
-    """The composition of `world_from_camera`: a stream (None: TF alone), then the links from its body to the camera.
-
-    `path` names the frames, for people; `extrinsics` says where the links come from. `is_static`: no link moves.
-    """
+    """The composition of `world_from_camera`: a stream (None: TF alone), then links from its body to the camera."""
 
     stream: PoseStream | None
     links: tuple[_Link, ...]
+    #: No link moves.
     is_static: bool
     source: str
+    #: Names of the frames, for people.
     path: str
+    #: Origin of the links, for people.
     extrinsics: str
 
     @property
@@ -88,7 +83,7 @@ class PosePlan:
         moving = tuple(link.key for link in self.links if link.key is not None)
         return moving if self.stream is None else (self.stream.key, *moving)
 
-    def at(self, stamp_ns: int, epoch: int, reader: RigReader) -> NDArray[np.float64] | None:
+    def at(self, stamp_ns: int, epoch: int, reader: PoseReader) -> NDArray[np.float64] | None:
         """Return the pose (4, 4) at a stamp, or None where there is none."""
         world_from_camera = np.eye(4)
         if self.stream is not None:
@@ -104,7 +99,7 @@ class PosePlan:
             world_from_camera = compose(world_from_camera, invert(pose) if link.is_inverted else pose)
         return world_from_camera
 
-    def reaches(self, stamp_ns: int, epoch: int, reader: RigReader) -> bool:
+    def reaches(self, stamp_ns: int, epoch: int, reader: PoseReader) -> bool:
         """Return whether the pose at a stamp is final: no later message can change it."""
         for key in self.keys:
             if reader.epoch_of(key) > epoch:
@@ -114,7 +109,7 @@ class PosePlan:
                 return False
         return True
 
-    def jump_between(self, start_ns: int, end_ns: int, epoch: int, reader: RigReader) -> Jump | None:
+    def jump_between(self, start_ns: int, end_ns: int, epoch: int, reader: PoseReader) -> Jump | None:
         """Return the last jump of a link between two stamps."""
         for key in self.keys:
             track = reader.track(key, epoch)
@@ -128,8 +123,8 @@ UNPOSED = PosePlan(stream=None, links=(), is_static=True, source="none", path="n
 """The plan of a log without poses: each frame has the identity as its pose until odometry estimates one."""
 
 
-def _moving(link: _Link, stamp_ns: int, epoch: int, reader: RigReader) -> NDArray[np.float64] | None:
-    """Return a TF link at a stamp; one that never changed is valid at any time, like static links on /tf in ROS 1."""
+def _moving(link: _Link, stamp_ns: int, epoch: int, reader: PoseReader) -> NDArray[np.float64] | None:
+    # A link that never changed is valid at any time, like static links on /tf in ROS 1.
     assert link.key is not None
     track = reader.track(link.key, epoch)
     if track is None or not track.num_added:
@@ -137,7 +132,7 @@ def _moving(link: _Link, stamp_ns: int, epoch: int, reader: RigReader) -> NDArra
     return track.any_pose() if track.is_constant else track.at(stamp_ns)
 
 
-class RigReader:
+class PoseReader:
     """Takes pose, TF and calibration messages as they stream by."""
 
     def __init__(
@@ -165,7 +160,7 @@ class RigReader:
         if topic.type_name == CAMERA_INFO:
             self._add_info(topic, message)
             return
-        stamp_ns = None if self._uses_log_time else peek_stamp_ns(topic, message.data)
+        stamp_ns = None if self._uses_log_time else serialized_stamp_ns(topic, message.data)
         if topic.name.endswith("tf_static") or stamp_ns is None:
             self._add_poses(topic, message, 0 if topic.name.endswith("tf_static") else None)
             return
@@ -183,7 +178,7 @@ class RigReader:
         self._loaded.append(stream)
 
     def end(self) -> None:
-        """Add the messages that were held back for want of a later one."""
+        """Add the messages that were waiting for a later one."""
         for name, timeline in self._timelines.items():
             for _ in timeline.end():
                 self._reject(self._topics[name], "pose_stamp_off")
@@ -242,7 +237,7 @@ class RigReader:
         try:
             info = camera_info_of(deserialize(topic, message.data))
         except (UnreadableMessageError, ValueError):
-            self._unreadable(topic)
+            self.fates["unreadable_message"] += 1
             return
         self._info_bytes[topic.name] = content
         known = self.infos.get(topic.name)
@@ -256,7 +251,7 @@ class RigReader:
         try:
             poses = poses_of(topic.type_name, deserialize(topic, message.data))
         except UnreadableMessageError:
-            self._unreadable(topic)
+            self.fates["unreadable_message"] += 1
             return
         num_bad = 0
         for pose in poses:
@@ -288,14 +283,11 @@ class RigReader:
         self.fates[fate] += 1
         self.rejected[topic.name] += 1
 
-    def _unreadable(self, topic: Topic) -> None:
-        self.fates["unreadable_message"] += 1
 
-
-def mounted(plan: PosePlan, body_from_camera: NDArray[np.float64], told: str) -> PosePlan:
-    """Return the plan with another camera pose on its body; `told` states its origin."""
+def with_extrinsics(plan: PosePlan, body_from_camera: NDArray[np.float64], origin: str) -> PosePlan:
+    """Return the plan with another camera pose on its body."""
     link = _Link(static=body_from_camera, key=None, is_inverted=False)
-    return replace(plan, links=(link,), is_static=True, extrinsics=told)
+    return replace(plan, links=(link,), is_static=True, extrinsics=origin)
 
 
 def body_from_camera_of(plan: PosePlan) -> NDArray[np.float64]:
@@ -308,7 +300,7 @@ def body_from_camera_of(plan: PosePlan) -> NDArray[np.float64]:
 
 def plan_poses(
     path: object,
-    reader: RigReader,
+    reader: PoseReader,
     camera_frame: str,
     *,
     pose_frame: str | None,
@@ -321,9 +313,7 @@ def plan_poses(
 
     `rig` is the profile's and is valid for `rig_topics` only, since a profile does not know the body of other topics.
 
-    Raises:
-        CalibrationError: no pose is connected to the camera's frame.
-        NoPosesError: there is no pose.
+    Raises `CalibrationError`: no pose is connected to the camera's frame; `NoPosesError`: there is no pose.
     """
     tree, streams = reader.tree(), reader.streams()
     if rig is None or not is_named:
@@ -331,14 +321,7 @@ def plan_poses(
         if carried:
             return max(carried, key=_preference)
         if not is_named and rig is None and (chain := _chain_from_fixed(tree, camera_frame)) is not None:
-            return PosePlan(
-                stream=None,
-                links=_links(chain),
-                is_static=chain.is_static,
-                source="TF",
-                path=" <- ".join(chain.frames),
-                extrinsics="TF of the log",
-            )
+            return _plan_of(None, chain, chain.frames, "TF of the log")
     elif carried := [plan for s in streams if s.child and (plan := _carried(s, tree, camera_frame, pose_frame))]:
         return max(carried, key=_preference)
     of_the_rig = [stream for stream in streams if stream.topic in rig_topics]
@@ -348,66 +331,53 @@ def plan_poses(
         if chain is None:
             raise CalibrationError(f"profile {profile_name}: its links do not connect {rig.body} to {rig.color}")
         frames = (stream.parent, *([stream.child] if stream.child else []), *chain.frames)
-        return PosePlan(
-            stream=stream,
-            links=_links(chain),
-            is_static=True,
-            source=stream.topic,
-            path=" <- ".join(frames),
-            extrinsics=f"profile {profile_name}",
-        )
+        return _plan_of(stream, chain, frames, f"profile {profile_name}")
     if not streams and not tree.edges:
         raise NoPosesError(f"{path}: the pose topics hold no pose; --odometry depth estimates them")
-    told = _unconnected(path, streams, tree, camera_frame)
+    reason = _unconnected(path, streams, tree, camera_frame)
     if not streams and not any(isinstance(edge.parent_from_child, GrowingTrack) for edge in tree.edges.values()):
-        raise NoPosesError(f"{told}, or estimate poses with --odometry depth")
+        raise NoPosesError(f"{reason}, or estimate poses with --odometry depth")
     if rig is not None:
-        told += f". The profile {profile_name} knows the body of {' or '.join(rig_topics)} only: play that log, too"
-    raise CalibrationError(told)
+        reason += f". The profile {profile_name} knows the body of {' or '.join(rig_topics)} only: play that log, too"
+    raise CalibrationError(reason)
 
 
 def _carried(stream: PoseStream, tree: FrameTree, camera_frame: str, pose_frame: str | None) -> PosePlan | None:
-    """Return the plan that uses a stream, None if its body is neither the camera's frame nor connected to it."""
     body = pose_frame or stream.child
     chain = tree.chain(body, camera_frame) if body else None
     if chain is None or stream.parent in chain.frames[1:]:
         return None
-    path = " <- ".join((stream.parent, *chain.frames))
     extrinsics = "TF of the log" if chain.edges else "none: the pose is the camera's"
+    return _plan_of(stream, chain, (stream.parent, *chain.frames), extrinsics)
+
+
+def _plan_of(stream: PoseStream | None, chain: Chain, frames: Sequence[str], extrinsics: str) -> PosePlan:
+    links = []
+    for edge, is_inverted in chain.edges:
+        link = edge.parent_from_child
+        is_fixed = isinstance(link, np.ndarray) and edge.is_published_static
+        static = link.any_pose() if isinstance(link, GrowingTrack) else np.asarray(link)
+        key = None if is_fixed else ("tf", edge.parent, edge.child)
+        links.append(_Link(static=static, key=key, is_inverted=is_inverted))
     return PosePlan(
         stream=stream,
-        links=_links(chain),
+        links=tuple(links),
         is_static=chain.is_static,
-        source=stream.topic,
-        path=path,
+        source=stream.topic if stream is not None else "TF",
+        path=" <- ".join(frames),
         extrinsics=extrinsics,
     )
 
 
-def _links(chain: Chain) -> tuple[_Link, ...]:
-    links = []
-    for edge, is_inverted in chain.edges:
-        link = edge.parent_from_child
-        is_fixed = isinstance(link, np.ndarray)
-        links.append(
-            _Link(
-                static=link.any_pose() if isinstance(link, GrowingTrack) else np.asarray(link),
-                key=None if is_fixed and edge.is_published_static else ("tf", edge.parent, edge.child),
-                is_inverted=is_inverted,
-            )
-        )
-    return tuple(links)
-
-
 def _preference(plan: PosePlan) -> tuple[bool, bool, int, str]:
-    """Return the rank of a plan: static links, then other odometry than wheels alone, then the most poses."""
+    # Static links, then other odometry than wheels alone, then the most poses.
     assert plan.stream is not None
     is_wheels = any(word in plan.source.lower() for word in ("wheel", "velocity_controller"))
     return plan.is_static, not is_wheels, plan.stream.num_poses, plan.source
 
 
 def _chain_from_fixed(tree: FrameTree, camera_frame: str) -> Chain | None:
-    """Return the TF chain from a fixed frame to the camera: a frame of a known name, else the root if it moves."""
+    # From a frame of a known name, else from the root if it moves.
     above = tree.ancestors(camera_frame)[1:]
     names = {frame.rsplit("/", 1)[-1]: frame for frame in reversed(above)}
     named = next((names[name] for name in _FIXED_FRAMES if name in names), None)
@@ -418,7 +388,6 @@ def _chain_from_fixed(tree: FrameTree, camera_frame: str) -> Chain | None:
 
 
 def _unconnected(path: object, streams: Sequence[PoseStream], tree: FrameTree, camera_frame: str) -> str:
-    """Return the missing link between the poses and the camera, in words."""
     known = f"frames of TF: {', '.join(sorted(tree.edges)) or 'none'}"
     open_ended = [stream for stream in streams if not stream.child]
     ended = [stream for stream in streams if stream.child]

@@ -1,4 +1,4 @@
-"""Hand-eye calibration: the camera's pose on the body, from the motions of pose topic and depth odometry.
+"""Hand-eye calibration: the camera's pose on the body, from motions of the pose topic and of depth odometry.
 
 It serves logs without TF, for which the profile can only assume that pose.
 """
@@ -16,7 +16,7 @@ from hickory_stream.ports import NotRegistered
 from hickory_stream.poses.choose import make_odometry
 from hickory_stream.poses.depth_scan import scan_of_depth
 from hickory_stream.poses.hand_eye import HandEye, NoHandEye, hand_eye
-from players.poses.camera_poses import body_from_camera_of, mounted
+from players.poses.camera_poses import body_from_camera_of, with_extrinsics
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,13 +31,13 @@ _MOTION_NS = 1_000_000_000
 """The time between two poses of a motion: large compared with pose noise, small compared with odometry drift."""
 
 
-def is_assumed(source: LogSource) -> bool:
+def are_assumed(source: LogSource) -> bool:
     """Return whether the camera's pose on the body comes from the profile rather than from the log."""
     plan = source.setup.plan
     return plan.stream is not None and plan.is_static and plan.extrinsics.startswith("profile")
 
 
-def estimated_mounting(source: LogSource) -> HandEye | NoHandEye:
+def estimated_extrinsics(source: LogSource) -> HandEye | NoHandEye:
     """Return the camera's pose on the body, from the beginning of a log; undetermined directions stay the log's."""
     plan = source.setup.plan
     if plan.stream is None or not plan.is_static:
@@ -68,25 +68,24 @@ def estimated_mounting(source: LogSource) -> HandEye | NoHandEye:
     return hand_eye([body for body, _ in pairs], [camera for _, camera in pairs], assumed)
 
 
-def with_estimated_mounting(source: LogSource) -> LogSource:
+def with_estimated_extrinsics(source: LogSource) -> LogSource:
     """Return the log with the estimated pose of its camera on the body.
 
-    Raises:
-        CalibrationError: the motion does not determine that pose.
+    Raises `CalibrationError`: the motion does not determine that pose.
     """
-    found = estimated_mounting(source)
+    found = estimated_extrinsics(source)
     if isinstance(found, NoHandEye):
         raise CalibrationError(
             f"{source.info.uri}: where the camera sits cannot be estimated: {found.reason}. Play it with "
             "--extrinsics log, or name a --profile with the links of this robot"
         )
-    told = f"estimated by the motion: {mounting_text(found)}"
+    origin = f"estimated by the motion: {extrinsics_text(found)}"
     if found.open_names():
-        told += f"; as assumed where the motion leaves it open ({', '.join(found.open_names())})"
-    return source.with_plan(mounted(source.setup.plan, found.body_from_camera, told))
+        origin += f"; as assumed where the motion leaves it open ({', '.join(found.open_names())})"
+    return source.with_plan(with_extrinsics(source.setup.plan, found.body_from_camera, origin))
 
 
-def mounting_text(found: HandEye) -> str:
+def extrinsics_text(found: HandEye) -> str:
     """Return the camera's pose on the body and its uncertainty in words, in the body's axes."""
     place = ", ".join(f"{value:+.3f}" for value in found.body_from_camera[:3, 3])
     sigma = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
@@ -99,7 +98,7 @@ def mounting_text(found: HandEye) -> str:
 def _motions(
     track: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]],
 ) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return the motions of body and camera over a second each; consecutive motions overlap by half."""
+    # Motions over a second each; consecutive motions overlap by half.
     motions = []
     next_ns, last = None, 0
     for stamp_ns, body, camera in track:

@@ -1,7 +1,6 @@
-"""Poses over time: interpolated between two of them, never extrapolated.
+"""Poses over time: interpolated, never extrapolated.
 
-Beyond the ends, and in a gap that is too wide, the nearest pose is used for up to `HOLD_NS`; farther away there is
-none.
+Beyond the ends, and in a wide gap, the nearest pose holds for up to `HOLD_NS`.
 """
 
 from __future__ import annotations

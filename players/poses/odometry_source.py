@@ -1,8 +1,7 @@
-"""A source whose poses are estimated: from its LiDAR or its depth images, by an `Odometry`.
+"""A source whose poses are estimated from its LiDAR or its depth images by an `Odometry`.
 
-The world frame is that of the first frame's pose if the log has one; else its origin is the first camera position, and
-the surfaces of the room level it. A frame whose scan cannot be registered is left out and counted. The poses of the
-log, if it has any, are used to predict the motion.
+The world is the log's if it has a first pose; else the first camera is the origin, levelled by visible surfaces.
+Frames whose scan cannot be registered are left out and counted. Poses of the log predict the motion.
 """
 
 from __future__ import annotations
@@ -46,15 +45,13 @@ _MAX_GAP_NS = 500_000_000
 
 
 class OdometrySource(SourceAround):
-    """A `Source` that plays another one by poses of its own."""
+    """A `Source` that plays another one with estimated poses."""
 
     def __init__(self, source: Source, sensor: Sensor, method: MethodName | None = None) -> None:
         """Connect the sensor to the camera.
 
-        Raises:
-            RecordingError: LiDAR was asked for, and there is none.
-            CalibrationError: neither TF nor the profile connects it to the camera.
-            ModelError: the method's library is not installed.
+        Raises `RecordingError`: LiDAR was asked for, and there is none; `CalibrationError`: neither TF nor the profile
+        connects it to the camera; `ModelError`: the method's library is not installed.
         """
         super().__init__(source)
         self._sensor = sensor
@@ -69,10 +66,10 @@ class OdometrySource(SourceAround):
     def info(self) -> SourceInfo:
         """The info of the other source, with estimated poses."""
         info = self._source.info
-        told = {**dict(info.streams), "pose": f"odometry: {self.poses_by}"}
+        streams = {**dict(info.streams), "pose": f"odometry: {self.poses_by}"}
         if self._lidar is not None:
-            told["lidar"], told["lidar_to_camera"] = self._lidar[0], self._lidar[2]
-        return replace(info, streams=tuple(told.items()))
+            streams["lidar"], streams["lidar_to_camera"] = self._lidar[0], self._lidar[2]
+        return replace(info, streams=tuple(streams.items()))
 
     @property
     def played(self) -> Source:
@@ -90,7 +87,7 @@ class OdometrySource(SourceAround):
         placed = self._by_lidar(counts) if self._lidar is not None else self._by_depth(counts)
         index = 0
         for raw, world_from_camera, degenerate, decoded in self._handed_over(placed):
-            frame = replace(
+            yield replace(
                 raw,
                 index=index,
                 world_from_camera=world_from_camera,
@@ -99,13 +96,11 @@ class OdometrySource(SourceAround):
                 is_posed=True,
             )
             index += 1
-            yield frame
 
     def ledger(self) -> Mapping[str, int]:
         """Return the ledger of the other source, and the counts of odometry.
 
-        `odometry_lost` frames have no pose and are left out; `odometry_degenerate` scans do not constrain all
-        directions, which were predicted instead; `odometry_scans` were registered.
+        `odometry_lost` frames have no pose; `odometry_degenerate` scans do not constrain all directions.
         """
         return {**self._source.ledger(), **{name: count for name, count in sorted(self._counts.items()) if count}}
 
@@ -114,10 +109,7 @@ class OdometrySource(SourceAround):
         self._resumes_at = (stamp_ns, world_from_camera)
 
     def _handed_over(self, placed: Iterator[_Posed]) -> Iterator[_Posed]:
-        """Yield the frames; after an interruption, in the world frame of the journaled poses.
-
-        On the same type of processor the two frames are equal to the last bit, and nothing is changed.
-        """
+        # On the same type of processor both world frames are equal to the last bit, and nothing changes.
         journaled_from_estimated: NDArray[np.float64] | None = None
         for raw, pose, degenerate, decoded in placed:
             world_from_camera = pose
@@ -131,7 +123,7 @@ class OdometrySource(SourceAround):
 
     def _by_depth(self, counts: Counter[str]) -> Iterator[_Posed]:
         odometry = make_odometry("depth", self._method)
-        told = _Told(counts, "depth")
+        results = _Results(counts, "depth")
         world_from_start: NDArray[np.float64] | None = None
         before: NDArray[np.float64] | None = None
         for raw in self._source.frames():
@@ -142,7 +134,7 @@ class OdometrySource(SourceAround):
                 continue
             scan = scan_of_depth(frame)
             step = compose(invert(before), raw.world_from_camera) if before is not None and raw.is_posed else None
-            found = told.heard(odometry.register(scan, step), scan)
+            found = results.add(odometry.register(scan, step), scan)
             if found is None:
                 counts["odometry_lost"] += 1
                 continue
@@ -152,11 +144,11 @@ class OdometrySource(SourceAround):
             yield raw, compose(world_from_start, found.start_from_sensor), found.degenerate, frame
 
     def _by_lidar(self, counts: Counter[str]) -> Iterator[_Posed]:
-        """Yield frames with poses interpolated between sweeps; the poses of the log predict the motion of a sweep."""
+        # Poses are interpolated between sweeps; the log's poses predict the motion of a sweep.
         assert self._lidar is not None and isinstance(self._source, LogSource)
         topic, camera_from_lidar, _ = self._lidar
         lidar_from_camera = invert(camera_from_lidar)
-        told, odometry = _Told(counts, topic), make_odometry("lidar", self._method)
+        results, odometry = _Results(counts, topic), make_odometry("lidar", self._method)
         known, track = GrowingTrack(_MAX_GAP_NS, None), GrowingTrack(_MAX_GAP_NS, None)
         sweeps = self._source.scans(topic)
         sweep = next(sweeps, None)
@@ -169,7 +161,7 @@ class OdometrySource(SourceAround):
             nonlocal sweep, last_ns, degenerate
             while sweep is not None and (until_ns is None or sweep.stamp_ns <= until_ns):
                 step = _step(known, last_ns, sweep.stamp_ns, camera_from_lidar)
-                found = told.heard(odometry.register(sweep, step), sweep)
+                found = results.add(odometry.register(sweep, step), sweep)
                 if found is not None:
                     track.add(sweep.stamp_ns, _row(found.start_from_sensor))
                     last_ns = sweep.stamp_ns
@@ -195,13 +187,11 @@ class OdometrySource(SourceAround):
                     continue
                 start_from_camera = compose(start_from_lidar, lidar_from_camera)
                 if world_from_start is None:
-                    world_from_start = compose(
-                        self._world_from_first(first, scan_of_depth(first.decode())), invert(start_from_camera)
-                    )
+                    world_from_first = self._world_from_first(first, scan_of_depth(first.decode()))
+                    world_from_start = compose(world_from_first, invert(start_from_camera))
                 yield first, compose(world_from_start, start_from_camera), degenerate, None
 
     def _world_from_first(self, raw: RawFrame, scan: Scan) -> NDArray[np.float64]:
-        """Return the pose of the first frame: that of the log, else one levelled by the surfaces that it sees."""
         if raw.is_posed:
             return raw.world_from_camera
         up = up_in(scan, _CAMERA_UP)
@@ -212,20 +202,16 @@ class OdometrySource(SourceAround):
                 "is taken to be upright. Heights are wrong where it is not; name --pose-topic, or start elsewhere",
                 raw.stamp_ns / 1e9,
             )
-            up = _CAMERA_UP
-        return world_from_down(-up)
+        return world_from_down(-(_CAMERA_UP if up is None else up))
 
 
-class _Told:
-    """Counts the results of an odometry, and warns once for each period in which it is lost."""
-
+class _Results:
     def __init__(self, counts: Counter[str], name: str) -> None:
         self._counts = counts
         self._name = name
         self._is_lost = False
 
-    def heard(self, found: Registered | NotRegistered, scan: Scan) -> Registered | None:
-        """Return the result, None if nothing was found."""
+    def add(self, found: Registered | NotRegistered, scan: Scan) -> Registered | None:
         if isinstance(found, NotRegistered):
             if not self._is_lost:
                 logger.warning("odometry by %s is lost at %.3f s: %s", self._name, scan.stamp_ns / 1e9, found.reason)
@@ -243,8 +229,7 @@ class _Told:
 def with_odometry(source: Source, choice: OdometryChoice) -> Source:
     """Return a source that estimates its poses by the named sensor or method; a method uses LiDAR, else depth.
 
-    Raises:
-        HickoryError: as `OdometrySource` does.
+    Raises `HickoryError`: as `OdometrySource` does.
     """
     if choice in ("lidar", "depth"):
         return OdometrySource(source, choice)
@@ -261,7 +246,6 @@ def _can_use_lidar(source: Source) -> bool:
 
 
 def _lidar_of(source: Source) -> tuple[str, NDArray[np.float64], str]:
-    """Return the topic of a log's LiDAR, `camera_from_lidar` (4, 4), and the origin of that transform in words."""
     topics = source.clouds() if isinstance(source, LogSource) else ()
     if not isinstance(source, LogSource) or not topics:
         raise RecordingError(f"{source.info.uri} has no LiDAR (sensor_msgs/PointCloud2); choose --odometry depth")
@@ -285,7 +269,6 @@ def _lidar_of(source: Source) -> tuple[str, NDArray[np.float64], str]:
 def _step(
     known: GrowingTrack, last_ns: int | None, now_ns: int, camera_from_lidar: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Return the LiDAR's motion (4, 4) between two stamps from the log's camera poses, None without poses."""
     before = known.at(last_ns) if last_ns is not None else None
     now = known.at(now_ns)
     if before is None or now is None:
@@ -298,11 +281,6 @@ def _row(pose: NDArray[np.float64]) -> list[float]:
 
 
 def _frame_of(
-    raw: RawFrame,
-    decoded: Frame | None,
-    index: int,
-    world_from_camera: NDArray[np.float64],
-    degenerate: NDArray[np.float64],
+    raw: RawFrame, decoded: Frame | None, index: int, pose: NDArray[np.float64], degenerate: NDArray[np.float64]
 ) -> Frame:
-    frame = decoded or raw.decode()
-    return replace(frame, index=index, world_from_camera=world_from_camera, degenerate=degenerate)
+    return replace(decoded or raw.decode(), index=index, world_from_camera=pose, degenerate=degenerate)

@@ -1,7 +1,6 @@
-"""Poses from a text file: TUM rows, or CSV whose header names its columns.
+"""Poses from a text file: TUM rows, or CSV whose header names its columns (`#timestamp_kf,x,y,z,qw,qx,qy,qz`).
 
-Unless a profile describes the file, its header line names the columns (`#timestamp_kf,x,y,z,qw,qx,qy,qz`), and a file
-without a header is TUM (`stamp tx ty tz qx qy qz qw`). The unit of time follows from the size of the numbers.
+A profile may describe the file. The unit of time follows from the size of the numbers.
 """
 
 from __future__ import annotations
@@ -30,8 +29,7 @@ _UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 def read_pose_file(file: Path, described: PoseColumns | None) -> tuple[list[int], list[list[float]]]:
     """Return stamps in ns and rows tx ty tz qx qy qz qw; rows that are no pose are left out.
 
-    Raises:
-        RecordingError: the file cannot be read, its columns are not known, or no row of it is a pose.
+    Raises `RecordingError`: the file cannot be read, its columns are not known, or no row of it is a pose.
     """
     try:
         lines = file.read_text(encoding="utf-8-sig").splitlines()
@@ -64,7 +62,6 @@ def read_pose_file(file: Path, described: PoseColumns | None) -> tuple[list[int]
 
 
 def _layout(lines: list[str]) -> PoseColumns | None:
-    """Return the columns that a header line names, None without a header."""
     for line in lines[:20]:
         separator = "," if "," in line else ";" if ";" in line else " "
         words = [word.strip().lower() for word in line.lstrip("# ").split(separator if separator != " " else None)]
@@ -76,5 +73,5 @@ def _layout(lines: list[str]) -> PoseColumns | None:
 
 
 def _unit_ns(largest: Decimal) -> int:
-    """Return the unit of stamps since 1970, inferred from their size; smaller numbers are seconds."""
+    # Stamps since 1970 have a unit by their size; smaller numbers are seconds.
     return 1 if largest > 10**17 else 1_000 if largest > 10**14 else 1_000_000 if largest > 10**11 else 1_000_000_000

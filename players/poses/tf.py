@@ -1,7 +1,4 @@
-"""The TF tree of a log: static and moving transforms, and chains of them between two frames.
-
-Every frame has one parent. A chain leads up from its source to the nearest common ancestor and down to its target.
-"""
+"""The TF tree of a log: static and moving transforms, and chains of them between two frames."""
 
 from __future__ import annotations
 
@@ -24,14 +21,12 @@ Link = PoseTrack | GrowingTrack | np.ndarray
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Edge:
-    """A frame and its parent; `parent_from_child` is a (4, 4) transform if it is static, else a track.
-
-    `is_published_static` is False for a transform of /tf that has not changed so far.
-    """
+    """A frame and its parent; `parent_from_child` is (4, 4) if it is static, else a track."""
 
     parent: str
     child: str
     parent_from_child: Link
+    #: False for a transform of /tf that has not changed so far.
     is_published_static: bool = True
 
 
@@ -46,14 +41,6 @@ class Chain:
     def is_static(self) -> bool:
         """Whether no link of the chain moves."""
         return all(isinstance(edge.parent_from_child, np.ndarray) for edge, _ in self.edges)
-
-    @property
-    def span_ns(self) -> tuple[int, int] | None:
-        """The first and last stamp at which all moving links have a pose; None if none moves."""
-        spans = [
-            edge.parent_from_child.span_ns for edge, _ in self.edges if isinstance(edge.parent_from_child, PoseTrack)
-        ]
-        return (max(start for start, _ in spans), min(end for _, end in spans)) if spans else None
 
     def at(self, stamp_ns: int) -> NDArray[np.float64] | None:
         """Return `target_from_source` (4, 4) at a stamp, or None if a link has no pose at that stamp."""
@@ -71,19 +58,13 @@ class FrameTree:
     """Frames by name; of two parents of a frame, a static one is kept, else the one with more poses."""
 
     def __init__(self, edges: Sequence[Edge]) -> None:
-        self._edge_of: dict[str, Edge] = {}
-        for edge in sorted(edges, key=_weight):
-            self._edge_of[edge.child] = edge
-
-    @property
-    def edges(self) -> Mapping[str, Edge]:
-        """The edge of every frame that has a parent."""
-        return self._edge_of
+        #: By child.
+        self.edges: Mapping[str, Edge] = {edge.child: edge for edge in sorted(edges, key=_weight)}
 
     def ancestors(self, frame: str) -> list[str]:
         """Return a frame and all frames above it, upwards; a loop in the tree ends the list."""
         line = [frame]
-        while (edge := self._edge_of.get(line[-1])) is not None and edge.parent not in line:
+        while (edge := self.edges.get(line[-1])) is not None and edge.parent not in line:
             line.append(edge.parent)
         return line
 
@@ -95,9 +76,7 @@ class FrameTree:
             return None
         up = from_source[: from_source.index(common)]
         down = from_target[: from_target.index(common)]
-        edges = [(self._edge_of[frame], True) for frame in down] + [
-            (self._edge_of[frame], False) for frame in reversed(up)
-        ]
+        edges = [*((self.edges[frame], True) for frame in down), *((self.edges[f], False) for f in reversed(up))]
         return Chain(frames=(*down, common, *reversed(up)), edges=tuple(edges))
 
 

@@ -1,11 +1,7 @@
 """Poses over time from a stream: interpolated, but neither over gaps nor across jumps.
 
-`poses.PoseTrack` holds a whole trajectory; this one grows at its end and drops its beginning. Between poses that are
-far apart in time (visual odometry at 5 Hz), the motion is a cubic through four of them, since linear interpolation is
-off by millimetres.
-
-If the odometry jumps (by a loop closure of its own), the poses after the jump are converted to the world frame before
-it, so that the map is built in a continuous frame. The jump itself is reported, for the submaps.
+Poses far apart in time (visual odometry at 5 Hz) are joined by a cubic; linear interpolation is off by millimetres.
+After a jump of the odometry, poses continue in the world frame before it; the jump is reported for the submaps.
 """
 
 from __future__ import annotations
@@ -46,11 +42,9 @@ SLOW_NS = 45_000_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JumpLimits(Ranged):
-    """The limits of plausible motion between two poses, beyond which the odometry has jumped.
+    """Limits of plausible motion between two poses, compared with a prediction of constant velocity.
 
-    A pose is compared with the prediction of constant velocity. Its position may differ by `jump_m` plus the
-    displacement of `acceleration_mps2` in the time between, its rotation by `jump_rad` plus `turn_radps` times that
-    time.
+    Limits in time: `acceleration_mps2` adds displacement to `jump_m`, `turn_radps` adds rotation to `jump_rad`.
     """
 
     jump_m: float = number(0.15, 0.001, 1000, "m")
@@ -156,7 +150,6 @@ class GrowingTrack:
             del self._stamps_ns[:cut]
 
     def _pose_at(self, stamp_ns: int) -> NDArray[np.float64]:
-        """Return one of the poses, in the world frame before any jump."""
         pose = _pose(self._rows[stamp_ns])
         for jump in reversed(self.jumps):
             if jump.stamp_ns <= stamp_ns:
@@ -164,10 +157,7 @@ class GrowingTrack:
         return pose
 
     def _cubic(self, after: int, stamp_ns: int) -> NDArray[np.float64]:
-        """Return the pose at a stamp on a cubic Hermite spline, whose tangents are from neighbouring poses.
-
-        Rotations are interpolated as rotation vectors relative to the pose before, which are small.
-        """
+        # Cubic Hermite spline; rotations are rotation vectors relative to the pose before, which are small.
         first, last = after - 1, after
         if first > 0 and self._is_joined(self._stamps_ns[first - 1], self._stamps_ns[first]):
             first -= 1
@@ -203,9 +193,8 @@ class GrowingTrack:
             return True
         if end_ns - start_ns > _MAX_STANDING_NS:
             return False
-        return _distance(self._rows[start_ns], self._rows[end_ns]) <= STANDING_M and (
-            _angle(self._rows[start_ns], self._rows[end_ns]) <= STANDING_RAD
-        )
+        start, end = self._rows[start_ns], self._rows[end_ns]
+        return _distance(start, end) <= STANDING_M and _angle(start, end) <= STANDING_RAD
 
     def _continues(self, stamp_ns: int, row: tuple[float, ...]) -> bool:
         assert self._limits is not None
@@ -223,7 +212,7 @@ class GrowingTrack:
         return _distance(predicted, row) <= self._limits.jump_m + 0.5 * self._limits.acceleration_mps2 * dt_s * dt_s
 
     def _velocity(self) -> tuple[float, ...] | None:
-        """Return the velocity before the newest pose, over at least 20 ms; None if unknown."""
+        # Over at least 20 ms before the newest pose.
         newest_ns = self._stamps_ns[-1]
         i = bisect_left(self._stamps_ns, newest_ns - 20_000_000 + 1) - 1
         if i < 0 or not self._is_joined(self._stamps_ns[i], newest_ns):
@@ -239,7 +228,6 @@ class GrowingTrack:
         return is_near and _angle(a[1], b[1]) <= self._limits.jump_rad + self._limits.turn_radps * dt_s
 
     def _predicted(self, stamp_ns: int) -> NDArray[np.float64]:
-        """Return the prediction of constant velocity at a stamp, from the newest two poses."""
         newest_ns = self._stamps_ns[-1]
         last = _pose(self._rows[newest_ns])
         i = bisect_left(self._stamps_ns, newest_ns - 20_000_000 + 1) - 1
@@ -253,7 +241,7 @@ class GrowingTrack:
 
 
 def _hermite(times_s: NDArray[np.float64], points: NDArray[np.float64], i: int, time_s: float) -> NDArray[np.float64]:
-    """Return the value at a time between points i and i + 1, each (D,), on the cubic with tangents of parabolas."""
+    # Points (N, D) at times (N,); the tangents are of parabolas.
     steps = np.diff(times_s)
     slopes = np.diff(points, axis=0) / steps[:, None]
 
@@ -282,7 +270,7 @@ def _distance(a: Sequence[float], b: Sequence[float]) -> float:
 
 
 def _angle(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the angle between two rotations, directly from the quaternions, since it is called for every pose."""
+    # Directly from the quaternions, since it runs for every pose.
     dot = abs(sum(x * y for x, y in zip(a[3:], b[3:], strict=True)))
     lengths = math.sqrt(sum(x * x for x in a[3:]) * sum(x * x for x in b[3:]))
     return float(2.0 * arccos(min(1.0, dot / lengths)))

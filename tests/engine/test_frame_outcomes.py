@@ -8,7 +8,7 @@ import numpy as np
 
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.frame_accounting import FrameOutcome, KeyframeChoice
-from hickory_stream.engine.reading import Read
+from hickory_stream.engine.reading import QueuedFrame
 from hickory_stream.mapping.rules.keyframes import KeyframeConfig
 
 RAW = next(SceneSource(1).frames())
@@ -16,19 +16,19 @@ CONFIG = KeyframeConfig()
 FAR_M = 10.0
 
 
-def read(place_m: float, *, is_candidate: bool, is_torn: bool = False, seconds: float = 0.0) -> Read:
+def read(place_m: float, *, is_candidate: bool, is_corrupt: bool = False, seconds: float = 0.0) -> QueuedFrame:
     """Return a frame so far along x: a keyframe of its own wherever it is far from the last one."""
     pose = np.array(RAW.world_from_camera)
     pose[0, 3] += place_m
     raw = replace(RAW, stamp_ns=RAW.stamp_ns + round(seconds * 1e9), world_from_camera=pose)
-    return Read(raw=raw, round_index=0, first_index=0, is_candidate=is_candidate, is_torn=is_torn)
+    return QueuedFrame(raw=raw, round_index=0, first_index=0, is_candidate=is_candidate, is_corrupt=is_corrupt)
 
 
 def test_a_playback_maps_each_candidate_and_tells_torn_frames_from_those_between() -> None:
     choice = KeyframeChoice("playback", CONFIG)
     assert choice.outcomes([read(0.0, is_candidate=True)]) == [FrameOutcome.MAPPED]
     assert choice.outcomes([read(0.0, is_candidate=False)]) == [FrameOutcome.BETWEEN]
-    assert choice.outcomes([read(FAR_M, is_candidate=False, is_torn=True)]) == [FrameOutcome.UNDECODABLE]
+    assert choice.outcomes([read(FAR_M, is_candidate=False, is_corrupt=True)]) == [FrameOutcome.UNDECODABLE]
 
 
 def test_a_live_run_maps_the_newest_that_makes_a_keyframe_and_drops_the_other_candidates() -> None:

@@ -124,7 +124,7 @@ def test_arrays_of_the_same_content_are_stored_once_while_one_of_them_is_in_use(
         counts = []
         for chunk, place in enumerate(journal._chunks.places):
             if place.channel == ARRAYS:
-                counts.append(len(journal._chunks.contents(chunk)) - 1)
+                counts.append(len(journal._chunks.messages(chunk)) - 1)
             if place.channel == CHECKPOINT:
                 found = journal._checkpoint(chunk, reads_later=False).core["_a"]
                 for a, b in zip(found, wanted[len(counts) - 1], strict=True):  # type: ignore[arg-type]

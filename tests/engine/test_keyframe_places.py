@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hickory_stream.box_scene import scene_pose
-from hickory_stream.engine.keyframe_places import KeyframePlaces, PlacedFrame
+from hickory_stream.engine.keyframe_places import PlacedFrame, RegistrationFilter
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.events import FrameObserved, KeyframeKeptOut, KeyframeRegistered, PoseJumped
 from hickory_stream.geometry.rigid import compose, invert, no_directions
@@ -94,7 +94,7 @@ def test_a_frame_says_along_what_its_odometry_was_a_guess() -> None:
     frames = [raw.decode() for raw in room(2, lambda index: 4 * index).frames()]
     sigmas_m = []
     for degenerate in (no_directions(), np.eye(6)[3:4]):
-        places = KeyframePlaces(RegistrationConfig())
+        places = RegistrationFilter(RegistrationConfig())
         places.place(frames[0])
         placed = places.place(replace(frames[1], degenerate=degenerate, depth_m=np.zeros_like(frames[1].depth_m)))
         assert isinstance(placed, PlacedFrame)

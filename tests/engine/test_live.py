@@ -15,7 +15,7 @@ from hickory_stream.box_scene import START_NS, SceneSource
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.engine.publisher import Announcer
+from hickory_stream.engine.publisher import ReportPublisher
 from hickory_stream.engine.shape_jobs.queue import ShapeQueue
 from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.errors import OutputError, RecordingError
@@ -103,9 +103,9 @@ def test_what_comes_while_the_map_is_behind_is_dropped_and_every_frame_accounted
 
 def test_the_map_is_shown_before_shapes_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     happened: list[str] = []
-    show = Announcer.show
+    show = ReportPublisher.show
 
-    async def shown(announcer: Announcer, report: FrameReport) -> None:
+    async def shown(announcer: ReportPublisher, report: FrameReport) -> None:
         happened.append(f"shown {report.keyframe_index}")
         await show(announcer, report)
 
@@ -114,7 +114,7 @@ def test_the_map_is_shown_before_shapes_are_asked_for(tmp_path: Path, monkeypatc
         # A request is due half a second after its keyframe; they are half a second apart.
         happened.append(f"asked {round((request.due_ns - START_NS) / 5e8) - 1}")
 
-    monkeypatch.setattr(Announcer, "show", shown)
+    monkeypatch.setattr(ReportPublisher, "show", shown)
     monkeypatch.setattr(ShapeQueue, "request", asked)
     map_scene(tmp_path, mode="live", rate=3.0)
     requests = [entry for entry in happened if entry.startswith("asked")]

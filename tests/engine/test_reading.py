@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.async_tools import Stop
+from hickory_stream.engine.async_tools import StopRequest
 from hickory_stream.engine.keyframe_places import keyframe_surface
-from hickory_stream.engine.reading import Read, Reader, sensed
+from hickory_stream.engine.reading import QueuedFrame, Reader, sensed
 from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig
 from hickory_stream.map_folder.history.resume import Position
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
@@ -59,7 +58,7 @@ def test_a_keyframe_of_a_playback_comes_with_all_that_needs_no_map() -> None:
 
 
 def test_at_30_hz_the_next_keyframe_is_ready_before_anybody_takes_a_frame() -> None:
-    async def ready() -> list[Read]:
+    async def ready() -> list[QueuedFrame]:
         reader = _reader()
         await _reading(reader, SceneSource(16, period_ns=33_333_333))
         reads = await _taken(reader)
@@ -70,7 +69,7 @@ def test_at_30_hz_the_next_keyframe_is_ready_before_anybody_takes_a_frame() -> N
 
 
 def test_few_keyframes_wait_decoded_and_a_reader_that_waits_for_room_ends_when_nobody_takes_more() -> None:
-    async def left() -> list[Read]:
+    async def left() -> list[QueuedFrame]:
         reader = _reader()
         async with asyncio.TaskGroup() as group:
             group.create_task(_reading(reader, SceneSource(12)))
@@ -84,7 +83,7 @@ def test_few_keyframes_wait_decoded_and_a_reader_that_waits_for_room_ends_when_n
     assert len(asyncio.run(left())) == 3
 
 
-async def _read(source: SceneSource) -> list[Read]:
+async def _read(source: SceneSource) -> list[QueuedFrame]:
     reader = _reader()
     async with asyncio.TaskGroup() as group:
         group.create_task(_reading(reader, source))
@@ -94,15 +93,15 @@ async def _read(source: SceneSource) -> list[Read]:
 
 
 def _reader() -> Reader:
-    return Reader(MapperConfig(), SEGMENTER, ColorTextureDescriptor(), Stop(), mode="playback")
+    return Reader(MapperConfig(), SEGMENTER, ColorTextureDescriptor(), StopRequest(), mode="playback")
 
 
 async def _reading(reader: Reader, source: SceneSource) -> None:
-    await reader.read(source, rate=None, loops=1, start=Position(), counts=Counter())
+    await reader.read(source, rate=None, loops=1, start=Position())
 
 
-async def _taken(reader: Reader) -> list[Read]:
-    taken: list[Read] = []
+async def _taken(reader: Reader) -> list[QueuedFrame]:
+    taken: list[QueuedFrame] = []
     while (some := await reader.take()) is not None:
         taken += some
     return taken

@@ -8,7 +8,7 @@ import pytest
 
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.frame_accounting import RunClock
-from hickory_stream.engine.reading import Read
+from hickory_stream.engine.reading import QueuedFrame
 from hickory_stream.events import TimeJumped
 
 RAW = next(SceneSource(1).frames())
@@ -16,9 +16,9 @@ SECOND_NS = 1_000_000_000
 START_NS, LAST_NS = 90 * SECOND_NS, 100 * SECOND_NS
 
 
-def read_at(stamp_ns: int, *, index: int = 0, round_index: int = 0, first_index: int = 0) -> Read:
+def read_at(stamp_ns: int, *, index: int = 0, round_index: int = 0, first_index: int = 0) -> QueuedFrame:
     raw = replace(RAW, index=index, stamp_ns=stamp_ns)
-    return Read(raw=raw, round_index=round_index, first_index=first_index, is_candidate=True)
+    return QueuedFrame(raw=raw, round_index=round_index, first_index=first_index, is_candidate=True)
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from hickory_stream.engine.async_tools import Stop
+from hickory_stream.engine.async_tools import StopRequest
 
 
 async def answered() -> str:
@@ -19,7 +19,7 @@ async def failed() -> str:
 
 def test_what_ends_by_itself_is_returned_and_its_error_raised() -> None:
     async def run() -> None:
-        stop = Stop()
+        stop = StopRequest()
         assert await stop.within_grace(answered(), "job") == "there"
         with pytest.raises(OSError, match="full"):
             await stop.within_grace(failed(), "job")
@@ -39,7 +39,7 @@ def test_a_stop_gives_up_what_takes_longer_than_the_grace_and_cancels_it() -> No
             raise
 
     async def run() -> None:
-        stop = Stop()
+        stop = StopRequest()
         waiting = asyncio.create_task(stop.within_grace(never(), "job", grace_s=0.01))
         await asyncio.sleep(0)
         assert not waiting.done()
@@ -52,7 +52,7 @@ def test_a_stop_gives_up_what_takes_longer_than_the_grace_and_cancels_it() -> No
 
 def test_what_comes_within_the_grace_is_taken() -> None:
     async def run() -> None:
-        stop, arrived = Stop(), asyncio.Event()
+        stop, arrived = StopRequest(), asyncio.Event()
 
         async def late() -> str:
             await arrived.wait()

@@ -11,7 +11,7 @@ import pytest
 from hickory_stream.box_scene import SCENE_BOXES, cast_scene, scene_pose
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import Frame
-from players.doctor.depth_color_alignment import ColorAgreement, border_scores, color_agreement
+from players.doctor.depth_color_alignment import ColorAlignment, border_scores, color_alignment
 from players.messages.depth_registration import Registration, register_depth
 
 if TYPE_CHECKING:
@@ -37,8 +37,8 @@ def frames() -> list[Frame]:
     return made
 
 
-def agreement(frames: Sequence[Frame]) -> ColorAgreement | None:
-    return color_agreement([scores for frame in frames if (scores := border_scores(frame)) is not None])
+def agreement(frames: Sequence[Frame]) -> ColorAlignment | None:
+    return color_alignment([scores for frame in frames if (scores := border_scores(frame)) is not None])
 
 
 def registered(frame: Frame, x_m: float, y_m: float) -> Frame:

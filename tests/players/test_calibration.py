@@ -60,7 +60,7 @@ def test_a_size_that_is_unset_is_taken_from_the_image() -> None:
 
 
 def test_a_size_that_nobody_knows_is_refused() -> None:
-    with pytest.raises(CalibrationError, match="/info says no image size"):
+    with pytest.raises(CalibrationError, match="/info has no image size"):
         lens_of(_info((), size=(0, 0)), topic="/info", image_size=None, is_rectified=False)
 
 

@@ -16,7 +16,7 @@ from hickory_stream.cli import main
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.records import RawFrame, SourceInfo
 from players import SourceOptions
-from players.doctor.depth_color_alignment import ColorAgreement
+from players.doctor.depth_color_alignment import ColorAlignment
 from players.doctor.diagnosis import (
     SOUND,
     UNUSABLE,
@@ -122,7 +122,7 @@ def _judged(steps: Sequence[tuple[float, float, float]]) -> Diagnosis:
 
 def test_colour_that_lies_25_mm_beside_depth_is_a_problem_that_names_the_link() -> None:
     shown = Diagnosis(uri="a")
-    off = ColorAgreement(offset_m=(-0.025, 0.005), offset_px=5.2, gain=1.4, share=1.0, num_frames=12)
+    off = ColorAlignment(offset_m=(-0.025, 0.005), offset_px=5.2, gain=1.4, share=1.0, num_frames=12)
     judge_color(shown, off)
     assert shown.status == WITH_LOSSES
     (problem,) = shown.problems

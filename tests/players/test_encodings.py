@@ -25,7 +25,7 @@ from players.messages.image_decoding import (
     decode_compressed_depth,
     raw_pixels,
 )
-from players.messages.rvl import decode_rvl, encode_rvl
+from players.messages.rvl import decode_rvl
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -91,6 +91,32 @@ def test_every_encoding_that_is_promised_is_decoded() -> None:
 
 def _png(image: np.ndarray) -> bytes:
     return bytes(cv2.imencode(".png", image)[1])
+
+
+def encode_rvl(pixels: np.ndarray) -> bytes:
+    flat = [int(pixel) for pixel in pixels.ravel()]
+    nibbles: list[int] = []
+
+    def put(number: int) -> None:
+        while True:
+            low, number = number & 7, number >> 3
+            nibbles.append(low | (8 if number else 0))
+            if not number:
+                return
+
+    at, previous = 0, 0
+    while at < len(flat):
+        zeros = next((i for i in range(at, len(flat)) if flat[i]), len(flat))
+        end = next((i for i in range(zeros, len(flat)) if not flat[i]), len(flat))
+        put(zeros - at)
+        put(end - zeros)
+        for pixel in flat[zeros:end]:
+            delta, previous = pixel - previous, pixel
+            put((delta << 1) ^ (delta >> 31))
+        at = end
+    nibbles += [0] * (-len(nibbles) % 8)
+    words = [nibbles[i : i + 8] for i in range(0, len(nibbles), 8)]
+    return b"".join(sum(part << (28 - 4 * i) for i, part in enumerate(w)).to_bytes(4, "little") for w in words)
 
 
 HEADER = struct.pack("<iff", 0, 0.0, 0.0)

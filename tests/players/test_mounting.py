@@ -14,7 +14,7 @@ from hickory_stream.worlds.recording import make_recording
 from players import SourceOptions, open_source
 from players.doctor.diagnosis import examine
 from players.logs.log_source import LogSource
-from players.poses.extrinsics import estimated_mounting
+from players.poses.extrinsics import estimated_extrinsics
 from tools.worlds.layouts import drawn_mounting
 from tools.worlds.recording_config import RecordingConfig
 
@@ -46,7 +46,7 @@ def test_the_offset_is_four_decimetres_and_ten_degrees_by_the_seed() -> None:
 def test_the_camera_is_found_within_three_centimetres_and_a_degree_or_called_open(recorded: Path) -> None:
     source = open_source(recorded / "b2")
     assert isinstance(source, LogSource)
-    found = estimated_mounting(source)
+    found = estimated_extrinsics(source)
     assert isinstance(found, HandEye)
     off = found.body_from_camera[:3, 3] - drawn_mounting(SEED)[:3, 3]
     for axis, name in enumerate(("forward", "left", "up")):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 from players.opening import open_container, open_source
 from tests.player_scenes import (
     NUM_FRAMES,
@@ -73,7 +73,7 @@ def test_jitter_lets_messages_overtake_and_a_narrow_link_queues_and_drops(log: P
 def test_a_restart_begins_all_stamps_at_zero_and_an_offset_moves_them(log: Path) -> None:
     made = plan(prepared([log], loops=2), Faults(restart_s=0.8, clock_offset_s=-120.0))
     for sending in made.sendings:
-        stamp_ns = peek_stamp_ns(sending.due.topic, sending.data)
+        stamp_ns = serialized_stamp_ns(sending.due.topic, sending.data)
         assert stamp_ns is not None
         if sending.due.due_ns >= 0.8e9:
             assert 0 < stamp_ns < 10e9
@@ -86,7 +86,7 @@ def test_a_bag_of_ros_1_is_published_as_ros_2(tmp_path: Path) -> None:
     messages = prepared([write_ros1(tmp_path / "scene.bag", m, scene_messages(m, make_scene(), png_images))])
     assert {message.topic.wire for message in messages} == {"cdr"}
     image = next(message for message in messages if message.topic.name.endswith("image_rect/compressed"))
-    assert peek_stamp_ns(image.topic, image.data) == START_NS
+    assert serialized_stamp_ns(image.topic, image.data) == START_NS
 
 
 def test_the_command_writes_a_stream_and_says_what_it_sent(

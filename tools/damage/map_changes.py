@@ -24,7 +24,7 @@ import zstandard
 
 from hickory_stream.errors import HickoryError
 from hickory_stream.journal.format import JOURNAL
-from hickory_stream.journal.mcap_file import FileMessage, begin_file, end_file, write_chunk
+from hickory_stream.journal.mcap_file import begin_file, end_file, write_chunk
 from hickory_stream.journal.reader import JournalChunks
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.saved_map import open_map
@@ -162,8 +162,7 @@ def _change_journal(path: Path, rng: np.random.Generator) -> str:
     with file.open("w+b") as written:
         begin_file(written)
         for number, chunk in enumerate(chunks):
-            messages = [FileMessage(message.channel_id, message.log_time, message.data) for message in chunk]
-            write_chunk(written, messages, number)
+            write_chunk(written, chunk, number)
         end_file(written)
     return f"{JOURNAL}: {change}"
 

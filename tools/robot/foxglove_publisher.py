@@ -24,14 +24,7 @@ if TYPE_CHECKING:
 
 
 _CLIENT_DATA = struct.Struct("<BI")
-_GOAL = Topic(
-    name=GOAL_TOPIC,
-    type_name=GOAL,
-    num_messages=None,
-    wire="cdr",
-    definition_format="msg",
-    definition=definition_of(GOAL),
-)
+_GOAL = Topic(name=GOAL_TOPIC, type_name=GOAL, definition_format="msg", definition=definition_of(GOAL))
 
 
 class FoxglovePublisher:

@@ -100,7 +100,7 @@ def _loss(due: Due, faults: Faults, draw: float) -> str | None:
 
 def _zero(due: Due) -> int:
     """Return by how much stamps move for this message's to be one second after zero."""
-    from players.messages.header_stamp import peek_stamp_ns
+    from players.messages.header_stamp import serialized_stamp_ns
 
-    stamp_ns = peek_stamp_ns(due.topic, due.data)
+    stamp_ns = serialized_stamp_ns(due.topic, due.data)
     return 1_000_000_000 - (stamp_ns or 0)

@@ -195,7 +195,7 @@ def _taking(heard: Heard, name: str) -> Callable[[Any], None]:
     return lambda sample: heard.take(name, sample.payload.to_bytes())
 
 
-_GOAL = Topic(name=GOAL_TOPIC, type_name=GOAL, num_messages=None, wire="cdr", definition_format="none", definition="")
+_GOAL = Topic(name=GOAL_TOPIC, type_name=GOAL)
 
 
 def _dds_type(topic: Topic) -> str:

@@ -110,12 +110,12 @@ def _depth_reader(path: Path, logs: list[str]) -> Callable[[int], NDArray[np.flo
 
     def depth_of(stamp_ns: int) -> NDArray[np.float32]:
         from hickory_stream.map_folder.manifest import read_manifest
-        from players import open_noted
+        from players import open_from_note
 
         recorded = read_manifest(path).run.get("source")
         if not isinstance(recorded, dict):
             raise MapFolderError(f"{path} does not say how its log was played, so that --log is of no use")
-        source = open_noted({**recorded, "uris": logs})
+        source = open_from_note({**recorded, "uris": logs})
         try:
             for raw in source.frames():
                 if raw.stamp_ns == stamp_ns:

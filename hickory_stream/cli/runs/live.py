@@ -113,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
             most_s=options.most_s,
             recorder=recorder,
             route=route,
-            tell=lambda text: _say(text, as_json=options.json),
+            report=lambda text: _say(text, as_json=options.json),
         )
         if not options.json:
             sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")

@@ -152,7 +152,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun.viewer import check_viewer, parse_viewer
-    from players import note_of, open_noted
+    from players import make_source_note, open_from_note
     from players.playback import PlaybackClock
 
     if not options.source and any("=" in robot for robot in options.robot or ()):
@@ -167,7 +167,7 @@ def run(options: argparse.Namespace) -> int:
         rate = 1.0
     if not 0 <= options.start < (options.end if options.end is not None else float("inf")):
         raise InputError(f"found --start {options.start:g}, expected 0 or more and less than --end {options.end}")
-    note = note_of(
+    note = make_source_note(
         options.source,
         source_options(options),
         first_frames=None if options.frames is None else positive(options.frames, "--frames"),
@@ -177,7 +177,7 @@ def run(options: argparse.Namespace) -> int:
         fault_seed=options.inject_seed,
     )
     clock = PlaybackClock(rate)
-    source = open_noted(note, clock, settings.mapper.keyframes)
+    source = open_from_note(note, clock, settings.mapper.keyframes)
     out = options.out or Path(f"{Path(options.source[0]).resolve().stem}.map")
     style = make_style(options)
     if not options.json:

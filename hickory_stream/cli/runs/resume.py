@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.map_folder.history.resume import check_interrupted, save_live, was_sought
     from hickory_stream.progress import ProgressPrinter
     from hickory_stream.sinks.rerun.viewer import check_viewer, parse_viewer
-    from players import open_noted
+    from players import open_from_note
 
     settings = read_settings(options)
     viewer = parse_viewer(options.viewer)
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         raise MapFolderError(f"{options.map} does not say what it was made of; resume it from Python (Mapper.resuming)")
     # Before the log is opened: what is refused is refused at once.
     resumed_config(options.map, settings.mapper.run, ignores_recorded=options.use_current_workers)
-    source = open_noted(note)
+    source = open_from_note(note)
     if not options.json:
         sys.stderr.write(f"resuming {options.map}: {source.info.uri}\n")
 

@@ -1,8 +1,7 @@
-"""Shapes that were built before, by what they were built from: a second playback of a log costs no reconstruction.
+"""Cache of shapes by their input: a second playback of a log reconstructs nothing.
 
-The key is a hash of the whole input of a job (pixels, points, configuration), of the sources of the packages that build
-shapes, of the versions of the libraries that they compute with, and of the kind of processor where shapes depend on it:
-whatever could change a shape changes its key.
+The key is a hash of the job's input, our code that builds shapes, library versions, and the kind of processor if
+shapes depend on it.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import logging
 import os
 import shutil
 import sys
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -28,9 +28,9 @@ _LIBRARIES = ("numpy", "scipy", "numba", "scikit-image", "trimesh")
 
 
 class ShapeCache:
-    """A folder of answers by the hash of their jobs. What the disk refuses is a miss: it is a cache.
+    """A folder of answers by the hash of their jobs; errors of the disk are misses.
 
-    `made_by` is the hash of a generator's program and weights, "" where none is asked.
+    `made_by` is the hash of a generator's program and weights, "" without one.
     """
 
     def __init__(self, folder: Path, made_by: str = "") -> None:
@@ -38,7 +38,7 @@ class ShapeCache:
         self._made_by = made_by
 
     def key(self, job: Path) -> str:
-        """Return the hash of a job's input and of what would answer it."""
+        """Return the hash of a job's input and of the code that answers it."""
         digest = hashlib.sha256(f"{_environment()} {MESH} {self._made_by}".encode())
         for path in sorted(job.iterdir()):
             if path.name not in _ANSWER:
@@ -48,7 +48,7 @@ class ShapeCache:
         return digest.hexdigest()
 
     def fetch(self, key: str, job: Path) -> bool:
-        """Put a known answer into a job's folder; return whether there was one."""
+        """Copy a known answer into a job's folder; return whether there was one."""
         entry = self._folder / key[:2] / key
         try:
             if not (entry / RESULT).is_file():
@@ -63,7 +63,7 @@ class ShapeCache:
         return True
 
     def store(self, key: str, job: Path) -> None:
-        """Keep the answer of a job."""
+        """Store the answer of a job."""
         entry = self._folder / key[:2] / key
         partial = entry.with_name(f".{key}.{os.getpid()}")
         try:
@@ -81,18 +81,13 @@ class ShapeCache:
 
 @cache
 def _environment() -> str:
-    """Return what computes a shape, beside its input: our code, Python, and the libraries."""
     root = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256()
     for package in _CODE:
         for path in sorted((root / package).rglob("*.py")):
             digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    libraries = " ".join(f"{name} {_version(name)}" for name in _LIBRARIES)
-    return f"{digest.hexdigest()} {sys.version_info[:2]} {libraries} {processor_of_shapes()}"
-
-
-def _version(library: str) -> str:
-    try:
-        return version(library)
-    except PackageNotFoundError:
-        return "none"
+    libraries = []
+    for name in _LIBRARIES:
+        with suppress(PackageNotFoundError):
+            libraries.append(f"{name} {version(name)}")
+    return f"{digest.hexdigest()} {sys.version_info[:2]} {' '.join(libraries)} {processor_of_shapes()}"

@@ -1,4 +1,4 @@
-"""The choice of shape workers by the configuration: child processes of this machine, or a cluster."""
+"""Choice of shape workers by the configuration: child processes, or a cluster."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def make_workers(config: MapperConfig) -> ShapeWorkers:
-    """Return the workers that a configuration asks for; raises `ConfigError` where they cannot be had."""
+    """Return the configured workers. Raises `ConfigError`: they are not available."""
     generator = chosen_generator(config)
     time_s = config.run.job_timeout_s
     resources = {"GPU": config.run.cluster_gpus} if config.run.cluster_gpus > 0 else {}

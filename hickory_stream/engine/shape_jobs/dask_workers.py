@@ -1,8 +1,7 @@
-"""Shape workers beyond one machine: the same jobs on a Dask cluster that is there already.
+"""Shape workers on an existing Dask cluster.
 
-A job travels as the content of its files and comes back as that of its answer, so that nothing needs to be shared but
-the packages. Dask gives the job of a worker that was lost to another one; when the scheduler is lost, we connect again
-and hand in once more what has no answer.
+Jobs and answers travel as file contents, so only the packages are shared. Dask repeats the job of a lost worker;
+after the loss of the scheduler, open jobs are submitted again.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _ATTEMPTS = 3
 
 
 def answer_job(files: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Do a job that came as files, on whatever machine this is, and return the files of its answer."""
+    """Do a job that came as files, on any machine, and return the files of its answer."""
     from hickory_stream.engine.shape_jobs.worker import serve
 
     with tempfile.TemporaryDirectory(prefix="hickory-job-") as temporary:
@@ -49,10 +48,9 @@ def answer_job(files: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 class DaskWorkers:
-    """A Dask cluster at `address`; `resources`, e.g. {"GPU": 1}, are what a job needs of a worker.
+    """A Dask cluster at `address`; `resources`, e.g. {"GPU": 1}, are requirements of a job.
 
-    Raises:
-        ConfigError: Dask is not installed, or nobody answers at the address (on entering).
+    Raises `ConfigError`: Dask is not installed, or nothing answers at the address (on entering).
     """
 
     def __init__(self, address: str, limits: WorkerLimits, resources: Mapping[str, float] | None = None) -> None:
@@ -87,16 +85,16 @@ class DaskWorkers:
 
     @property
     def num_open(self) -> int:
-        """How many jobs wait or run."""
+        """Number of waiting or running jobs."""
         return self._num_open
 
     @property
     def num_alive(self) -> int:
-        """How many workers the cluster had when the last job was done."""
+        """Number of workers of the cluster after the latest job."""
         return self._num_alive
 
     def submit(self, folder: Path) -> asyncio.Future[str | None]:
-        """Hand a job in; the future gives None when its answer lies in the folder, else why the job was given up."""
+        """Submit a job; the future gives None for an answer in the folder, else why the job was given up."""
         answer: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
         self._num_open += 1
         task = asyncio.create_task(self._serve(folder, answer), name=f"dask-{folder.name}")
@@ -139,19 +137,13 @@ class DaskWorkers:
         return reason
 
     async def _run(self, client: Any, files: Mapping[str, bytes]) -> dict[str, bytes]:
-        """Return the answer of a job; raises `_LostError` where the scheduler went away with it."""
         from distributed import CancelledError as LostFutureError
         from distributed.comm import CommClosedError
 
         try:
-            handed = client.submit(
-                answer_job,
-                dict(files),
-                key=f"hickory-{uuid.uuid4()}",
-                resources=self._resources or None,
-                pure=False,
-            )
-            # What waits in the queue of the cluster is not slow; so many jobs may be before it.
+            key, resources = f"hickory-{uuid.uuid4()}", self._resources or None
+            handed = client.submit(answer_job, dict(files), key=key, resources=resources, pure=False)
+            # A job in the queue of the cluster is not slow: so many may be before it.
             patience_s = self._limits.time_s * max(1, self._num_open)
             given: dict[str, bytes] = await asyncio.wait_for(_result(handed), patience_s)
             self._num_alive = len(await client.nthreads())
@@ -169,7 +161,6 @@ class DaskWorkers:
         )
 
     async def _reconnect(self, lost: Any) -> bool:
-        """Take a new client in place of a lost one, once for all jobs; return whether there is one."""
         async with self._connecting:
             if self._client is not lost:
                 return True
@@ -186,13 +177,13 @@ class DaskWorkers:
 
     async def _drop_client(self, client: Any) -> None:
         if client is not None:
-            # It may be half gone; there is nothing left to lose.
+            # It may be lost already.
             with contextlib.suppress(Exception):
                 await asyncio.wait_for(client.close(), _CONNECT_S)
 
 
 class _LostError(WorkerError):
-    """The scheduler is gone, and with it what it knew of a job."""
+    """The scheduler is lost, and with it its jobs."""
 
 
 async def _result(handed: Any) -> dict[str, bytes]:
@@ -205,6 +196,6 @@ def _read(folder: Path) -> dict[str, bytes]:
 
 
 def _write(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write an answer, the result last; what else a worker may have sent is none."""
+    # The result comes last; other files of a worker are ignored.
     for name in sorted({MESH, RESULT} & files.keys()):
         write_atomically(folder / name, files[name], sync=False)

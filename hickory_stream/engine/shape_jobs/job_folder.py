@@ -1,15 +1,13 @@
-"""A shape job as a folder of files: what a worker is given, and what it gives back.
+"""A shape job as a folder of files, and the reasons of failed jobs.
 
     jobs/TICKET/
       job.json       reconstructor, configuration, box, support height, the names of the views, best first
       points.npy     layer 1: (N, 3) float32;  colors.npy  (N, 3) uint8
       NAME.*         the pixels of the views: hard links, so that a view may be dropped while the job runs
-      shape.mesh     the answer: layer 2, in the object frame, as the map keeps it (`mesh_file`)
-      result.json    the answer: where it is, layers 3 and 4, timings; or the reason why there is none
+      shape.mesh     the answer: layer 2, in the object frame (`mesh_file`)
+      result.json    the answer: its place, layers 3 and 4, timings; or the reason why there is none
 
-Files rather than a pipe: a worker may be another interpreter, and what poisoned it can be looked at afterwards.
-
-Failures while a map was made: shape jobs without a result, by reason, as the map folder keeps them.
+Files rather than a pipe: a worker may be another interpreter, and a bad input can be examined afterwards.
 """
 
 from __future__ import annotations
@@ -44,21 +42,19 @@ if TYPE_CHECKING:
 
     from hickory_stream.events import RequestShape
 
-
 MESH, RESULT, JOB = f"shape{SUFFIX}", "result.json", "job.json"
 FAILED, FAILURE = "failed", "failure.json"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ShapeAnswer:
-    """What a job gave: a shape, or the reason why there is none; and what its steps took, in seconds.
-
-    `hit_limit`: something of it was given up at a limit, so that it may come out otherwise again.
-    """
+    """The result of a job: a shape, or the reason for none."""
 
     shape: ObjectShape | None
     reason: str
+    #: By step, seconds.
     timings_s: Mapping[str, float]
+    #: A step was given up at a limit, so that a repetition may differ.
     hit_limit: bool = False
 
 
@@ -68,10 +64,9 @@ def job_folder(jobs: Path, ticket: int) -> Path:
 
 
 def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeConfig) -> None:
-    """Write what a worker needs; `job.json` comes last, so that an input which has one is complete.
+    """Write a job; `job.json` comes last, as the mark of a complete input.
 
-    Raises:
-        MapFolderError: the disk refused, or a view is a link that leads out of the map.
+    Raises `MapFolderError`: the disk refused, or a view is a link that leads out of the map.
     """
     job = {
         "views": [view.name for view in request.views],
@@ -94,10 +89,9 @@ def write_job(folder: Path, request: RequestShape, views: Path, config: ShapeCon
 
 
 def read_job(folder: Path) -> tuple[ShapeInputs, ShapeConfig]:
-    """Return what `write_job` wrote.
+    """Return the content of a job.
 
-    Raises:
-        OSError, ValueError, KeyError, TypeError, RecursionError, HickoryError: it is damaged, or none.
+    Raises OSError, ValueError, KeyError, TypeError, RecursionError or `HickoryError`: it is damaged or missing.
     """
     job = json.loads(read_within(folder, JOB))
     inputs = ShapeInputs(
@@ -111,7 +105,7 @@ def read_job(folder: Path) -> tuple[ShapeInputs, ShapeConfig]:
 
 
 def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) -> None:
-    """Write a worker's answer; `result.json` comes last and whole."""
+    """Write an answer; `result.json` comes last and whole."""
     if isinstance(built, NoShape):
         result: dict[str, Any] = {"reason": built.reason, "hit_limit": built.hit_limit}
     else:
@@ -132,7 +126,7 @@ def write_result(folder: Path, built: BuiltShape | NoShape, reconstructor: str) 
 
 
 def is_complete(folder: Path) -> bool:
-    """Return whether the input of a job is all there."""
+    """Return whether the input of a job is complete."""
     return (folder / JOB).is_file()
 
 
@@ -142,10 +136,9 @@ def is_answered(folder: Path) -> bool:
 
 
 def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> ShapeAnswer:
-    """Return a worker's answer, its mesh put into the map's `shapes/`; the job stays, until it is removed.
+    """Return the answer of a job, and move its mesh into the map's `shapes/`; the job stays until it is removed.
 
-    Raises:
-        WorkerError: the worker left no readable answer.
+    Raises `WorkerError`: there is no readable answer.
     """
     try:
         result = json.loads(read_within(folder, RESULT))
@@ -177,15 +170,12 @@ def take_result(folder: Path, ticket: int, object_id: int, shapes: Path) -> Shap
 
 
 def remove_job(folder: Path) -> None:
-    """Remove a job that is over."""
+    """Remove a finished job."""
     shutil.rmtree(folder, ignore_errors=True)
 
 
 def keep_input(folder: Path, failed: Path, object_id: int, reason: str) -> None:
-    """Move the input of a job that failed to where a person can repeat it, with why it did.
-
-    The latest one of each object is kept.
-    """
+    """Move the input of a failed job, with the reason, to `failed`; the latest of each object is kept."""
     kept = failed / f"{object_id:06d}"
     shutil.rmtree(kept, ignore_errors=True)
     try:
@@ -200,7 +190,7 @@ _UNKNOWN = "no reason was kept"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FailedShapes:
-    """The objects whose latest shape job failed for one reason, and where the inputs of those jobs lie."""
+    """Objects whose latest shape job failed for one reason, and the inputs of these jobs."""
 
     reason: str
     object_ids: tuple[int, ...]

@@ -1,6 +1,6 @@
-"""Shape workers: child processes of this machine, started when the first jobs need them, replaced when they die.
+"""Shape workers as child processes, started with the first jobs, replaced when they die.
 
-A job's answer is a future; how many workers there are and how fast they are changes when it comes, never what it is.
+Number and speed of workers change when an answer comes, never what it is.
 """
 
 from __future__ import annotations
@@ -40,24 +40,21 @@ _ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NU
 
 
 class ShapeWorkers(Protocol):
-    """Where shape jobs are done. Enter with `async with`; leaving ends what still runs."""
+    """Executor of shape jobs. Enter with `async with`; leaving ends running jobs."""
 
+    #: Jobs given up at a limit, or because their worker died: such a run depends on the machine.
     num_limits: int
-    """How many jobs were given up at a limit, or because their worker died: such a run depends on the machine."""
 
     @property
     def num_open(self) -> int:
-        """How many jobs wait or run."""
-        ...
+        """Number of waiting or running jobs."""
 
     @property
     def num_alive(self) -> int:
-        """How many workers there are now."""
-        ...
+        """Number of workers now."""
 
     def submit(self, folder: Path) -> asyncio.Future[str | None]:
-        """Queue a job; the future gives None when its answer lies in the folder, else why the job was given up."""
-        ...
+        """Queue a job; the future gives None for an answer in the folder, else why the job was given up."""
 
     async def __aenter__(self) -> Self: ...
 
@@ -66,19 +63,16 @@ class ShapeWorkers(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WorkerLimits:
-    """What one job may take: seconds, and megabytes of resident memory of its worker."""
+    """Limits of one job: seconds, and megabytes of resident memory of its worker."""
 
     time_s: float
     memory_mb: float
 
 
 class LocalWorkers:
-    """`count` child processes that take jobs from one queue; `python` is their interpreter, ours by default.
+    """`count` child processes with one queue; `python` is their interpreter, ours by default.
 
-    `generator` is the TOML of the program that the reconstructor "external" asks.
-
-    Raises:
-        ConfigError: there is no such interpreter.
+    `generator` is the TOML of the program for the reconstructor "external". Raises `ConfigError`: no such interpreter.
     """
 
     def __init__(self, count: int, limits: WorkerLimits, python: str = "", generator: Path | None = None) -> None:
@@ -93,8 +87,8 @@ class LocalWorkers:
         self._num_open = 0
         self._children: set[_Child] = set()
         self.num_limits = 0
+        #: Of children that are started from now on, as nice(1) counts.
         self.niceness = 0
-        """By how much children that are started from now on give way to others, as nice(1) counts."""
 
     async def __aenter__(self) -> Self:
         return self
@@ -107,16 +101,16 @@ class LocalWorkers:
 
     @property
     def num_open(self) -> int:
-        """How many jobs wait or run."""
+        """Number of waiting or running jobs."""
         return self._num_open
 
     @property
     def num_alive(self) -> int:
-        """How many children there are now."""
+        """Number of children now."""
         return len(self._children)
 
     def submit(self, folder: Path) -> asyncio.Future[str | None]:
-        """Queue a job; the future gives None when its answer lies in the folder, else why the job was given up."""
+        """Queue a job; the future gives None for an answer in the folder, else why the job was given up."""
         answer: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
         self._num_open += 1
         answer.add_done_callback(self._closed)
@@ -129,7 +123,7 @@ class LocalWorkers:
         self._num_open -= 1
 
     async def _serve(self) -> None:
-        """Feed one child with jobs; a child that dies, hangs or grows is replaced, and its job tried again."""
+        # A child that dies, hangs or grows is replaced, and its job tried again.
         child: _Child | None = None
         try:
             while True:
@@ -146,7 +140,7 @@ class LocalWorkers:
                         break
                     except LimitError as error:
                         reason = str(error)
-                        # What took too long once takes as long again; a second try is for a machine that was busy.
+                        # A second try is for a busy machine.
                         num_limits += 1
                     except WorkerError as error:
                         reason = str(error)
@@ -174,27 +168,18 @@ class LocalWorkers:
 
 
 class LimitError(WorkerError):
-    """A job took more time or memory than it may."""
+    """A job exceeded its limit of time or memory."""
 
 
 class _Child:
-    """One worker process, spoken to in lines of JSON."""
-
     def __init__(self, process: asyncio.subprocess.Process) -> None:
         self._process = process
 
     @classmethod
     async def start(cls, python: str, niceness: int, environment: Mapping[str, str]) -> _Child:
-        """Return a child that has said that it is ready, and gives way to others by so much.
-
-        Raises:
-            WorkerError: it could not be started, or says nothing.
-        """
         try:
             process = await asyncio.create_subprocess_exec(
-                python,
-                "-m",
-                "hickory_stream.engine.shape_jobs.worker",
+                *(python, "-m", "hickory_stream.engine.shape_jobs.worker"),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 # The same caches as ours, wherever they are.
@@ -220,12 +205,6 @@ class _Child:
         return child
 
     async def run(self, folder: Path, limits: WorkerLimits) -> str | None:
-        """Do one job; return why it failed, None if it was answered.
-
-        Raises:
-            WorkerError: the child died, or answered what is no answer.
-            LimitError: it took too long, or too much memory.
-        """
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(dumps_exactly({"job": str(folder)}).encode() + b"\n")
@@ -238,14 +217,13 @@ class _Child:
             answer = json.loads(await line)
             reason: str | None = answer["error"]
         except (ValueError, KeyError, TypeError) as error:
-            raise WorkerError(f"the shape worker answered what is no answer: {error}") from error
+            raise WorkerError(f"the shape worker gave an invalid answer: {error}") from error
         finally:
             line.cancel()
             await asyncio.gather(line, return_exceptions=True)
         return reason
 
     async def kill(self) -> None:
-        """End the process and wait for it."""
         if self._process.returncode is None:
             # Its group: a generator that it started, and that hangs, ends with it.
             with suppress(ProcessLookupError, PermissionError):
@@ -255,7 +233,6 @@ class _Child:
         await self._process.wait()
 
     async def _watch(self, line: asyncio.Task[bytes], limits: WorkerLimits) -> None:
-        """Return when there is an answer; look at the worker's memory now and then."""
         until_s = time.monotonic() + limits.time_s
         while not line.done():
             left_s = until_s - time.monotonic()
@@ -280,7 +257,6 @@ class _Child:
 
 
 def _interpreter(python: str) -> str:
-    """Return the interpreter of the workers; raises `ConfigError` where there is none of that name."""
     if not python:
         return sys.executable
     found = shutil.which(python)
@@ -290,7 +266,6 @@ def _interpreter(python: str) -> str:
 
 
 def _status(code: int) -> str:
-    """Return an exit status in words: what killed it, where a signal did."""
     if code >= 0:
         return f"status {code}"
     try:

@@ -1,7 +1,7 @@
-"""Shape jobs: handed to the workers at once, committed by their due stamps (playback) or as they arrive (live).
+"""Queue of shape jobs: results are committed by due stamp (playback) or on arrival (live).
 
-In a playback a result is committed at the first keyframe at or after its due stamp, in the order (due stamp, ticket),
-and the run waits for one that is late: so that neither the number nor the speed of workers can change the map.
+A playback commits a result at the first keyframe at or after its due stamp, in the order (due stamp, ticket), and waits
+for a late one: number and speed of workers cannot change the map.
 """
 
 from __future__ import annotations
@@ -11,16 +11,7 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from hickory_stream.engine.shape_jobs.job_folder import (
-    FAILED,
-    is_answered,
-    is_complete,
-    job_folder,
-    keep_input,
-    remove_job,
-    take_result,
-    write_job,
-)
+from hickory_stream.engine.shape_jobs import job_folder as jobs_on_disk
 from hickory_stream.errors import MapFolderError, WorkerError
 from hickory_stream.events import ShapeFailed, ShapeReady
 from hickory_stream.journal.step import OpenJob
@@ -45,7 +36,7 @@ class _Open:
 
 
 class ShapeQueue:
-    """The jobs that are open, and what the ended ones took: `timings_s` by step, `counts` by fate."""
+    """Open jobs, and statistics of ended ones: `timings_s` by step, `counts` by fate."""
 
     def __init__(
         self, folder: MapFolder, workers: ShapeWorkers, config: ShapeConfig, cache: ShapeCache | None = None
@@ -61,20 +52,19 @@ class ShapeQueue:
         self.counts: Counter[str] = Counter()
 
     def total_counts(self) -> dict[str, int]:
-        """Return the jobs by fate, those of an interrupted run before this one included; `limits` were given up."""
+        """Return jobs by fate, an interrupted run included; `limits` were given up at a limit."""
         counts = {**self.counts, "limits": self.num_limits}
         return {name: count for name, count in counts.items() if count}
 
     @property
     def num_limits(self) -> int:
-        """How many jobs were given up at a limit of time or memory: they make a map that comes out otherwise again."""
+        """Number of jobs given up at a limit of time or memory, which makes the map irreproducible."""
         return self._limits_before + self._workers.num_limits
 
     def resume(self, jobs: Iterable[OpenJob], counts: Mapping[str, int]) -> None:
-        """Take over the jobs of an interrupted run, and what became of those before.
+        """Take over the jobs and counts of an interrupted run.
 
-        Raises:
-            MapFolderError: an input is not complete: the power failed before it reached the disk.
+        Raises `MapFolderError`: an input is incomplete after a power failure.
         """
         self._limits_before = counts.get("limits", 0)
         self.counts.update({name: count for name, count in counts.items() if name != "limits"})
@@ -83,13 +73,13 @@ class ShapeQueue:
 
     @property
     def num_open(self) -> int:
-        """How many results are still to be committed."""
+        """Number of results to be committed."""
         return len(self._open)
 
     async def request(self, request: RequestShape) -> None:
-        """Hand a job to the workers."""
-        folder = job_folder(self._folder.jobs, request.ticket)
-        await asyncio.to_thread(write_job, folder, request, self._folder.views, self._config)
+        """Submit a job to the workers."""
+        folder = jobs_on_disk.job_folder(self._folder.jobs, request.ticket)
+        await asyncio.to_thread(jobs_on_disk.write_job, folder, request, self._folder.views, self._config)
         key = await asyncio.to_thread(self._cache.key, folder) if self._cache is not None else None
         if self._cache is not None and key is not None and await asyncio.to_thread(self._cache.fetch, key, folder):
             answer, key = _answered(), None
@@ -101,27 +91,24 @@ class ShapeQueue:
 
     @property
     def open_jobs(self) -> tuple[OpenJob, ...]:
-        """The jobs whose results are still to be committed."""
-        return tuple(
-            OpenJob(ticket=ticket, object_id=job.object_id, due_ns=job.due_ns) for ticket, job in self._open.items()
-        )
+        """The jobs whose results are not committed yet."""
+        open_ = self._open.items()
+        return tuple(OpenJob(ticket=ticket, object_id=job.object_id, due_ns=job.due_ns) for ticket, job in open_)
 
     def _adopt(self, job: OpenJob) -> None:
-        """Take over a job that was asked for before the run was interrupted; what it gave already is not done again."""
-        folder = job_folder(self._folder.jobs, job.ticket)
-        if is_answered(folder):
+        folder = jobs_on_disk.job_folder(self._folder.jobs, job.ticket)
+        if jobs_on_disk.is_answered(folder):
             answer = _answered()
-        elif is_complete(folder):
+        elif jobs_on_disk.is_complete(folder):
             answer = self._workers.submit(folder)
         else:
             raise MapFolderError(f"{folder}, which the map waits for, did not reach the disk; play the log again")
         self._open[job.ticket] = _Open(job.due_ns, job.object_id, answer)
 
     def rewind(self, jobs: Iterable[OpenJob], answers: Mapping[int, ShapeReady | ShapeFailed]) -> list[int]:
-        """Wait for these jobs and no others; return the tickets of those that are given up.
+        """Wait for exactly these jobs; return the tickets of abandoned ones.
 
-        `answers` are results that were committed before, and are committed again when they are due. A job that was
-        cancelled since has none.
+        `answers` are results that were committed before, and are committed again when due. A cancelled job has none.
         """
         wanted = {job.ticket: job for job in jobs}
         given_up = [ticket for ticket in self._open if ticket not in wanted]
@@ -129,43 +116,39 @@ class ShapeQueue:
             self.cancel(ticket)
         for ticket, job in wanted.items():
             if ticket not in self._open:
-                cancelled = ShapeFailed(
-                    ticket=ticket,
-                    object_id=job.object_id,
-                    stamp_ns=job.due_ns,
-                    reason="cancelled before it was sought back",
-                )
+                reason = "cancelled before it was sought back"
+                cancelled = ShapeFailed(ticket=ticket, object_id=job.object_id, stamp_ns=job.due_ns, reason=reason)
                 known = answers.get(ticket, cancelled)
                 self._open[ticket] = _Open(job.due_ns, job.object_id, _answered(), known=known)
         return given_up
 
     def forget(self, tickets: list[int]) -> None:
-        """Remove the folders of jobs that are over; the input of one that failed is kept."""
+        """Remove the folders of finished jobs; the input of a failed one is kept."""
         for ticket in tickets:
-            folder = job_folder(self._folder.jobs, ticket)
+            folder = jobs_on_disk.job_folder(self._folder.jobs, ticket)
             if ticket in self._failed:
-                keep_input(folder, self._folder.path / FAILED, *self._failed.pop(ticket))
+                jobs_on_disk.keep_input(folder, self._folder.path / jobs_on_disk.FAILED, *self._failed.pop(ticket))
             else:
-                remove_job(folder)
+                jobs_on_disk.remove_job(folder)
 
     def cancel(self, ticket: int) -> None:
-        """Forget a job whose result is no longer wanted; if it runs, it runs out."""
+        """Drop a job; if it runs, its result is ignored."""
         job = self._open.pop(ticket, None)
         if job is not None:
             job.answer.cancel()
             self.counts["cancelled"] += 1
 
     def has_due(self, stamp_ns: int | None) -> bool:
-        """Return whether a result is to be committed at a stamp (None: any)."""
+        """Return whether a result is due at a stamp (None: any)."""
         return any(stamp_ns is None or job.due_ns <= stamp_ns for job in self._open.values())
 
     async def next_arrived(self, stamp_ns: int) -> ShapeReady | ShapeFailed | None:
-        """Return a result that is there, to be committed at a stamp; None if there is none."""
+        """Return an arrived result, to be committed at a stamp; None if there is none."""
         arrived = sorted(ticket for ticket, job in self._open.items() if job.answer.done())
         return await self._commit(arrived[0], stamp_ns) if arrived else None
 
     async def next_due(self, stamp_ns: int | None) -> ShapeReady | ShapeFailed | None:
-        """Return the next result that is due at a stamp (None: any), waiting for it if it is late; None if none is."""
+        """Return the next result that is due at a stamp (None: any), waiting for it; None if none is."""
         due = [(job.due_ns, ticket) for ticket, job in self._open.items() if stamp_ns is None or job.due_ns <= stamp_ns]
         if not due:
             return None
@@ -174,15 +157,17 @@ class ShapeQueue:
 
     async def _commit(self, ticket: int, stamp_ns: int) -> ShapeReady | ShapeFailed:
         job = self._open[ticket]
-        # Whoever gives up waiting, as a stop does, does not give up the job: it stays open and may be waited for again.
+        # A stop gives up waiting, not the job: it stays open.
         reason = await asyncio.shield(job.answer)
         del self._open[ticket]
         if job.known is not None:
             return replace(job.known, stamp_ns=stamp_ns)
         if reason is None:
-            folder = job_folder(self._folder.jobs, ticket)
+            folder = jobs_on_disk.job_folder(self._folder.jobs, ticket)
             try:
-                answer = await asyncio.to_thread(take_result, folder, ticket, job.object_id, self._folder.shapes)
+                answer = await asyncio.to_thread(
+                    jobs_on_disk.take_result, folder, ticket, job.object_id, self._folder.shapes
+                )
             except WorkerError as error:
                 reason = str(error)
             else:
@@ -201,7 +186,6 @@ class ShapeQueue:
 
 
 def _answered() -> asyncio.Future[str | None]:
-    """Return the future of a job whose answer lies in its folder already."""
     answer: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
     answer.set_result(None)
     return answer

@@ -1,6 +1,6 @@
-"""The main of a shape worker: one line in, a job folder; one line out, whether it was done.
+"""The main of a shape worker: one line in, a job folder; one line out, its success.
 
-Standard output belongs to the protocol: whatever a reconstructor prints goes to standard error.
+Standard output is the protocol: a reconstructor's own output goes to standard error.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from hickory_stream.shapes.build import build_shape
 
 
 def main() -> None:
-    """Serve jobs until standard input ends: the run is over, or was killed; a job in progress is then left at once."""
+    """Serve jobs until standard input ends; a running job is then left at once."""
     answers = os.dup(1)
     os.dup2(2, 1)
     jobs: queue.Queue[str] = queue.Queue()
     threading.Thread(target=_listen, args=(jobs,), name="listen", daemon=True).start()
     if not are_compiled():
-        # What it imports a worker needs this once.
+        # Its imports are needed only here.
         from hickory_stream.engine.warm_up import warm_up
 
         warm_up()
@@ -58,7 +58,7 @@ def _say(answers: int, message: dict[str, Any]) -> None:
 
 
 def serve(folder: Path) -> str | None:
-    """Do one job; return why the worker itself failed, None if it answered."""
+    """Do one job; return why the worker failed, None if it answered."""
     try:
         inputs, config = read_job(folder)
         built = build_shape(inputs, reconstructor_of(config), config)

@@ -1,8 +1,4 @@
-"""Replay of a recorded run by the core alone, without perception, workers or a clock, to the same map.
-
-From the journal alone: the core is given its events, from the beginning or from the last checkpoint before the moment
-that is asked for.
-"""
+"""Replay of a recorded run by the core alone, without perception, workers or a clock, to the same map."""
 
 from __future__ import annotations
 
@@ -11,15 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hickory_stream.errors import MapFolderError
-from hickory_stream.events import (
-    CancelShape,
-    Effect,
-    Event,
-    Publish,
-    RequestShape,
-    ShapeFailed,
-    ShapeReady,
-)
+from hickory_stream.events import CancelShape, Effect, Event, Publish, RequestShape, ShapeFailed, ShapeReady
 from hickory_stream.journal.step import OpenJob
 from hickory_stream.mapping.core import MapperCore
 
@@ -34,10 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Replayed:
-    """A replayed step, and what the core published in it (None: it was no keyframe)."""
+    """A replayed step."""
 
     index: int
     entry: JournalEntry
+    #: Map and decisions of a keyframe, None for other steps.
     published: Publish | None
 
 
@@ -46,9 +35,9 @@ _NONSENSE = (ValueError, LookupError, TypeError, AttributeError, AssertionError,
 
 
 class Replay:
-    """The core of a recorded run after some step; `steps` advances it, `on_request` receives its shape jobs.
+    """The core of a recorded run after some step; `steps` advances it, `on_request` receives shape jobs.
 
-    `reads_later`: of the map before that, arrays are read when they are looked at (`Journal.checkpoint_before`).
+    `reads_later`: arrays of the checkpoint are read on first use (`Journal.checkpoint_before`).
     """
 
     def __init__(
@@ -68,10 +57,9 @@ class Replay:
         self.num_steps = 0
 
     def seek(self, index: int) -> None:
-        """Bring the core to where it was after a step, from the last checkpoint before it.
+        """Restore the core after a step, from the last checkpoint before it.
 
-        Raises:
-            MapFolderError: the journal is damaged.
+        Raises `MapFolderError`: a damaged journal.
         """
         found = self._journal.checkpoint_before(index, reads_later=self._reads_later)
         if found is not None:
@@ -87,30 +75,23 @@ class Replay:
             pass
 
     def steps(self, end: int) -> Iterator[Replayed]:
-        """Go on to before the step `end`, step by step."""
+        """Replay and yield steps up to the step `end`, exclusive."""
         while self.num_steps < end:
             entry = self._journal.entry(self.num_steps)
             self._go_back(entry.step)
-            published: Publish | None = None
-            for event in entry.events:
-                for effect in self._handle(event):
-                    if isinstance(effect, Publish):
-                        published = effect
+            effects = [effect for event in entry.events for effect in self._handle(event)]
+            published = next((effect for effect in reversed(effects) if isinstance(effect, Publish)), None)
             self.num_steps += 1
             yield Replayed(index=self.num_steps - 1, entry=entry, published=published)
 
     def snapshot(self) -> MapSnapshot:
-        """Return the map as it is now.
-
-        Raises:
-            MapFolderError: the journal is damaged.
-        """
-        with self._sense():
+        """Return the current map. Raises `MapFolderError`: a damaged journal."""
+        with self._damage():
             return self.core.snapshot()
 
     @contextmanager
-    def _sense(self) -> Iterator[None]:
-        """Report what the core cannot process as damage of the journal."""
+    def _damage(self) -> Iterator[None]:
+        # An event that the core cannot process is damage of the journal.
         try:
             yield
         except _NONSENSE as error:
@@ -119,18 +100,17 @@ class Replay:
             ) from error
 
     def _go_back(self, step: Step) -> None:
-        """Restore the state to which the run was rewound in this step, if it was."""
         if step.goes_back_to is None:
             return
         then = Replay(self._journal, self._config, reads_later=self._reads_later)
         if step.goes_back_to > 0:
             then.seek(step.goes_back_to - 1)
-        with self._sense():
+        with self._damage():
             self.core = then.core.going_on_after(self.core, step.lost_views)
         self.open_jobs = then.open_jobs
 
     def _handle(self, event: Event) -> list[Effect]:
-        with self._sense():
+        with self._damage():
             effects = self.core.handle(event)
         if isinstance(event, ShapeReady | ShapeFailed):
             self.open_jobs.pop(event.ticket, None)
@@ -145,10 +125,6 @@ class Replay:
 
 
 def mesh_names(journal: Journal) -> set[str]:
-    """Return the meshes that the map had at some moment."""
-    names = set()
-    for index in range(len(journal)):
-        for event in journal.events(index, "ShapeReady"):
-            assert isinstance(event, ShapeReady)
-            names.add(event.shape.mesh_name)
-    return names
+    """Return all meshes that the map ever had."""
+    ready = (event for index in range(len(journal)) for event in journal.events(index, "ShapeReady"))
+    return {event.shape.mesh_name for event in ready if isinstance(event, ShapeReady)}

@@ -1,7 +1,4 @@
-"""What sinks are told of a frame: of any, of a keyframe with all that came of it, and of the finished map.
-
-Poses of frame reports: from the odometry's world to the map's, by the correction of the open submap.
-"""
+"""Reports for sinks: of any frame, of a keyframe with its results, and of the finished map."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def plain_report(raw: RawFrame, world_from_camera: NDArray[np.float64]) -> FrameReport:
-    """Return what is told of a frame that is no keyframe, at the pose (4, 4) where it would be mapped."""
+    """Return the report of a frame that is no keyframe, at its pose (4, 4) in the map."""
     return FrameReport(
         index=raw.index,
         stamp_ns=raw.stamp_ns,
@@ -45,7 +42,7 @@ def keyframe_report(
     patches: NDArray[np.float32] | None,
     metrics: tuple[tuple[str, float], ...],
 ) -> FrameReport:
-    """Return what is told of a keyframe; `metrics` are those of the engine, before those of the core."""
+    """Return the report of a keyframe; the engine's `metrics` come before the core's."""
     return replace(
         plain_report(raw, frame.world_from_camera),
         keyframe_index=keyframe_index,
@@ -71,7 +68,7 @@ def final_report(
     keyframe_index: int,
     decisions: tuple[Decision, ...],
 ) -> FrameReport:
-    """Return what is told of the finished map: one more keyframe, without images, after the last frame, at its pose."""
+    """Return the report of the finished map: one more keyframe without images, at the pose of the last frame."""
     return FrameReport(
         index=last.index + 1,
         stamp_ns=last.stamp_ns,
@@ -85,7 +82,7 @@ def final_report(
 
 
 def in_map_frame(report: FrameReport, snapshot: MapSnapshot | None) -> FrameReport:
-    """Return a report with its camera pose corrected as the open submap of the snapshot; None: as it is."""
+    """Return a report with its pose corrected like the open submap of the snapshot; None: unchanged."""
     if snapshot is None or not snapshot.submaps:
         return report
     world_from_submap = snapshot.submaps[-1].world_from_submap

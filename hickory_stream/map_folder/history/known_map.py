@@ -1,7 +1,7 @@
-"""The map after a step as the journal's records have it: each is read when somebody looks at it, points and all.
+"""The map after a step from the journal's records, each read on first use.
 
-Points and space are in no record: who looks at some has the core given the events since the last checkpoint, once for
-all of the map. What it then says of an object must be what the record says.
+Records have no points and space: their first use replays the events since the last checkpoint, once for all. Replayed
+objects must equal their records.
 """
 
 from __future__ import annotations
@@ -31,12 +31,9 @@ _REST = tuple(f.name for f in fields(TrackedObject) if f.name not in ("id", *_PO
 
 
 def known_map(journal: Journal, index: int, config: Callable[[], MappingConfig]) -> MapSnapshot | None:
-    """Return the map after a step; None where the journal, an older one, has no records of it.
+    """Return the map after a step, None for an older journal without records; `config` is called before a replay.
 
-    `config` is asked for when the core is to be given the events.
-
-    Raises:
-        MapFolderError: the journal is damaged; also from whatever of the map is looked at later.
+    Raises `MapFolderError`: the journal is damaged; also later, on first use of a record.
     """
     known = journal.known(index)
     if known is None:
@@ -52,8 +49,6 @@ def known_map(journal: Journal, index: int, config: Callable[[], MappingConfig])
 
 
 class _Records:
-    """Reads the records of the map after one step."""
-
     def __init__(self, journal: Journal, index: int, config: Callable[[], MappingConfig]) -> None:
         self._journal = journal
         self._index = index
@@ -62,14 +57,12 @@ class _Records:
         self._replayed: MapSnapshot | None = None
 
     def tracked(self, object_id: int, place: Place) -> TrackedObject:
-        """Return an object of which nothing but its id was read."""
         tracked = object.__new__(TrackedObject)
         object.__setattr__(tracked, "id", object_id)
         read_parts(tracked, partial(self._of_object, object_id, place), *_REST, *_POINTS)
         return tracked
 
     def submap(self, submap_id: int, place: Place) -> Submap:
-        """Return a submap whose space was not read."""
         submap = self._read_submap(submap_id, place)
         read_parts(submap.observed_space, partial(self._of_space, submap_id, place), *_SPACE)
         return submap
@@ -91,16 +84,14 @@ class _Records:
 
     def _of_space(self, submap_id: int, place: Place, _: str) -> Mapping[str, Any]:
         found = next((one for one in self._replay().submaps if one.id == submap_id), None)
-        is_same = found is not None and encode(submap_without_space(found)) == encode(
-            self._read_submap(submap_id, place)
-        )
+        read = self._read_submap(submap_id, place)
+        is_same = found is not None and encode(submap_without_space(found)) == encode(read)
         self._check(is_same, "submap", submap_id)
         assert found is not None
         space: ObservedSpace = found.observed_space
         return {each: getattr(space, each) for each in _SPACE}
 
     def _replay(self) -> MapSnapshot:
-        """Return the map as the core makes it of the events."""
         with self._lock:
             if self._replayed is None:
                 replay = Replay(self._journal, self._config(), reads_later=True)

@@ -1,6 +1,6 @@
-"""The map of a live run that goes on, or was cut off: as the newest step of its journal has it, not as of a save.
+"""The map of a live run that continues or was cut off, as of the newest step of its journal.
 
-A robot keeps off what it has seen, sure or not: beside the map there is what every keyframe saw of space.
+A robot avoids everything seen, sure or not: beside the map is the surface that keyframes saw.
 """
 
 from __future__ import annotations
@@ -22,15 +22,14 @@ if TYPE_CHECKING:
 
 
 def is_live(saved: SavedMap) -> bool:
-    """Return whether a map is that of a live run that has not come to its end."""
+    """Return whether a map is of a live run that has not ended."""
     return saved.manifest.run.get("mode") == "live" and not saved.manifest.finished_cleanly
 
 
 def live_map(path: Path, stamp_ns: int | None = None) -> tuple[MapSnapshot, SeenSurface] | None:
-    """Return the map at a stamp (None: the newest), and the surface seen by then; None before the first keyframe.
+    """Return map and seen surface at a stamp (None: the newest); None before the first keyframe.
 
-    Raises:
-        MapFolderError: there is no journal, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no journal, or it is damaged or of another version.
     """
     with Journal(path) as journal:
         index = len(journal) - 1 if stamp_ns is None else step_at(journal.stamps_ns, stamp_ns)

@@ -1,7 +1,6 @@
-"""What a run saw and decided, keyframe by keyframe, from its journal.
+"""Observations and decisions of a run, keyframe by keyframe, from its journal.
 
-The decisions are those of the journal; where an older one has none, the core is given its events again, and what is
-told from there on is what this version decides.
+Decisions of an older journal without them are those of a replay by this version.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from hickory_stream.geometry.rigid import invert
 from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.step import StepKind, Told
 from hickory_stream.map_folder.history.core_replay import Replay
-from hickory_stream.map_folder.history.recorded_config import told_config
+from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.saved_map import open_map
 
 if TYPE_CHECKING:
@@ -34,14 +33,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RecordedKeyframe:
-    """A keyframe as the core was told of it; `number` counts keyframes from 0.
-
-    What it saw is where the odometry had it; `map_from_odometry` (4, 4) takes it to where the finished map has it.
-    """
+    """A keyframe as the core received it; `number` counts from 0."""
 
     number: int
     camera: Camera
     observed: FrameObserved
+    #: (4, 4), from the observation's world to the finished map's.
     map_from_odometry: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -55,21 +52,20 @@ class RecordedKeyframe:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RecordedStep:
-    """A step of a run: its keyframe, None at the end of the run, and what was decided."""
+    """A step of a run; its keyframe is None at the end of the run."""
 
     keyframe: RecordedKeyframe | None
     decisions: tuple[Decision, ...]
 
 
 def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
-    """Yield the steps of the run of a map folder; `final` is where its submaps lie in the end.
+    """Yield the steps of a map folder's run; `final` gives the final poses of submaps.
 
-    Raises:
-        MapFolderError: there is no journal, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no journal, or it is damaged or of another version.
     """
     places = {submap.id: submap.world_from_submap for submap in final.submaps}
     with Journal(path) as journal:
-        for entry, told in _told(journal, told_config(path).mapping):
+        for entry, decided in _decided(journal, known_config(path).mapping):
             observed = next((event for event in entry.events if isinstance(event, FrameObserved)), None)
             keyframe: RecordedKeyframe | None = None
             if observed is not None and entry.step.kind is StepKind.KEYFRAME:
@@ -77,16 +73,15 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
                     number=entry.step.num_keyframes - 1,
                     camera=entry.step.camera,
                     observed=observed,
-                    map_from_odometry=places.get(told.submap_id, np.eye(4)),
+                    map_from_odometry=places.get(decided.submap_id, np.eye(4)),
                 )
-            yield RecordedStep(keyframe=keyframe, decisions=told.decisions)
+            yield RecordedStep(keyframe=keyframe, decisions=decided.decisions)
 
 
 def final_snapshot(path: Path) -> MapSnapshot:
-    """Return the map of a folder; of a run that did not end, what its journal makes of it.
+    """Return the map of a folder; of an unfinished run, by its journal.
 
-    Raises:
-        MapFolderError: there is no map, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no map, or it is damaged or of another version.
     """
     saved = open_map(path, warns=False)
     if saved.manifest.finished_cleanly:
@@ -94,7 +89,7 @@ def final_snapshot(path: Path) -> MapSnapshot:
     with Journal(path) as journal:
         if len(journal) == 0:
             return saved.snapshot
-        replay = Replay(journal, told_config(path).mapping)
+        replay = Replay(journal, known_config(path).mapping)
         replay.seek(len(journal) - 1)
         return replay.snapshot()
 
@@ -102,8 +97,7 @@ def final_snapshot(path: Path) -> MapSnapshot:
 def frame_indices(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the indices of the keyframes, and of all frames, both sorted.
 
-    Raises:
-        MapFolderError: there is no journal, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no journal, or it is damaged or of another version.
     """
     keyframes: set[int] = set()
     frames: set[int] = set()
@@ -119,9 +113,8 @@ def frame_indices(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 def frame_pose(path: Path, frame: int) -> tuple[Camera, FramePose]:
     """Return the camera of a frame, and its stamp and pose, as the odometry had it.
 
-    Raises:
-        LookupError: the run has no such frame.
-        MapFolderError: there is no journal, or it is damaged or of another version.
+    Raises `LookupError`: the run has no such frame; `MapFolderError`: there is no journal, or it is damaged or of
+    another version.
     """
     with Journal(path) as journal:
         for index in range(len(journal) - 1, -1, -1):
@@ -132,8 +125,8 @@ def frame_pose(path: Path, frame: int) -> tuple[Camera, FramePose]:
     raise LookupError(f"no frame {frame}")
 
 
-def _told(journal: Journal, config: MappingConfig) -> Iterator[tuple[JournalEntry, Told]]:
-    """Yield the steps and the decisions of each; from the first step that has none, those of a replay of its events."""
+def _decided(journal: Journal, config: MappingConfig) -> Iterator[tuple[JournalEntry, Told]]:
+    # From the first step without decisions on, they are those of a replay.
     first = 0
     for entry in journal.entries():
         if entry.told is None and entry.step.kind is StepKind.KEYFRAME:
@@ -146,9 +139,7 @@ def _told(journal: Journal, config: MappingConfig) -> Iterator[tuple[JournalEntr
     if first > 0:
         replay.seek(first - 1)
     for replayed in replay.steps(len(journal)):
-        published = replayed.published
-        decisions = published.decisions if published is not None else ()
-        yield (
-            replayed.entry,
-            Told(decisions=decisions, submap_id=0 if published is None else published.snapshot.submaps[-1].id),
-        )
+        told = Told(decisions=(), submap_id=0)
+        if (published := replayed.published) is not None:
+            told = Told(decisions=published.decisions, submap_id=published.snapshot.submaps[-1].id)
+        yield replayed.entry, told

@@ -1,4 +1,4 @@
-"""The configuration that a map was made with: as it is read, repeated, or taken over by a run that goes on."""
+"""The configuration of a map, to be read, repeated or continued."""
 
 from __future__ import annotations
 
@@ -21,11 +21,7 @@ MACHINE_KEYS = ("worker_python", "cluster", "generator")
 
 
 def recorded_config(path: Path) -> MapperConfig:
-    """Return the configuration that a map was made with.
-
-    Raises:
-        MapFolderError: there is no map, or its configuration is that of another version.
-    """
+    """Return the configuration of a map. Raises `MapFolderError`: there is no map, or it is of another version."""
     manifest = read_manifest(path)
     try:
         return from_dict(MapperConfig, with_current_names(manifest.config))
@@ -36,13 +32,12 @@ def recorded_config(path: Path) -> MapperConfig:
 
 
 def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False) -> MapperConfig:
-    """Return the configuration to continue a map with: its own, but the programs and addresses are those of `own`.
+    """Return the configuration to continue a map, with the programs and addresses of `own`.
 
-    `ignores_recorded`: that the map was made with other workers is no reason to refuse.
+    `ignores_recorded` accepts a map that was made with other workers.
 
-    Raises:
-        MapFolderError: there is no map, or its configuration is that of another version.
-        ConfigError: the map was made with an interpreter or a cluster that `own` does not name.
+    Raises `MapFolderError`: there is no map, or it is of another version; `ConfigError`: its interpreter or cluster is
+    not in `own`.
     """
     recorded = recorded_config(path)
     for key in MACHINE_KEYS:
@@ -56,12 +51,9 @@ def resumed_config(path: Path, own: RunConfig, *, ignores_recorded: bool = False
     return replace(recorded, run=replace(recorded.run, **machine))
 
 
-def told_config(path: Path) -> MapperConfig:
-    """Return the configuration that a map was made with, as far as this version knows it.
+def known_config(path: Path) -> MapperConfig:
+    """Return the configuration of a map as far as this version knows it, for reports.
 
-    What is told needs little of it, unlike what is to be continued or repeated: `recorded_config` refuses.
-
-    Raises:
-        MapFolderError: there is no map.
+    Raises `MapFolderError`: there is no map.
     """
     return as_far_as_known(read_manifest(path).config)

@@ -1,7 +1,4 @@
-"""What the registration of keyframes knew after a step of a run: from the journal alone.
-
-What the registration of keyframes came to in a run, in numbers and in one line.
-"""
+"""State of keyframe registration after a step, from the journal, and its summary."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RegisteredKeyframe:
-    """A keyframe that later ones may be registered to: `number` counts those that were registered, from 0."""
+    """A keyframe to which later ones may be registered; `number` counts registered ones from 0."""
 
     event: KeyframeRegistered
     coarse: CoarseFrame
@@ -36,7 +33,7 @@ class RegisteredKeyframe:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RegistrationHistory:
-    """The last of the keyframes that were registered, how many these were, and those that are remembered, in order."""
+    """The last registered keyframe, the number of registered ones, and those remembered, in order."""
 
     last: KeyframeRegistered
     num_placed: int
@@ -44,18 +41,12 @@ class RegistrationHistory:
 
 
 def registration_history(journal: Journal, num_steps: int, *, num_recent: int) -> RegistrationHistory | None:
-    """Return what was known after the first `num_steps` steps of a run; None if no keyframe was registered by then.
+    """Return the state after `num_steps` steps, None without a registered keyframe.
 
-    `num_recent` keyframes are remembered beside the anchors.
-
-    Raises:
-        MapFolderError: the journal is damaged.
+    `num_recent` keyframes are remembered beside the anchors. Raises `MapFolderError`: the journal is damaged.
     """
-    found: list[tuple[int, KeyframeRegistered]] = []
-    for index in _way_to(journal, num_steps):
-        for event in journal.events(index, "KeyframeRegistered"):
-            assert isinstance(event, KeyframeRegistered)
-            found.append((index, event))
+    events = ((i, event) for i in _way_to(journal, num_steps) for event in journal.events(i, "KeyframeRegistered"))
+    found = [(i, event) for i, event in events if isinstance(event, KeyframeRegistered)]
     if not found:
         return None
     begun = max(i for i, (_, event) in enumerate(found) if event.how in ("first", "begun anew") or i == 0)
@@ -72,7 +63,7 @@ def registration_history(journal: Journal, num_steps: int, *, num_recent: int) -
 
 
 def _way_to(journal: Journal, num_steps: int) -> list[int]:
-    """Return the steps that led to the state after `num_steps`, without those that somebody went back from."""
+    # Steps that led to the state after `num_steps`, without those that a seek went back from.
     way = []
     index = num_steps - 1
     while index >= 0:
@@ -84,38 +75,36 @@ def _way_to(journal: Journal, num_steps: int) -> list[int]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RegistrationSummary:
-    """Of the keyframes of a run, how many were mapped elsewhere than the odometry has them, and were kept out.
-
-    `carried_away`: how often the robot was found elsewhere than its odometry says. `moved_m`, `turned_deg`: how far the
-    last keyframe is mapped from where the odometry has it.
-    """
+    """Numbers of a run's keyframes by outcome of registration."""
 
     keyframes: int
+    #: Mapped at another pose than the odometry's.
     corrected: int
     kept_out: int
+    #: Sudden moves that the odometry missed.
     carried_away: int
+    #: Correction of the last keyframe, like `turned_deg`.
     moved_m: float
     turned_deg: float
 
     def text(self) -> str:
-        """Return it as one line, "" where every keyframe is mapped where the odometry has it."""
+        """Return one line, "" if every keyframe is at the odometry's pose."""
         if not self.corrected and not self.kept_out:
             return ""
-        told = (
+        text = (
             f"odometry: {self.corrected} of {self.keyframes} keyframes were registered to the map, in the end by "
             f"{self.moved_m:.3f} m and {self.turned_deg:.2f} degrees"
         )
         if self.kept_out:
-            told += f"; {self.kept_out} did not fit and were kept out"
+            text += f"; {self.kept_out} did not fit and were kept out"
         if self.carried_away:
-            told += (
-                f"; {self.carried_away} time(s) the robot was elsewhere than its odometry says: a submap begins there"
-            )
-        return told
+            jumps = f"{self.carried_away} time(s) the robot was elsewhere than its odometry says"
+            text += f"; {jumps}: a submap begins there"
+        return text
 
 
 def registration_summary(path: Path, ledger: Mapping[str, Any]) -> RegistrationSummary | None:
-    """Return what registration came to in a run with this `ledger`; None where its journal tells of none."""
+    """Return the summary of a run with this `ledger`; None without registration in its journal."""
     frames = ledger.get("frames", {})
     last = _last_registered(path)
     if last is None:

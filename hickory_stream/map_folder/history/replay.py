@@ -1,11 +1,11 @@
-"""The third mode: a recorded run again, from the map folder alone, shown to sinks as it was shown then.
+"""Replay of a recorded run to sinks, from the map folder alone.
 
-There is no depth in a map folder: what is shown of a keyframe are its image, its masks, the decisions and the map.
+A map folder has no depth: a keyframe shows its image, masks, decisions and the map.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,10 +33,9 @@ if TYPE_CHECKING:
 
 
 def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
-    """Return the map that the events of a map folder's journal make; `sinks` are shown every step, and closed.
+    """Return the map of a journal's events; `sinks` receive every step, and are closed.
 
-    Raises:
-        MapFolderError: there is no map or no journal, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no map or no journal, or it is damaged or of another version.
     """
     config = recorded_config(path)
     try:
@@ -58,10 +57,9 @@ def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:
 
 
 def show_until_resumed(path: Path, sinks: Sequence[Sink]) -> None:
-    """Show sinks the steps of an interrupted run after which `resume` goes on; they are left open for what comes then.
+    """Show sinks the steps of an interrupted run that `resume` continues; the sinks stay open.
 
-    Raises:
-        MapFolderError: there is no map or no journal, or it is damaged or of another version.
+    Raises `MapFolderError`: there is no map or no journal, or it is damaged or of another version.
     """
     config = recorded_config(path)
     with Journal(path) as journal:
@@ -71,8 +69,6 @@ def show_until_resumed(path: Path, sinks: Sequence[Sink]) -> None:
 
 @dataclass(slots=True)
 class _Shown:
-    """How far a run was shown: its last frame and camera, the keyframes, and the correction of the odometry (4, 4)."""
-
     last: FramePose | None = None
     camera: Camera | None = None
     num_keyframes: int = 0
@@ -80,7 +76,6 @@ class _Shown:
 
 
 def _show(again: Replay, journal: Journal, sinks: Sequence[Sink]) -> _Shown:
-    """Show sinks every step of a journal."""
     shown = _Shown()
     newest: MapSnapshot | None = None
     for replayed in again.steps(len(journal)):
@@ -101,16 +96,12 @@ def _show(again: Replay, journal: Journal, sinks: Sequence[Sink]) -> _Shown:
 def _reports(
     replayed: Replayed, journal: Journal, keyframe_index: int, map_from_odometry: NDArray[np.float64]
 ) -> list[FrameReport]:
-    """Return the reports of a step: its frames, the keyframe last with all that is known of it.
-
-    `map_from_odometry` (4, 4) is the correction of the odometry before it.
-    """
     step, published = replayed.entry.step, replayed.published
     observed = next((event for event in replayed.entry.events if isinstance(event, FrameObserved)), None)
     is_keyframe = step.kind is StepKind.KEYFRAME and observed is not None and published is not None
     reports = []
     for frame in step.frames:
-        plain = FrameReport(
+        report = FrameReport(
             index=frame.index,
             stamp_ns=frame.stamp_ns,
             keyframe_index=None,
@@ -118,15 +109,10 @@ def _reports(
             world_from_camera=compose(map_from_odometry, frame.world_from_camera),
             color_bytes=None,
         )
-        if not is_keyframe or observed is None or published is None or frame.index != observed.frame_index:
-            reports.append(plain)
-            continue
-        reports.append(
-            FrameReport(
-                index=frame.index,
-                stamp_ns=frame.stamp_ns,
+        if is_keyframe and observed is not None and published is not None and frame.index == observed.frame_index:
+            report = replace(
+                report,
                 keyframe_index=keyframe_index,
-                camera=step.camera,
                 world_from_camera=observed.world_from_camera,
                 color_bytes=journal.color(replayed.index),
                 segmentation=_segmentation(observed, step.camera),
@@ -137,12 +123,12 @@ def _reports(
                 snapshot=published.snapshot,
                 metrics=(*step.metrics, *published.metrics),
             )
-        )
+        reports.append(report)
     return reports
 
 
 def _segmentation(observed: FrameObserved, camera: Camera) -> Segmentation:
-    """Return the masks of the observations as one image; which pixels were structure is not known any more."""
+    # Which pixels were structure is not recorded.
     instances = np.zeros((camera.height, camera.width), dtype=np.int32)
     for observation in observed.observations:
         x0, y0, x1, y1 = observation.box_px

@@ -1,9 +1,7 @@
-"""Resuming a run that was interrupted: killed, stopped, or ended by an error.
+"""Resuming of an interrupted run: killed, stopped, or ended by an error.
 
-A playback continues after its last complete step and comes to the same map as one that was never interrupted. Of a live
-run, whose frames are gone, everything up to the last step is saved; so it is of one in whose log somebody sought.
-
-The state from which an interrupted run resumes.
+A playback continues after its last complete step, to the same map as an uninterrupted one. A live run, whose frames are
+gone, or a run with seeks is saved as of its last step.
 """
 
 from __future__ import annotations
@@ -38,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Position:
-    """Where reading goes on: after the frame `last_index` of a round, whose last keyframe was `keyframe`."""
+    """Reading continues after this position: the frame `last_index` of a round, whose last keyframe was `keyframe`."""
 
     round_index: int = 0
     first_index: int = 0
@@ -49,10 +47,7 @@ class Position:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ResumePoint:
-    """The state of an interrupted run, from its journal: the core, the last step, and the pending shape jobs.
-
-    `registration` is what the registration of keyframes knew; None where none was registered.
-    """
+    """The state of an interrupted run: core, last step, pending shape jobs."""
 
     core: MapperCore
     step: Step
@@ -60,14 +55,14 @@ class ResumePoint:
     open_jobs: tuple[OpenJob, ...]
     mesh_names: tuple[str, ...]
     last_frame: FramePose
+    #: None without registered keyframes.
     registration: RegistrationHistory | None = None
 
 
 def resume_point_of(journal: Journal, config: MapperConfig) -> ResumePoint | None:
-    """Return the state from which an interrupted run resumes, None if it had not reached its first keyframe.
+    """Return the state of an interrupted run, None before its first keyframe.
 
-    Raises:
-        MapFolderError: the journal does not fit this version.
+    Raises `MapFolderError`: the journal does not fit this version.
     """
     if len(journal) == 0:
         return None
@@ -80,32 +75,27 @@ def resume_point_of(journal: Journal, config: MapperConfig) -> ResumePoint | Non
     while not frames:
         index -= 1
         frames = journal.step(index).frames
-    is_keyframe = step.kind is StepKind.KEYFRAME
+    frame = frames[-1]
+    keyframe = Keyframe(stamp_ns=frame.stamp_ns, world_from_camera=frame.world_from_camera)
     return ResumePoint(
         core=replay.core,
         step=step,
         position=Position(
             round_index=step.round_index,
             first_index=step.first_index,
-            last_index=frames[-1].index,
-            keyframe=Keyframe(stamp_ns=frames[-1].stamp_ns, world_from_camera=frames[-1].world_from_camera)
-            if is_keyframe
-            else None,
-            last_ns=frames[-1].stamp_ns,
+            last_index=frame.index,
+            keyframe=keyframe if step.kind is StepKind.KEYFRAME else None,
+            last_ns=frame.stamp_ns,
         ),
         open_jobs=tuple(replay.open_jobs.values()),
         mesh_names=tuple(sorted(mesh_names(journal))),
-        last_frame=frames[-1],
+        last_frame=frame,
         registration=registration_history(journal, len(journal), num_recent=NUM_RECENT),
     )
 
 
 def check_interrupted(path: Path) -> Manifest:
-    """Return the manifest of a map whose run was interrupted.
-
-    Raises:
-        MapFolderError: there is no map, or its run had finished.
-    """
+    """Return the manifest of an interrupted map. Raises `MapFolderError`: there is no map, or its run had finished."""
     manifest = read_manifest(path)
     if manifest.finished_cleanly:
         raise MapFolderError(f"{path} is finished: there is nothing to resume; `inspect` shows it")
@@ -115,12 +105,10 @@ def check_interrupted(path: Path) -> Manifest:
 def reopen(
     path: Path, info: SourceInfo, config: MapperConfig, extractor: str
 ) -> tuple[MapFolder, JournalWriter, ResumePoint | None]:
-    """Return a map folder whose playback is to be continued, its journal, and where it goes on (None: anew).
+    """Return the folder of a playback to continue, its journal, and its state (None: from the beginning).
 
-    Raises:
-        MapFolderError: there is no map, nothing to continue, or what is there cannot be continued; with features of
-            another extractor it cannot.
-        RecordingError: the source is another one than that of the map.
+    Raises `MapFolderError`: there is no map, nothing to continue, or it cannot be continued, e.g. with another feature
+    extractor; `RecordingError`: the source differs from the map's.
     """
     manifest = check_interrupted(path)
     if manifest.run.get("mode") != "playback":
@@ -156,13 +144,9 @@ def reopen(
 
 
 def was_sought(path: Path) -> bool:
-    """Return whether somebody sought in the log while it was played: such a run cannot be continued.
-
-    Raises:
-        MapFolderError: there is no journal, or it is damaged.
-    """
+    """Return whether a run had seeks, so that it cannot be continued. Raises `MapFolderError`: no readable journal."""
     with Journal(path) as journal:
-        # They are counted up: where the last step has none, no earlier one has.
+        # The count never falls: if the last step has none, no earlier one has.
         with suppress(MapFolderError):
             if len(journal) == 0 or journal.step(len(journal) - 1).num_seeks == 0:
                 return False
@@ -171,10 +155,9 @@ def was_sought(path: Path) -> bool:
 
 
 def save_live(path: Path) -> str:
-    """Save the map of a run that was killed and cannot be continued, as of its last complete step; return the digest.
+    """Save the map of a killed run as of its last complete step; return the digest.
 
-    Raises:
-        MapFolderError: there is no map, nothing to save, or the disk refused.
+    Raises `MapFolderError`: there is no map, nothing to save, or the disk refused.
     """
     check_interrupted(path)
     config = recorded_config(path)
@@ -194,7 +177,6 @@ def save_live(path: Path) -> str:
 
 
 def _check_views(folder: MapFolder, continued: ResumePoint) -> None:
-    """Refuse a map whose views did not all reach the disk."""
     for tracked in continued.core.snapshot().objects:
         for view in tracked.views:
             if not (folder.views / f"{view.name}.json").is_file():

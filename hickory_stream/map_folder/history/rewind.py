@@ -1,7 +1,6 @@
-"""Rewind of a playback: the core's state at an earlier stamp, restored from the run's own journal.
+"""Rewind of a playback: the core's state at an earlier stamp, from the run's own journal.
 
-The steps after that stamp stay in the journal for inspection; the next step records from which one the core continues.
-Ids of objects and of jobs are not reused.
+Later steps stay in the journal for inspection; the next step records where the core continues. Ids are not reused.
 """
 
 from __future__ import annotations
@@ -28,28 +27,27 @@ Answer = ShapeReady | ShapeFailed
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rewound:
-    """The restored core.
-
-    `num_steps`: the number of journal steps in its state. `open_jobs`: shape jobs that were pending then; `answers`:
-    those of their results that have arrived since, by ticket. `lost_views`: views of that state whose pixels have been
-    deleted since, so that the core is without them. `unused_views`: views that only later steps had kept.
-    `registration`: what the registration of keyframes knew then, None where none had been registered.
-    """
+    """The restored core."""
 
     core: MapperCore
+    #: Journal steps in its state.
     num_steps: int
+    #: Shape jobs that were pending then.
     open_jobs: tuple[OpenJob, ...]
+    #: Results of these jobs since then, by ticket.
     answers: dict[int, Answer]
+    #: Views of that state whose pixels were deleted since; the core is without them.
     lost_views: tuple[str, ...]
+    #: Views that only later steps had kept.
     unused_views: tuple[str, ...]
+    #: None without registered keyframes.
     registration: RegistrationHistory | None = None
 
 
 def rewound_to(folder: MapFolder, config: MapperConfig, stamp_ns: int, now: MapperCore) -> Rewound:
-    """Return the core as it was before a stamp; the next ids that it assigns are those of the core `now`.
+    """Return the core before a stamp; its next ids are those of the core `now`.
 
-    Raises:
-        MapFolderError: the journal is damaged.
+    Raises `MapFolderError`: a damaged journal.
     """
     with Journal(folder.path) as journal:
         index = step_at(journal.stamps_ns, stamp_ns - 1)

@@ -1,8 +1,7 @@
-"""The state of the map at any moment of its run, from the journal, and the changes between two moments.
+"""The map at any moment of its run, from the journal, and changes between two moments.
 
-Moments are stamps of the log (nanoseconds), or seconds of the map's own clock: 0 at the first keyframe, and running on
-through a jump of the stamps, so that each moment of a looped log has one number. Where a stamp came up more than once,
-the last time counts.
+Moments are stamps of the log (ns), or seconds of the map's own clock: 0 at the first keyframe, continuous through jumps
+of the stamps, so that a looped log has unique moments. Of a repeated stamp the last time counts.
 """
 
 from __future__ import annotations
@@ -37,28 +36,24 @@ _NS = "ns"
 class Change:
     """A change of one object between two moments; `text` gives the numbers.
 
-    What appeared may have been there all the time, and what was dropped may still be there, as a part of another object
-    or of the room; "new" and "gone" are told by `changes.within_run`, with their probability. `was` is the
-    object of the earlier map that moved to where this one is.
+    An object that appeared may have been there all the time, and a dropped one may be part of another;
+    `changes.within_run` gives "new" and "gone" with a probability.
     """
 
     kind: ChangeKind
     object_id: int
     text: str
     probability: float | None = None
+    #: The object of the earlier map that moved here.
     was: int | None = None
 
 
 def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
-    """Return the map exactly as the core held it at a stamp; an empty one before the first keyframe.
+    """Return the core's map at a stamp, empty before the first keyframe; objects are read on first use (`known_map`).
 
-    Each object is read when somebody looks at it (`known_map`).
-
-    Raises:
-        MapFolderError: there is no map or no journal, or it is damaged or of another version; also from what of the map
-            is looked at later.
+    Raises `MapFolderError`: there is no map or no journal, or it is damaged or of another version; also on first use.
     """
-    # It stays open for whoever looks at the map later, and is closed with it.
+    # It stays open for reads on first use, and is closed with the map.
     journal = Journal(path)
     index = step_at(journal.stamps_ns, stamp_ns)
     if index is None:
@@ -73,17 +68,18 @@ def as_known_at(path: Path, stamp_ns: int) -> MapSnapshot:
 
 
 def seen_by(final: MapSnapshot, stamp_ns: int) -> MapSnapshot:
-    """Return the finished map, restricted to objects that had been seen by a stamp and to views taken by then.
-
-    An object that had been seen then keeps its final shape and points; one whose views are all later has none left.
-    """
+    """Return the finished map, restricted to objects and views seen by a stamp; shapes and points are final."""
     objects = [_with_views_until(o, stamp_ns) for o in final.objects if o.first_seen_ns <= stamp_ns]
-    graph = None if final.graph is None else _graph_until(final.graph, stamp_ns)
+    graph = final.graph
+    if graph is not None:
+        # No edge is older than its nodes.
+        nodes = tuple(node for node in graph.nodes if node.stamp_ns <= stamp_ns)
+        graph = PoseGraphRecord(nodes=nodes, edges=tuple(edge for edge in graph.edges if edge.stamp_ns <= stamp_ns))
     return replace(final, stamp_ns=min(final.stamp_ns, stamp_ns), objects=tuple(objects), graph=graph)
 
 
 def changes(before: MapSnapshot, after: MapSnapshot) -> tuple[Change, ...]:
-    """Return what happened to the objects between two moments, in the order of their ids."""
+    """Return the changes of objects between two maps, by id."""
     old = {o.id: o for o in before.objects}
     new = {o.id: o for o in after.objects}
     became = {gone: o.id for o in after.objects for gone in o.merged_ids}
@@ -102,11 +98,9 @@ def changes(before: MapSnapshot, after: MapSnapshot) -> tuple[Change, ...]:
 
 
 def stamp_of(path: Path, text: str) -> int:
-    """Return the stamp that a text names: seconds of the map's own clock ("12.5"), or a stamp ("17...ns").
+    """Return the stamp of a text: seconds of the map's own clock ("12.5"), or a stamp ("17...ns").
 
-    Raises:
-        InputError: it is neither, or outside of the run.
-        MapFolderError: there is no journal.
+    Raises `InputError`: it is neither, or outside of the run; `MapFolderError`: there is no journal.
     """
     with Journal(path) as journal:
         stamps_ns = journal.stamps_ns
@@ -128,7 +122,7 @@ def stamp_of(path: Path, text: str) -> int:
 
 
 def _config_of(path: Path) -> MapperConfig:
-    # The configuration takes in perception and shapes: importing these takes longer than reading what was known.
+    # Imported on use: the configuration imports perception and shapes, which takes longer than the read.
     from hickory_stream.map_folder.history.recorded_config import recorded_config
 
     return recorded_config(path)
@@ -142,26 +136,14 @@ def own_clock_s(stamps_ns: NDArray[np.int64], time_jump_s: float) -> NDArray[np.
 
 
 def step_at(stamps_ns: NDArray[np.int64], stamp_ns: int) -> int | None:
-    """Return the last step that had come by a stamp.
-
-    Of a log that was played in rounds that is one of the last round in which the stamp came up.
-    """
+    """Return the last step up to a stamp, in the last round in which the stamp occurs."""
     at = np.flatnonzero(stamps_ns <= stamp_ns)
     if len(at) == 0:
         return None
     if stamp_ns >= stamps_ns.max():
         return len(stamps_ns) - 1
-    # The last time that the clock went over this stamp.
     later = np.flatnonzero((stamps_ns[:-1] <= stamp_ns) & (stamps_ns[1:] > stamp_ns))
     return int(later[-1]) if len(later) else int(at[-1])
-
-
-def _graph_until(graph: PoseGraphRecord, stamp_ns: int) -> PoseGraphRecord:
-    return PoseGraphRecord(
-        nodes=tuple(node for node in graph.nodes if node.stamp_ns <= stamp_ns),
-        # No edge is older than the nodes that it joins.
-        edges=tuple(edge for edge in graph.edges if edge.stamp_ns <= stamp_ns),
-    )
 
 
 def _with_views_until(tracked: TrackedObject, stamp_ns: int) -> TrackedObject:

@@ -1,6 +1,6 @@
-"""The history of every track of a run: its masks, its merges and splits, and why it was dropped.
+"""History of every track of a run: masks, merges, splits, and why it was dropped.
 
-Derived from decisions alone, so that a viewer, which receives them live, and a command, which reads the journal, agree.
+It is derived from decisions alone, so that a viewer of a running map and a command with a journal agree.
 """
 
 from __future__ import annotations
@@ -44,16 +44,15 @@ class Ending:
 
 @dataclass(kw_only=True, slots=True)
 class TrackHistory:
-    """The history of a track; `born`: how it was created, `ending`: None for a track in the map.
-
-    `changes`: where it was set aside as part of the room, and where it was an object after all.
-    """
+    """The history of a track."""
 
     id: int
     born: Turn
     masks: list[Joined] = field(default_factory=list)
     turns: list[Turn] = field(default_factory=list)
+    #: Where it was set aside as part of the room, or became an object again.
     changes: list[Turn] = field(default_factory=list)
+    #: None for a track in the map.
     ending: Ending | None = None
 
     @property
@@ -70,7 +69,7 @@ class TrackHistories:
         self._homes: dict[tuple[int, int], int] = {}
 
     def add(self, frame: int | None, decisions: Iterable[Decision]) -> None:
-        """Take the decisions of a keyframe by the index of its frame, None for those of the end."""
+        """Add the decisions of a keyframe by its frame's index, None for those of the end."""
         for decision in decisions:
             if decision.object_id is not None:
                 self._take(frame, decision.object_id, decision)
@@ -92,12 +91,7 @@ class TrackHistories:
         """Return the history of a track, or of the last one that it was merged into, dropped or not."""
         history = self.by_id.get(track_id)
         seen = set()
-        while (
-            history is not None
-            and history.ending is not None
-            and history.ending.into is not None
-            and history.id not in seen
-        ):
+        while history and history.ending and history.ending.into is not None and history.id not in seen:
             seen.add(history.id)
             history = self.by_id.get(history.ending.into)
         return history
@@ -111,9 +105,8 @@ class TrackHistories:
             self._join(history, frame, decision.observation_index, decision.text)
         elif decision.kind == "merge" and decision.other_id is not None:
             history.turns.append(Turn(frame=frame, text=decision.text))
-            gone = self.by_id.setdefault(
-                decision.other_id, TrackHistory(id=decision.other_id, born=Turn(frame=frame, text=""))
-            )
+            other = decision.other_id
+            gone = self.by_id.setdefault(other, TrackHistory(id=other, born=Turn(frame=frame, text="")))
             _, _, reason = decision.text.partition(": ")
             gone.ending = Ending(kind="merged", frame=frame, text=reason, into=track_id)
         elif decision.kind == "part":
@@ -129,7 +122,7 @@ class TrackHistories:
     def _join(self, history: TrackHistory, frame: int, observation_index: int, text: str) -> None:
         before = self._homes.get((frame, observation_index))
         if before is not None and before != history.id:
-            # It was associated with another track first, off which this one was then split.
+            # The track was split off the one that had the mask first.
             kept = [m for m in self.by_id[before].masks if (m.frame, m.observation_index) != (frame, observation_index)]
             self.by_id[before].masks = kept
         self._homes[frame, observation_index] = history.id

@@ -16,7 +16,7 @@ from hickory_stream.errors import ConfigError
 from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.history.recorded_config import resumed_config
 from hickory_stream.map_folder.writer import create_map_folder
-from players import SourceOptions, note_of, open_source
+from players import SourceOptions, make_source_note, open_source
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +31,11 @@ def interrupted(tmp_path: Path, demo_log: Path) -> Callable[..., Path]:
         path = tmp_path / "map"
         source = open_source(demo_log)
         config = replace(MapperConfig(), run=RunConfig(**run))
-        asked = {"mode": "playback", "loops": 1, "source": note or note_of([demo_log], SourceOptions(), first_frames=1)}
+        asked = {
+            "mode": "playback",
+            "loops": 1,
+            "source": note or make_source_note([demo_log], SourceOptions(), first_frames=1),
+        }
         folder = create_map_folder(path, config=asdict(config), source=asdict(source.info), run=asked)
         source.close()
         JournalWriter(path, flush_s=1.0).abandon()
@@ -112,7 +116,7 @@ def test_a_log_that_is_neither_file_nor_folder_is_not_opened(
         "number": 7,
         "nothing": "",
     }[kind]
-    path = interrupted(note={**note_of([], SourceOptions()), "uris": [uri]})
+    path = interrupted(note={**make_source_note([], SourceOptions()), "uris": [uri]})
     assert main(["resume", str(path)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
@@ -120,7 +124,7 @@ def test_a_log_that_is_neither_file_nor_folder_is_not_opened(
 def test_a_damaged_note_is_refused_in_one_line(
     interrupted: Callable[..., Path], demo_log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    note = note_of([demo_log], SourceOptions())
+    note = make_source_note([demo_log], SourceOptions())
     path = interrupted()
     for change in ({"options": []}, {"first_frames": "all"}, {"options": {"clock": 7}}, {"start_s": []}, {"uris": 3}):
         manifest = json.loads((path / "manifest.json").read_text())

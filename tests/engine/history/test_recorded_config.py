@@ -11,7 +11,7 @@ import pytest
 from hickory_stream.base.former_keys import FORMER_KEYS, fixed_keys
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import MapFolderError
-from hickory_stream.map_folder.history.recorded_config import recorded_config, told_config
+from hickory_stream.map_folder.history.recorded_config import known_config, recorded_config
 from hickory_stream.map_folder.writer import create_map_folder
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def recorded(path: Path, config: dict[str, Any]) -> Path:
 
 def test_an_earlier_configuration_is_todays(tmp_path: Path, earlier: dict[str, Any]) -> None:
     path = recorded(tmp_path / "map", earlier)
-    assert recorded_config(path) == told_config(path) == MapperConfig()
+    assert recorded_config(path) == known_config(path) == MapperConfig()
 
 
 def test_another_number_than_the_fixed_one_is_refused(tmp_path: Path, earlier: dict[str, Any]) -> None:
@@ -62,7 +62,7 @@ def test_another_number_than_the_fixed_one_is_refused(tmp_path: Path, earlier: d
     path = recorded(tmp_path / "map", earlier)
     with pytest.raises(MapFolderError, match=r"mapping\.support\.level_m .* fixed at 0\.15 now; play the log again$"):
         recorded_config(path)
-    assert told_config(path) == MapperConfig()
+    assert known_config(path) == MapperConfig()
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_another_number_than_the_fixed_one_is_refused(tmp_path: Path, earlier: d
 )
 def test_a_damaged_configuration_is_refused(tmp_path: Path, config: dict[str, Any]) -> None:
     path = recorded(tmp_path / "map", config)
-    assert told_config(path).run == MapperConfig().run
+    assert known_config(path).run == MapperConfig().run
     with pytest.raises(MapFolderError, match="play the log again"):
         recorded_config(path)
 

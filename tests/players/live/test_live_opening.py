@@ -12,7 +12,7 @@ from hickory_stream.errors import CalibrationError, RecordingError
 from players.live import open_live
 from players.live.transport import Health
 from players.opening import open_source
-from players.poses.camera_poses import RigReader
+from players.poses.camera_poses import PoseReader
 from tests.player_scenes import OPTICAL, Messages, make_scene, png_bytes, png_images, scene_messages, write_mcap
 from tests.players.live.live_fixtures import Packet, ScriptedRoute, scene_packets
 from tools.robot.stamps import restamped
@@ -67,7 +67,7 @@ def test_calibration_that_comes_late_is_waited_for_by_name() -> None:
         told.append(text)
         route.send(late)
 
-    source = opened(route, tell=tell, patience_s=20.0)
+    source = opened(route, report=tell, patience_s=20.0)
     route.end()
     assert "no intrinsics for /cam/color/image_rect/compressed" in told[0]
     # The images that came before it were kept: all frames are there.
@@ -88,7 +88,7 @@ def test_topics_that_appear_one_after_the_other_are_told_one_after_the_other() -
         if parts:
             route.send(parts.pop(0))
 
-    source = opened(route, tell=tell, patience_s=30.0)
+    source = opened(route, report=tell, patience_s=30.0)
     route.end()
     assert "announced no topics" in told[0]
     assert [any(word in text for text in told) for word in ("no images", "no depth topic")] == [True, True]
@@ -190,9 +190,9 @@ def test_poses_without_images_do_not_fill_the_memory(monkeypatch: pytest.MonkeyP
     source = opened(route)
     frames = source.frames()
     next(frames)
-    readers: list[RigReader] = []
-    forget = RigReader.forget_older
-    monkeypatch.setattr(RigReader, "forget_older", lambda self, kept: (readers.append(self), forget(self, kept))[1])
+    readers: list[PoseReader] = []
+    forget = PoseReader.forget_older
+    monkeypatch.setattr(PoseReader, "forget_older", lambda self, kept: (readers.append(self), forget(self, kept))[1])
     route.send(
         replace(odometry, data=restamped(odometry.topic, odometry.data, i * 20_000_000)) for i in range(100, 10_000)
     )

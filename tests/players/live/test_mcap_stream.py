@@ -81,7 +81,7 @@ def test_standard_input_is_read(scene_log: Path, monkeypatch: pytest.MonkeyPatch
         (b"GET / HTTP/1.1\r\n\r\n", "begins with 47 45 54 20 .* expected an MCAP stream"),
         (
             b"\x89MCAP0\r\n" + b"\x05" + (1 << 40).to_bytes(8, "little") + bytes(100),
-            "what is no record .*1099511627776",
+            "holds no record .*1099511627776",
         ),
         (b"\x89MCAP0\r\n", "announced no topics; the stream has ended"),
     ],

@@ -99,7 +99,7 @@ def test_a_camera_is_opened_as_it_was_named_and_tried_again_until_it_is_there(
     monkeypatch.setattr("players.live.zed_route._AGAIN_S", 0.01)
     sl = fake_sl(open_fails=2)
     told: list[str] = []
-    source = open_live(uri, route=ZedRoute(uri, sl), attempt_s=0.3, patience_s=20.0, tell=told.append)
+    source = open_live(uri, route=ZedRoute(uri, sl), attempt_s=0.3, patience_s=20.0, report=told.append)
     assert sl.opened[0]._input == asked
     source.close()
 

@@ -19,7 +19,7 @@ from players.live import LiveMapSource, open_live
 from players.live.inbox import Inbox
 from players.live.recorder import Recorder
 from players.logs.containers import LogMessage, Topic
-from players.messages.header_stamp import peek_stamp_ns
+from players.messages.header_stamp import serialized_stamp_ns
 from tools.benchmarks.common.processes import NO_SHAPES, watched_peak_mb
 
 _DRAINED_S = 3.0
@@ -83,7 +83,7 @@ def main() -> None:
 
     def tap(topic: Topic, message: LogMessage) -> None:
         if topic.type_name.endswith("Image"):
-            arrivals[peek_stamp_ns(topic, message.data) or 0] = message.log_ns
+            arrivals[serialized_stamp_ns(topic, message.data) or 0] = message.log_ns
             if len(arrivals) > 10_000:
                 arrivals.clear()
         if recorder is not None:

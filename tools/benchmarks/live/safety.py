@@ -25,7 +25,7 @@ from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, 
 from hickory_stream.geometry.voxels import cells_of_keys, contains, keys_of_points, sorted_unique, union
 from hickory_stream.navigation.stand_ins import SeenSurface, early_obstacles
 from hickory_stream.records import FrameReport, MapSnapshot
-from players import note_of, open_noted
+from players import make_source_note, open_from_note
 from players.options import SourceOptions
 from players.playback import PlaybackClock
 from tools.benchmarks.common.processes import NO_SHAPES
@@ -137,7 +137,9 @@ def early_safety(log: Path, out: Path, *, seconds: float, has_shapes: bool = Tru
     """Map the beginning of a log live, and return how soon and how well its things were avoided."""
     collected = Collected()
     config = read_config(MapperConfig, None, () if has_shapes else (NO_SHAPES,))
-    source = open_noted(note_of([str(log)], SourceOptions(), end_s=seconds), PlaybackClock(1.0), config.keyframes)
+    source = open_from_note(
+        make_source_note([str(log)], SourceOptions(), end_s=seconds), PlaybackClock(1.0), config.keyframes
+    )
 
     async def run() -> None:
         async with Mapper(config, out=out, overwrite=True) as mapper:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hickory_stream.base.config_text import read_config
 from hickory_stream.config import MapperConfig
-from hickory_stream.engine.keyframe_places import KeyframePlaces, PlacedFrame
+from hickory_stream.engine.keyframe_places import PlacedFrame, RegistrationFilter
 from hickory_stream.evaluation.evaluate import evaluate
 from hickory_stream.evaluation.trajectory_error import best_alignment, trajectory_error
 from hickory_stream.evaluation.truth import load_truth, moved_truth
@@ -107,7 +107,7 @@ def registration_figures(log: Path) -> list[Figure]:
     trajectory = Trajectory(times_s=np.arange(len(true), dtype=float), world_from_camera=true)
     found, ms = [], []
     for factor in FACTORS:
-        places, poses = KeyframePlaces(RegistrationConfig()), []
+        places, poses = RegistrationFilter(RegistrationConfig()), []
         drifting = list(drifted(trajectory, drift_of(factor), np.random.default_rng([1, 6])).world_from_camera)
         for frame, pose in zip(frames, drifting, strict=True):
             started_s = time.process_time()

@@ -28,7 +28,7 @@ from hickory_stream.records import Scan
 from hickory_stream.worlds.recording import make_recording
 from players import open_source
 from players.logs.log_source import LogSource
-from players.poses.extrinsics import estimated_mounting
+from players.poses.extrinsics import estimated_extrinsics
 from tools.benchmarks.alignment.covariance import square_figures
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import DEMO, ROOT
@@ -161,7 +161,7 @@ def _extrinsics() -> list[Figure]:
             make_recording(config, Path(folder), "b2", caster=None)
             source = open_source(Path(folder) / "b2")
             assert isinstance(source, LogSource)
-            found = estimated_mounting(source)
+            found = estimated_extrinsics(source)
         if not isinstance(found, HandEye):
             continue
         off = found.body_from_camera[:3, 3] - drawn_mounting(seed)[:3, 3]

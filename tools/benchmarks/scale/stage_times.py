@@ -25,7 +25,7 @@ from hickory_stream.config import MapperConfig
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.engine.play import play
 from hickory_stream.sinks.disk_sink import DiskSink
-from players import SourceOptions, note_of, open_noted
+from players import SourceOptions, make_source_note, open_from_note
 from tools.benchmarks.common.processes import folder_mb, json_of
 
 STAGE_BUDGETS_MS = {
@@ -46,7 +46,7 @@ BUDGET_MS = sum(STAGE_BUDGETS_MS.values())
 _STAGES = (
     ("reading", ("decode", "_renumbered", "_placed", "next", "open_")),
     ("perception", ("prepare", "_perceived", "free_space")),
-    ("registration", ("KeyframePlaces", "keyframe_surface", "_found")),
+    ("registration", ("RegistrationFilter", "keyframe_surface", "_found")),
     ("deciding", ("handle", "decide", "_answered", "features", "extract", "pooled")),
 )
 
@@ -118,7 +118,7 @@ def _measured(log: Path, out: Path, overrides: list[str], frames: int | None) ->
     ThreadPoolExecutor.submit = timed_submit  # type: ignore[method-assign, assignment]
     DiskSink.show = clock.timed(DiskSink.show)  # type: ignore[method-assign]
     config = read_config(MapperConfig, None, ("run.shape_cache=false", *overrides))
-    source = open_noted(note_of([log], SourceOptions(), first_frames=frames))
+    source = open_from_note(make_source_note([log], SourceOptions(), first_frames=frames))
     began, began_all = time.monotonic(), os.times()
     try:
         played = play(

@@ -1,1 +1,1 @@
-"""Generators of shapes: programs of others, each in an environment of its own."""
+"""Generators of shapes: foreign programs, each in its own environment."""

@@ -1,4 +1,4 @@
-"""A generator tried on a built-in object: what it is, what it lacks, what it gives and what that takes."""
+"""Test of a generator on a built-in object: requirements, result and duration."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _DRAWN = np.array([230, 60, 40], np.uint8)
 
 
 def checked(spec: GeneratorSpec, path: Path) -> tuple[dict[str, Any], NDArray[np.uint8] | None]:
-    """Return what can be said of a generator, and a picture of what it made of a box, placed over the image of it."""
+    """Return facts about a generator, and a picture of its mesh of a box, over the box's image."""
     missing = missing_of(spec)
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "name": spec.name,
         "file": str(path),
         "command": " ".join(spec.command),
@@ -42,34 +42,32 @@ def checked(spec: GeneratorSpec, path: Path) -> tuple[dict[str, Any], NDArray[np
         "is_usable": False,
     }
     if missing:
-        return {**told, "state": f"lacks {'; '.join(missing)}"}, None
-    told["fingerprint"] = fingerprint(spec)
+        return {**facts, "state": f"lacks {'; '.join(missing)}"}, None
+    facts["fingerprint"] = fingerprint(spec)
     generator = ExternalGenerator(spec)
     started = time.perf_counter()
     try:
         said = generator.process.start()
-        told |= {"start_s": round(time.perf_counter() - started, 2), "said": {k: str(v) for k, v in said.items()}}
-        return _tried(generator, told)
+        facts |= {"start_s": round(time.perf_counter() - started, 2), "said": {k: str(v) for k, v in said.items()}}
+        return _tried(generator, facts)
     except WorkerError as error:
-        return {**told, "state": str(error)}, None
+        return {**facts, "state": str(error)}, None
     finally:
         generator.process.close()
 
 
-def _tried(generator: ExternalGenerator, told: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.uint8] | None]:
+def _tried(generator: ExternalGenerator, facts: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.uint8] | None]:
     inputs = _object()
     started = time.perf_counter()
     found = generator.generate(inputs)
-    told |= {
-        "job_s": round(time.perf_counter() - started, 2),
-        "memory_mb": round(generator.process.most_memory_mb, 1),
-    }
+    seconds, memory_mb = time.perf_counter() - started, generator.process.most_memory_mb
+    facts |= {"job_s": round(seconds, 2), "memory_mb": round(memory_mb, 1)}
     if isinstance(found, NoShape):
-        return {**told, "state": found.reason}, None
-    told |= {"vertices": len(found.mesh.vertices), "triangles": len(found.mesh.faces)}
+        return {**facts, "state": found.reason}, None
+    facts |= {"vertices": len(found.mesh.vertices), "triangles": len(found.mesh.faces)}
     placed = EmbeddedPlacement(PlacementConfig()).place(found.mesh, inputs)
     if not isinstance(placed, MeshPlacement):
-        return {**told, "state": placed.reason}, None
+        return {**facts, "state": placed.reason}, None
     crop = inputs.crops[0]
     world = apply(placed.world_from_mesh, found.mesh.vertices.astype(np.float64))
     pixels = np.round(project(apply(invert(crop.world_from_camera), world), crop.camera))
@@ -77,11 +75,10 @@ def _tried(generator: ExternalGenerator, told: dict[str, Any]) -> tuple[dict[str
     is_inside = ((pixels >= 0) & (pixels < (crop.camera.width, crop.camera.height))).all(axis=1)
     columns, rows = pixels[is_inside].astype(np.int64).T
     picture[rows, columns] = _DRAWN
-    return {**told, "state": "ok", "cost": round(placed.cost, 3), "is_usable": True}, picture
+    return {**facts, "state": "ok", "cost": round(placed.cost, 3), "is_usable": True}, picture
 
 
 def _object() -> ShapeInputs:
-    """Return a box on a floor as a few views show it."""
     crops = []
     box = SCENE_BOXES[-1:]
     for index in _FRAMES:

@@ -1,4 +1,4 @@
-"""The reconstructor of a job: an embedded one, or the generator that this machine has chosen."""
+"""The reconstructor of a job: an embedded one, or the machine's generator."""
 
 from __future__ import annotations
 
@@ -9,19 +9,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hickory_stream.engine.shape_jobs.generators import spec as specs
 from hickory_stream.engine.shape_jobs.generators.exchange import read_answer, write_question
 from hickory_stream.engine.shape_jobs.generators.process import GeneratorLimitError, GeneratorProcess
 from hickory_stream.engine.shape_jobs.generators.refine import ExternalRefiner
-from hickory_stream.engine.shape_jobs.generators.spec import (
-    CHOICE_VARIABLE,
-    GeneratorSpec,
-    check_licence,
-    find_spec,
-    fingerprint,
-    missing_of,
-    read_spec,
-    refiner_of,
-)
 from hickory_stream.errors import ConfigError, WorkerError
 from hickory_stream.ports import NoShape
 from hickory_stream.shapes.build import make_reconstructor
@@ -36,9 +27,9 @@ _ATTEMPTS = 2
 
 
 class ExternalGenerator:
-    """The `MeshGenerator` that asks a program; a second process is tried where the first one fails."""
+    """A `MeshGenerator` that asks a program; a second process is tried if the first one fails."""
 
-    def __init__(self, spec: GeneratorSpec) -> None:
+    def __init__(self, spec: specs.GeneratorSpec) -> None:
         self.name = spec.name
         self._spec = spec
         self.process = GeneratorProcess(spec)
@@ -55,62 +46,55 @@ class ExternalGenerator:
                     return read_answer(folder, job, self._spec.views)
                 except WorkerError as error:
                     reason, hit_limit = str(error), isinstance(error, GeneratorLimitError)
-                    # What it says next may belong to what went wrong.
+                    # Its next answer may belong to the failed job.
                     self.process.close()
         return NoShape(reason=reason, hit_limit=hit_limit)
 
 
 def reconstructor_of(config: ShapeConfig) -> Reconstructor:
-    """Return the reconstructor of a job in this process; raises ConfigError where it needs a generator that is unset.
+    """Return the reconstructor of a job; the machine, never the job, chooses the program.
 
-    Which program that is this machine says, never the job.
+    Raises `ConfigError`: the job needs a generator, and none is set.
     """
     if config.reconstructor != "external":
         return make_reconstructor(config.reconstructor, config)
-    path = os.environ.get(CHOICE_VARIABLE, "")
+    path = os.environ.get(specs.CHOICE_VARIABLE, "")
     if not path:
-        raise ConfigError(f"this job needs a generator; set ${CHOICE_VARIABLE} to its TOML")
+        raise ConfigError(f"this job needs a generator; set ${specs.CHOICE_VARIABLE} to its TOML")
     return generating(Path(path), config)
 
 
 def generating(spec: Path, config: ShapeConfig) -> Reconstructor:
-    """Return the reconstructor that asks the generator of a TOML; raises ConfigError where that cannot be read."""
-    return make_reconstructor("external", config, _generator(str(spec)), _refiner(str(spec), config))
+    """Return the reconstructor that asks the generator of a TOML. Raises `ConfigError`: it cannot be read."""
+    process = _refining(str(spec))
+    refiner = None if process is None else ExternalRefiner(process, EmbeddedPlacement(config.placement))
+    return make_reconstructor("external", config, _generator(str(spec)), refiner)
 
 
 @cache
 def _generator(path: str) -> ExternalGenerator:
-    """Return the one process of a generator that serves all jobs of this one."""
-    generator = ExternalGenerator(read_spec(Path(path)))
+    generator = ExternalGenerator(specs.read_spec(Path(path)))
     atexit.register(generator.process.close)
     return generator
 
 
 @cache
 def _refining(path: str) -> GeneratorProcess | None:
-    """Return the one process of the refiner that a generator names, None where it names none."""
-    spec = refiner_of(read_spec(Path(path)))
-    if spec is None:
-        return None
-    process = GeneratorProcess(spec)
-    atexit.register(process.close)
+    spec = specs.refiner_of(specs.read_spec(Path(path)))
+    process = GeneratorProcess(spec) if spec is not None else None
+    if process is not None:
+        atexit.register(process.close)
     return process
 
 
-def _refiner(path: str, config: ShapeConfig) -> ExternalRefiner | None:
-    process = _refining(path)
-    return None if process is None else ExternalRefiner(process, EmbeddedPlacement(config.placement))
-
-
 def chosen_generator(config: MapperConfig) -> Path | None:
-    """Return the TOML of the generator that a run needs, None where it needs none; nothing is played with a bad one.
+    """Return the TOML of the generator of a run, None without one; checked before anything is played.
 
-    Raises:
-        ConfigError: there is none of that name, its licence was not accepted, or something of it is missing.
+    Raises `ConfigError`: no such generator, its licence was not accepted, or a part is missing.
     """
     if config.shapes.reconstructor != "external":
         return None
-    path = find_spec(config.run.generator)
+    path = specs.find_spec(config.run.generator)
     check_generator(path, config)
     return path
 
@@ -118,16 +102,15 @@ def chosen_generator(config: MapperConfig) -> Path | None:
 def check_generator(path: Path, config: MapperConfig) -> None:
     """Start the generator of a TOML, and its refiner, and end them again.
 
-    Raises:
-        ConfigError: its licence was not accepted, something of it is missing, or it does not start.
+    Raises `ConfigError`: its licence was not accepted, a part is missing, or it does not start.
     """
-    spec = read_spec(path)
-    refiner = refiner_of(spec)
+    spec = specs.read_spec(path)
+    refiner = specs.refiner_of(spec)
     for program in [spec] if refiner is None else [spec, refiner]:
-        check_licence(program, config.run.accept_licence)
+        specs.check_licence(program, config.run.accept_licence)
         if config.run.cluster:
             continue  # what it needs is on the machines of the cluster
-        if missing := missing_of(program):
+        if missing := specs.missing_of(program):
             lacking = "; ".join(missing)
             raise ConfigError(f"the generator {program.name} ({path}) lacks {lacking}; see `generators check`")
         process = GeneratorProcess(program)
@@ -140,7 +123,7 @@ def check_generator(path: Path, config: MapperConfig) -> None:
 
 
 def generator_key(config: MapperConfig) -> str:
-    """Return what tells the shapes of a run's generator from those of another one, "" without a generator."""
+    """Return the identity of a run's generator, "" without one."""
     if config.shapes.reconstructor != "external":
         return ""
-    return fingerprint(read_spec(find_spec(config.run.generator)))
+    return specs.fingerprint(specs.read_spec(specs.find_spec(config.run.generator)))

@@ -1,25 +1,25 @@
-"""One object as a generator is given it, and its answer: a folder of files that any language can read and write.
+"""Questions to a generator and its answers, as folders of files for any language.
 
-rgb.png, mask.png   the best view: colour; 255 where the object is
-depth.npy           (H, W) float32 metres along the optical axis, 0 where there is none
+rgb.png, mask.png   the best view: colour; 255 on the object
+depth.npy           (H, W) float32 metres along the optical axis, 0 = none
 camera.json         width, height, fx, fy, cx, cy, and world_from_camera, (4, 4) by rows; x right, y down, z forward
-job.json            job, the name of this job, which the answer repeats; seed; views, how many there are
+job.json            job, a name that the answer repeats; seed; views, their number
 views/N/            the same four files of further views, from 1
-mesh.glb            the answer: one mesh of triangles in one buffer, no transforms; vertex colours if it has any
-result.json         the answer: job; camera_from_mesh, (4, 4) by rows, a similarity, where the generator knows it
+mesh.glb            answer: one mesh of triangles in one buffer, no transforms; optional vertex colours
+result.json         answer: job; camera_from_mesh, (4, 4) by rows, a similarity, if known
 no_shape.json       instead of both: job and reason
 
-A refiner of poses is asked about a mesh instead of for one, and its answer has no mesh.glb:
+A pose refiner gets a mesh, and its answer has no mesh.glb:
 
-model.npz           vertices (V, 3) float32 in metres, faces (F, 3) int32, in a frame of their own; colors (V, 3)
-                    uint8, red first
-result.json         job; camera_from_mesh, (4, 4) by rows, a rotation and a place
+model.npz           vertices (V, 3) float32 in metres, faces (F, 3) int32; colors (V, 3) uint8, red first
+result.json         job; camera_from_mesh, (4, 4) by rows, rigid
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from hickory_stream.geometry.mesh import mesh_of_glb
 from hickory_stream.ports import GeneratedMesh, NoShape
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -48,7 +49,7 @@ _RIGID = 3e-3
 
 
 def write_question(folder: Path, inputs: ShapeInputs, num_views: int, model: Mesh | None = None) -> str:
-    """Write the views that a program is shown, and the model whose pose it is asked; return the job, a hash of all."""
+    """Write the views, and the model whose pose is asked; return the job's name, a hash of all."""
     crops = inputs.crops[:num_views]
     digest = hashlib.sha256()
     if model is not None:
@@ -86,48 +87,51 @@ def _files_of(crop: Crop) -> dict[str, bytes]:
 
 
 def read_answer(folder: Path, job: str, num_views: int) -> GeneratedMesh | NoShape:
-    """Return what a generator left.
+    """Return the answer of a generator.
 
-    Raises:
-        WorkerError: it left nothing that can be read, something that no mesh can be, or the answer to another job.
+    Raises `WorkerError`: it is missing, damaged, no valid mesh, or of another job.
     """
-    try:
-        if (folder / NO_SHAPE).exists():
-            said = _said(folder, NO_SHAPE, job)
-            return NoShape(reason=str(said.get("reason", "no reason given"))[:_MOST_REASON])
-        said = _said(folder, RESULT, job)
+    with _readable():
+        said = _said(folder, job)
+        if isinstance(said, NoShape):
+            return said
         mesh = mesh_of_glb(_limited(folder, MESH))
         if len(mesh.faces) > _MOST_FACES:
             raise ValueError(f"the mesh has {len(mesh.faces)} triangles; at most {_MOST_FACES}")
         return GeneratedMesh(mesh=mesh, camera_from_mesh=_similarity(said.get("camera_from_mesh")), num_views=num_views)
-    except (OSError, ValueError, KeyError, TypeError, OutsideError, RecursionError, MemoryError) as error:
-        raise WorkerError(f"its answer is not usable: {error}") from error
 
 
 def read_pose(folder: Path, job: str) -> NDArray[np.float64] | NoShape:
-    """Return camera_from_mesh (4, 4) as a refiner left it, or why it has none.
+    """Return camera_from_mesh (4, 4) of a refiner, or why it has none.
 
-    Raises:
-        WorkerError: it left nothing that can be read, something that is no rotation, or the answer to another job.
+    Raises `WorkerError`: it is missing, damaged, not rigid, or of another job.
     """
-    try:
-        if (folder / NO_SHAPE).exists():
-            return NoShape(reason=str(_said(folder, NO_SHAPE, job).get("reason", "no reason given"))[:_MOST_REASON])
-        found = _similarity(_said(folder, RESULT, job).get("camera_from_mesh"))
+    with _readable():
+        said = _said(folder, job)
+        if isinstance(said, NoShape):
+            return said
+        found = _similarity(said.get("camera_from_mesh"))
         if found is None or abs(portable.det3(found[:3, :3]) - 1) > _RIGID:
             raise ValueError("camera_from_mesh is no rotation and place of a mesh of true size")
         return found
+
+
+@contextmanager
+def _readable() -> Iterator[None]:
+    try:
+        yield
     except (OSError, ValueError, KeyError, TypeError, OutsideError, RecursionError, MemoryError) as error:
         raise WorkerError(f"its answer is not usable: {error}") from error
 
 
-def _said(folder: Path, name: str, job: str) -> dict[str, Any]:
+def _said(folder: Path, job: str) -> dict[str, Any] | NoShape:
+    name = NO_SHAPE if (folder / NO_SHAPE).exists() else RESULT
     said = json.loads(_limited(folder, name))
     if not isinstance(said, dict):
         raise ValueError(f"{name} is no object")
     if said.get("job") != job:
         raise ValueError(f"{name} answers another job")
-    return said
+    return said if name == RESULT else NoShape(reason=str(said.get("reason", "no reason given"))[:_MOST_REASON])
 
 
 def _limited(folder: Path, name: str) -> bytes:
@@ -138,7 +142,6 @@ def _limited(folder: Path, name: str) -> bytes:
 
 
 def _similarity(rows: Any) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None:
-    """Return camera_from_mesh as an array; raises ValueError where it is no rotation with a scale and a place."""
     if rows is None:
         return None
     found = np.array(rows, dtype=np.float64)

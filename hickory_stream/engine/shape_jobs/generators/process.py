@@ -1,7 +1,7 @@
-"""A generator's process: started once, asked job after job, replaced when it crashes, hangs or grows.
+"""The process of a generator: started once, replaced when it crashes, hangs or grows.
 
-It is spoken to in lines of JSON. It says {"ready": true} when its weights are loaded; a job is {"job": NAME, "folder":
-PATH}, its answer {"done": NAME}. It ends when its standard input does. Standard error is the run's.
+Protocol, in lines of JSON: it says {"ready": true} when its weights are loaded; a job is {"job": NAME, "folder":
+PATH}, its answer {"done": NAME}. It ends with its standard input. Standard error is the run's.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _MOST_LINE = 1 << 16
 
 
 class GeneratorLimitError(WorkerError):
-    """A generator took more time or memory than it may."""
+    """A generator exceeded its limit of time or memory."""
 
 
 class GeneratorProcess:
-    """One generator; `ask` starts it where it does not run."""
+    """One generator; `ask` starts it if necessary."""
 
     def __init__(self, spec: GeneratorSpec) -> None:
         self.name = spec.name
@@ -45,15 +45,13 @@ class GeneratorProcess:
         self.most_memory_mb = 0.0
 
     def start(self) -> dict[str, Any]:
-        """Start the program and return what it said when it was ready.
+        """Start the program and return its message when it is ready.
 
-        Raises:
-            WorkerError: it cannot be started, or does not get ready.
+        Raises `WorkerError`: it cannot be started, or does not get ready.
         """
-        program = program_of(self._spec)
-        if program is None or (missing := missing_of(self._spec)):
-            missing = missing_of(self._spec)
-            raise WorkerError(f"the generator {self._spec.name} lacks {'; '.join(missing)}")
+        program, missing = program_of(self._spec), missing_of(self._spec)
+        if program is None or missing:
+            raise WorkerError(f"the generator {self.name} lacks {'; '.join(missing)}")
         try:
             child = subprocess.Popen(
                 [program, *self._spec.command[1:]],
@@ -63,7 +61,7 @@ class GeneratorProcess:
                 env={**os.environ, **dict(self._spec.environment)},
             )
         except OSError as error:
-            raise WorkerError(f"the generator {self._spec.name} cannot be started: {error.strerror}") from error
+            raise WorkerError(f"the generator {self.name} cannot be started: {error.strerror}") from error
         self._child = child
         self._lines = queue.Queue()
         threading.Thread(target=_read, args=(child, self._lines), name="generator", daemon=True).start()
@@ -74,15 +72,14 @@ class GeneratorProcess:
             raise
         if said.get("ready") is not True:
             self.close()
-            raise WorkerError(f"the generator {self._spec.name} began with {str(said)[:100]}; expected ready")
+            raise WorkerError(f"the generator {self.name} began with {str(said)[:100]}; expected ready")
         return said
 
     def ask(self, folder: Path, job: str) -> None:
-        """Have one job done; afterwards its answer lies in the folder.
+        """Do one job; the answer is in the folder afterwards.
 
-        Raises:
-            WorkerError: it crashed, or answered what is no answer; it is started anew for the next job.
-            GeneratorLimitError: it took too long, or too much memory.
+        Raises `WorkerError`: it crashed or gave an invalid answer, and restarts for the next job;
+        `GeneratorLimitError`.
         """
         if self._child is None or self._child.poll() is not None:
             self.close()
@@ -94,16 +91,16 @@ class GeneratorProcess:
             self._child.stdin.flush()
             said = self._next(self._spec.time_s, "an answer")
             if said.get("done") != job:
-                raise WorkerError(f"the generator {self._spec.name} answered another job")
+                raise WorkerError(f"the generator {self.name} answered another job")
         except OSError as error:
             self.close()
-            raise WorkerError(f"the generator {self._spec.name} has ended: {error.strerror}") from error
+            raise WorkerError(f"the generator {self.name} has ended: {error.strerror}") from error
         except WorkerError:
             self.close()
             raise
 
     def close(self) -> None:
-        """End the process and what it started."""
+        """End the process and its children."""
         child, self._child = self._child, None
         if child is None:
             return
@@ -119,7 +116,6 @@ class GeneratorProcess:
                     stream.close()
 
     def _next(self, limit_s: float, what: str) -> dict[str, Any]:
-        """Return the next line that it says; looks at its memory meanwhile."""
         until_s = time.monotonic() + limit_s
         while True:
             try:
@@ -128,23 +124,21 @@ class GeneratorProcess:
                 memory = self._memory_mb()
                 self.most_memory_mb = max(self.most_memory_mb, memory)
                 if memory > self._spec.memory_mb:
-                    raise GeneratorLimitError(
-                        f"the generator {self._spec.name} took more than {self._spec.memory_mb:g} MB (its memory_mb)"
-                    ) from None
+                    limit = f"{self._spec.memory_mb:g} MB (its memory_mb)"
+                    raise GeneratorLimitError(f"the generator {self.name} took more than {limit}") from None
                 if time.monotonic() > until_s:
-                    raise GeneratorLimitError(
-                        f"the generator {self._spec.name} gave no sign of {what} within {limit_s:g} s"
-                    ) from None
+                    reason = f"gave no sign of {what} within {limit_s:g} s"
+                    raise GeneratorLimitError(f"the generator {self.name} {reason}") from None
                 continue
             if not line:
                 assert self._child is not None
-                raise WorkerError(f"the generator {self._spec.name} ended with status {self._child.wait()}")
+                raise WorkerError(f"the generator {self.name} ended with status {self._child.wait()}")
             try:
                 said = json.loads(line)
             except (ValueError, RecursionError) as error:
-                raise WorkerError(f"the generator {self._spec.name} printed what is no JSON: {line[:80]!r}") from error
+                raise WorkerError(f"the generator {self.name} printed what is no JSON: {line[:80]!r}") from error
             if not isinstance(said, dict):
-                raise WorkerError(f"the generator {self._spec.name} said {str(said)[:80]}; expected an object")
+                raise WorkerError(f"the generator {self.name} said {str(said)[:80]}; expected an object")
             return said
 
     def _memory_mb(self) -> float:
@@ -160,7 +154,7 @@ class GeneratorProcess:
 
 
 def _read(child: subprocess.Popen[bytes], lines: queue.Queue[bytes]) -> None:
-    """Hand on what the child says, line by line; an empty line is its end."""
+    # An empty line is the end.
     assert child.stdout is not None
     with contextlib.suppress(OSError, ValueError):
         while line := child.stdout.readline(_MOST_LINE):

@@ -1,8 +1,7 @@
-"""A refiner of poses that is any program, such as FoundationPose: it improves on the embedded placement, or does not.
+"""A pose refiner that is any program, such as FoundationPose, beside the embedded placement.
 
-The program needs a mesh of true size: the embedded placement says first how large the mesh is, and how it is stretched.
-The program then says where it lies in the best view. That is one more start of the embedded placement, which weighs
-all views, free space and support; of both results the one that less contradicts stays.
+The program needs a mesh of true size, which the embedded placement finds first. The program's pose in the best view is
+another start of the embedded placement. The result with the lower cost stays.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class ExternalRefiner:
-    """The `PoseRefiner` that asks a program; where it has no answer the `embedded` one decides alone."""
+    """A `PoseRefiner` that asks a program; without an answer, the `embedded` one decides alone."""
 
     def __init__(self, process: GeneratorProcess, embedded: PoseRefiner) -> None:
         self.name = process.name
@@ -38,7 +37,7 @@ class ExternalRefiner:
     def place(
         self, mesh: Mesh, inputs: ShapeInputs, guess: NDArray[np.float64] | None = None
     ) -> MeshPlacement | NotPlaced:
-        """Return where the mesh lies in the world, or why that cannot be said."""
+        """Return the mesh's pose in the world, or why it is unknown."""
         first = self._embedded.place(mesh, inputs, guess)
         if isinstance(first, NotPlaced):
             return first
@@ -55,7 +54,6 @@ class ExternalRefiner:
         return second if not isinstance(second, NotPlaced) and second.cost < first.cost else first
 
     def _asked(self, model: Mesh, inputs: ShapeInputs) -> NDArray[np.float64] | None:
-        """Return what the program says, None where it says nothing that is usable."""
         with tempfile.TemporaryDirectory(prefix="hickory-refiner-") as temporary:
             folder = Path(temporary).resolve()
             job = write_question(folder, inputs, 1, model)
@@ -63,7 +61,7 @@ class ExternalRefiner:
                 self._process.ask(folder, job)
                 found = read_pose(folder, job)
             except WorkerError:
-                # What it says next may belong to what went wrong.
+                # Its next answer may belong to the failed job.
                 self._process.close()
                 return None
         return None if isinstance(found, NoShape) else found

@@ -1,4 +1,4 @@
-"""A generator as its TOML describes it: which program it is, what it needs, under which licence."""
+"""A generator as its TOML describes it: program, requirements and licence."""
 
 from __future__ import annotations
 
@@ -23,41 +23,33 @@ _CHUNK = 1 << 20
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GeneratorSpec(Ranged):
-    """A generator.
+    """A generator."""
 
-    Attributes:
-        name: what the map says that a shape is by.
-        command: program and arguments; it is started in the folder of the TOML, and paths are relative to that.
-        environment, resources: names and values, e.g. CUDA_VISIBLE_DEVICES, and GPU = 1, which a job then asks of a
-            worker of a cluster.
-        licence: of code and weights. Where `acceptance` is not "", `run.accept_licence` must say exactly that.
-        refiner: the TOML, beside this one, of a program that refines the poses of its meshes; "" for none.
-        weights: files whose content is a part of what makes a shape.
-        views: how many views it uses, the best first.
-        start_s, time_s, memory_mb: limits for its start, for one object, and for its processes together.
-    """
-
+    #: The map names it as the maker of a shape.
     name: str
+    #: Started in the folder of the TOML; paths are relative to it.
     command: tuple[str, ...]
     environment: tuple[tuple[str, str], ...] = ()
+    #: Of a cluster's worker, e.g. GPU = 1.
     resources: tuple[tuple[str, str], ...] = ()
     licence: str = "not stated"
+    #: Text that `run.accept_licence` must repeat, "" for none.
     acceptance: str = ""
+    #: TOML, beside this one, of a pose refiner; "" for none.
     refiner: str = ""
+    #: Files whose content decides shapes.
     weights: tuple[str, ...] = ()
+    #: Number of views that it uses, the best first.
     views: int = number(1, 1, 64, "views")
     start_s: float = number(300.0, 0.01, 86400, "s")
     time_s: float = number(120.0, 0.01, 86400, "s")
+    #: Of its processes together; `start_s` and `time_s` limit its start and one object.
     memory_mb: float = number(16_000.0, 1, 1e7, "MB")
     folder: Path = field(default_factory=Path)
 
 
 def read_spec(path: Path) -> GeneratorSpec:
-    """Return the generator that a TOML describes.
-
-    Raises:
-        ConfigError: there is no such file, it is not TOML, or says what no generator has.
-    """
+    """Return the generator of a TOML. Raises `ConfigError`: no such file, not TOML, or an unknown key."""
     try:
         data: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -82,7 +74,7 @@ def read_spec(path: Path) -> GeneratorSpec:
 
 
 def refiner_of(spec: GeneratorSpec) -> GeneratorSpec | None:
-    """Return the program that refines a generator's poses, None without one; raises ConfigError as `read_spec` does."""
+    """Return the pose refiner of a generator, None without one. Raises `ConfigError` like `read_spec`."""
     if not spec.refiner:
         return None
     found = read_spec(spec.folder / spec.refiner)
@@ -92,10 +84,9 @@ def refiner_of(spec: GeneratorSpec) -> GeneratorSpec | None:
 
 
 def cluster_resources(spec: GeneratorSpec) -> dict[str, float]:
-    """Return what a job of the generator needs of a worker of a cluster, e.g. {"GPU": 1.0}.
+    """Return the resources that a job needs of a cluster's worker, e.g. {"GPU": 1.0}.
 
-    Raises:
-        ConfigError: a resource is no positive number.
+    Raises `ConfigError`: a resource is no positive number.
     """
     found = {}
     for name, text in spec.resources:
@@ -110,16 +101,12 @@ def cluster_resources(spec: GeneratorSpec) -> dict[str, float]:
 
 
 def generators_folder() -> Path:
-    """Return where generators are looked for by name: $HICKORY_GENERATORS, else a folder of the user's."""
+    """Return the folder of generators by name: $HICKORY_GENERATORS, else a folder of the user's."""
     return Path(os.environ.get(FOLDER_VARIABLE) or Path.home() / ".config" / "hickory-stream" / "generators")
 
 
 def find_spec(name: str) -> Path:
-    """Return the TOML of a generator, named by its path or by its name in the folder of generators.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """Return the TOML of a generator, given by path or by name. Raises `ConfigError`: there is none."""
     path = Path(name)
     if path.suffix == ".toml":
         if not path.is_file():
@@ -127,14 +114,13 @@ def find_spec(name: str) -> Path:
         return path.resolve()
     kept = generators_folder() / f"{name}.toml"
     if not name or not kept.is_file():
-        raise ConfigError(
-            f"run.generator is {name!r}, and {kept} is not there; name a TOML, or one of `generators list`"
-        )
+        found = f"run.generator is {name!r}, and {kept} is not there"
+        raise ConfigError(f"{found}; name a TOML, or one of `generators list`")
     return kept.resolve()
 
 
 def check_licence(spec: GeneratorSpec, accepted: str) -> None:
-    """Raise ConfigError unless what a licence asks for was accepted word by word; several with semicolons between."""
+    """Raise `ConfigError` unless the licence's text was accepted word by word; semicolons separate several."""
     if spec.acceptance and spec.acceptance not in (part.strip() for part in accepted.split(";")):
         raise ConfigError(
             f"the generator {spec.name} is under {spec.licence}; if you accept that, "
@@ -143,7 +129,7 @@ def check_licence(spec: GeneratorSpec, accepted: str) -> None:
 
 
 def missing_of(spec: GeneratorSpec) -> list[str]:
-    """Return what is not there: the program, scripts and weights that it names."""
+    """Return missing parts: program, scripts and weights."""
     missing = []
     if program_of(spec) is None:
         missing.append(f"the program {spec.command[0]} (install its environment, see its script)")
@@ -154,7 +140,7 @@ def missing_of(spec: GeneratorSpec) -> list[str]:
 
 
 def program_of(spec: GeneratorSpec) -> str | None:
-    """Return the program that is run, None where there is none."""
+    """Return the program, None if it is missing."""
     first = spec.command[0]
     if os.sep in first:
         path = spec.folder / first
@@ -163,7 +149,7 @@ def program_of(spec: GeneratorSpec) -> str | None:
 
 
 def fingerprint(spec: GeneratorSpec) -> str:
-    """Return the hash of what makes its shapes: what the TOML says, its scripts, its weights."""
+    """Return the hash of everything that decides its shapes: TOML, scripts, weights."""
     said = (spec.name, spec.command, spec.environment, spec.licence, spec.views)
     digest = hashlib.sha256(repr(said).encode())
     if (refiner := refiner_of(spec)) is not None:
