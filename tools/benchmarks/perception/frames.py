@@ -170,7 +170,7 @@ def _time_of(keyframes: Sequence[PlayedKeyframe]) -> Figure:
 
 
 def _memory_of(log: Path, keyframes: int) -> list[Figure]:
-    """Return the memory of layer 1: all of it, the part of keyframes and their map, and the part that is not released."""
+    """Return the memory of layer 1: all of it, the part of keyframes and their map, and the unreleased part."""
     memory = keyframe_memory(log, keyframes=keyframes, rounds=_MEMORY_ROUNDS)
     print(f"memory on {memory.keyframes} keyframes of {log.stem}, {_MEMORY_ROUNDS} rounds; {WARM_KEYFRAMES} to warm up")
     return [

@@ -29,7 +29,7 @@ from tools.evaluation.shapes.spoiled_generator import generated, sighted
 from tools.generators.fakes.packages import ADAPTERS, REFINERS, adapter_fault, refiner_fault
 
 _ADDS = 0.05
-# A swapped object whose surface, placed, has this F1 at 5 % of the diameter with the truth cannot be distinguished from it.
+# A swapped object whose placed surface has this F1 at 5 % of the diameter cannot be distinguished from the truth.
 _SAME_F1 = 0.8
 # A kept shape that is worse than the fused one by more than this does harm that is not chance of the samples.
 _WORSE_F1 = 0.02
