@@ -7,7 +7,7 @@ places it would be 1 / V, however large the place (a pair correlation function: 
 2015, chapter 7). The probability of a set is the product over its pairs, each given those before it; of these the
 nearest one counts (Chow and Liu 1968).
 
-The table is measured, by `tools/benchmarks/alignment/furniture_groups.py`, on 100 pairs of different furnished apartments of
+The table is measured, by `tools/benchmarks/alignment/furniture_groups.py`, on 100 pairs of different apartments of
 `hickory_stream.worlds`, seeds 0 to 31, among the 2 % of all pairs that look most alike. Among pairs that look less
 alike the surplus is thinner: as many coincide, of more.
 
