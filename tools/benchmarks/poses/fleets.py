@@ -154,7 +154,7 @@ def _counted(fleet: _Fleet, result: FleetResult) -> dict[str, int]:
         pose_a, pose_b = place[a], place[b]
         if frame[a] == frame[b] and pose_a is not None and pose_b is not None:
             wrong.append(fleet.is_wrong(a, b, invert(pose_a) @ pose_b))
-    counts = Counter(joins=len(wrong), wrong=sum(wrong), robots=0, joined=0, undecidable=0)
+    counts = Counter(joins=len(wrong), wrong=int(sum(wrong)), robots=0, joined=0, undecidable=0)
     for name in fleet.names:
         others = [other for other in fleet.names if other != name]
         if any(fleet.shares(name, other) for other in others):
