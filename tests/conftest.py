@@ -16,6 +16,10 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+# Each process of the tests has a processor of its own: more threads would only wait for one another.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
 settings.register_profile("default", deadline=None, max_examples=50, derandomize=True)
 settings.load_profile("default")
 
