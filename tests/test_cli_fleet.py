@@ -15,6 +15,7 @@ from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.map_folder.saved_map import open_map
+from tests.conftest import COARSE_SHAPES
 from tests.test_cli import Ended, look
 from tools.worlds.fleet import make_fleet
 from tools.worlds.recording_config import RecordingConfig
@@ -45,11 +46,24 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("robots")
     make_fleet(SMALL, folder, "f", 2, caster=None)
     (folder / "broken.mcap").write_bytes(b"no log at all" * 100)
+    # What is merged has shapes all the same.
+    (folder / "coarse.toml").write_text(COARSE_SHAPES)
     return folder
 
 
 def fleet(made: Path, out: Path, *arguments: object) -> Run:
-    options = (*NO_SHAPES, "--every", "2", "--workers", "1", "--viewer", "none", "--json")
+    options = (
+        "--config",
+        made / "coarse.toml",
+        *NO_SHAPES,
+        "--every",
+        "2",
+        "--workers",
+        "1",
+        "--viewer",
+        "none",
+        "--json",
+    )
     return Run(out=out, ended=look("fleet", *arguments, "-o", out, *options))
 
 
