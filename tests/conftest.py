@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
+import gc
 import json
+import os
+import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+# The processes that tests start load compiled modules: to compile ours takes each of them a second.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+# Each process of the tests has a processor of its own: more threads would only wait for one another.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
 
 settings.register_profile("default", deadline=None, max_examples=50, derandomize=True)
 settings.load_profile("default")
@@ -22,6 +36,12 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         from hickory_stream.engine.first_run import compile_kernels  # not for the single test that needs no kernel
 
         asyncio.run(compile_kernels(lambda done, total: None))
+
+
+def pytest_collection_finish() -> None:
+    """Take what was collected out of the garbage collector, which else goes through all of it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 COARSE_SHAPES = """\
@@ -90,10 +110,23 @@ def mosd() -> Path:
     return folder
 
 
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """Return the path that the first process of this test run made; the other processes wait for it."""
+    root = factory.getbasetemp()
+    root = root.parent if "PYTEST_XDIST_WORKER" in os.environ else root
+    with (root / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = root / f"{name}.done"
+        if not done.exists():
+            make(root / name)
+            done.touch()
+    return root / name
+
+
 @pytest.fixture(scope="session")
 def short_log(demo_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first three seconds of the demo: 18 frames."""
-    return copy_log(demo_log, tmp_path_factory.mktemp("logs") / "short.mcap", seconds=3.0)
+    return made_once(tmp_path_factory, "short.mcap", lambda path: copy_log(demo_log, path, seconds=3.0))
 
 
 @pytest.fixture(scope="session")
@@ -107,12 +140,13 @@ def coarse_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def short_map(short_log: Path, coarse_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The map of the first three seconds of the demo, as the command line makes it; not to be changed."""
-    from tests.test_cli import EAGER, run
+    from tests.test_cli import EAGER, look
 
-    out = tmp_path_factory.mktemp("short") / "map"
-    ended = run("play", short_log, "--config", coarse_config, "--viewer", "none", "--out", out, *EAGER)
-    assert ended.status == 0, ended.stderr
-    return out
+    def make(out: Path) -> None:
+        ended = look("play", short_log, "--config", coarse_config, "--viewer", "none", "--out", out, *EAGER)
+        assert ended.status == 0, ended.stderr
+
+    return made_once(tmp_path_factory, "short.map", make)
 
 
 def copy_log(source: Path, target: Path, *, seconds: float) -> Path:

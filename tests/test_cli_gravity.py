@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, SceneBox, cast_scene
 from hickory_stream.geometry.rigid import from_rotation_translation
 from tests.mapping.test_bad_gravity import AROUND_THE_TABLE, CIRCLE, LEG, ON_TABLE, OVER_THE_TABLE, TABLE
-from tests.test_cli import run
+from tests.test_cli import look
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,25 +54,27 @@ def test_a_log_whose_gravity_is_off_is_mapped_and_play_inspect_and_doctor_say_so
     coarse_config: Path, tmp_path: Path
 ) -> None:
     folder, out = log_of(tmp_path / "log", 2.0), tmp_path / "map"
-    ended = run("play", folder, "--out", out, "--config", coarse_config, "--viewer", "none")
+    ended = look("play", folder, "--out", out, "--config", coarse_config, "--viewer", "none")
     assert ended.status == 0, ended.stderr
     assert "the floor is tilted by 2.0 degrees against gravity" in ended.stderr
     assert ended.stdout.startswith(f"{out}: 3 objects")
-    assert json.loads(run("inspect", out, "--json").stdout)["notes"][0].startswith("the floor is tilted by 2.0 degrees")
-    examined = json.loads(run("doctor", folder, "--json").stdout)
+    assert json.loads(look("inspect", out, "--json").stdout)["notes"][0].startswith(
+        "the floor is tilted by 2.0 degrees"
+    )
+    examined = json.loads(look("doctor", folder, "--json").stdout)
     assert any("the floor is tilted by 2.0 degrees" in note for note in examined["notes"])
 
 
 def test_explain_says_that_what_was_the_floor_is_a_table(coarse_config: Path, tmp_path: Path) -> None:
     boxes, poses = (TABLE, LEG, *ON_TABLE), [*OVER_THE_TABLE[::3], *AROUND_THE_TABLE[:2]]
     folder, out = log_of(tmp_path / "log", 0.0, boxes, poses), tmp_path / "map"
-    ended = run("play", folder, "--out", out, "--config", coarse_config, "--viewer", "none")
+    ended = look("play", folder, "--out", out, "--config", coarse_config, "--viewer", "none")
     assert ended.status == 0, ended.stderr
-    told = run("explain", out, "--point=0.6,0.6,0.72").stdout
+    told = look("explain", out, "--point=0.6,0.6,0.72").stdout
     assert re.search(r"frame \d+: a floor is seen at -?0\.0. m: what was taken for it, at 0\.72 m, is a table", told)
 
 
 def test_doctor_says_of_a_log_that_stands_on_its_head_that_no_floor_is_in_view(tmp_path: Path) -> None:
-    told = run("doctor", log_of(tmp_path / "log", 180.0)).stdout
+    told = look("doctor", log_of(tmp_path / "log", 180.0)).stdout
     assert "shows a floor below the camera" in told
     assert "see whether the poses have z upwards" in told

@@ -9,7 +9,7 @@ import subprocess
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli import main
-from tests.test_cli import COMMAND, run
+from tests.test_cli import COMMAND, look
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +24,7 @@ def test_a_stream_becomes_a_map_with_a_ledger_in_which_nothing_is_missing(
 ) -> None:
     out = tmp_path / "map"
     said = ("--config", coarse_config, "--viewer", "none", "--json", *NO_SHAPES)
-    ended = run("live", f"mcap:{short_log}", "--out", out, "--record", tmp_path / "session.mcap", *said)
+    ended = look("live", f"mcap:{short_log}", "--out", out, "--record", tmp_path / "session.mcap", *said)
     assert ended.status == 0, ended.stderr
     finished = json.loads(ended.stdout.splitlines()[-1])
     messages = finished["ledger"]["messages"]
@@ -35,11 +35,11 @@ def test_a_stream_becomes_a_map_with_a_ledger_in_which_nothing_is_missing(
     status = [event for event in events if event.get("event") == "status"][-1]
     assert {topic["role"] for topic in status["topics"]} == {"tf", "color", "depth", "color_info", "depth_info", "pose"}
     assert sum(topic["received"] for topic in status["topics"]) == messages["declared"]
-    played = run("play", tmp_path / "session.mcap", "--out", tmp_path / "again", "--frames", 6, *said)
+    played = look("play", tmp_path / "session.mcap", "--out", tmp_path / "again", "--frames", 6, *said)
     again = json.loads(played.stdout.splitlines()[-1])
     assert again["is_reproducible"]
     assert again["ledger"]["messages"]["declared"] == messages["declared"]
-    found = json.loads(run("diff", out, "--other", tmp_path / "again", "--json").stdout)
+    found = json.loads(look("diff", out, "--other", tmp_path / "again", "--json").stdout)
     assert len(found["both"]) + len(found["only_in_a"]) == finished["objects"]
     assert len(found["both"]) + len(found["only_in_b"]) == again["objects"]
 
@@ -49,18 +49,8 @@ def test_a_signal_ends_a_live_run_in_order_while_it_waits_for_more(
 ) -> None:
     pipe, out = tmp_path / "pipe", tmp_path / "map"
     os.mkfifo(pipe)
-    command = [
-        *COMMAND,
-        "live",
-        f"mcap:{pipe}",
-        "--out",
-        out,
-        "--config",
-        coarse_config,
-        "--viewer",
-        "none",
-        *NO_SHAPES,
-    ]
+    live = ("live", f"mcap:{pipe}", "--out", out, "--config", coarse_config, "--viewer", "none")
+    command = [*COMMAND, *live, *NO_SHAPES]
     # All but the footer: for the reader the robot is still there.
     with (
         subprocess.Popen([str(word) for word in command], stderr=subprocess.PIPE, text=True) as process,
@@ -70,7 +60,7 @@ def test_a_signal_ends_a_live_run_in_order_while_it_waits_for_more(
         stream.flush()
         assert process.stderr is not None
         assert any("mapping: frame" in line for line in process.stderr)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGTERM)
         process.stderr.read()
         assert process.wait(60) == 130
     ledger = json.loads((out / "ledger.json").read_text())

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
-import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -28,13 +28,13 @@ def test_the_tree_in_the_docstring_is_the_tree() -> None:
     assert sorted(set(drawn) | set(names)) == sorted(kind.__name__ for kind in ALL)
 
 
+@cache
+def called_names() -> set[str]:
+    """Return every name that the packages call; the classes' own definitions do not count."""
+    sources = (file.read_text() for package in ("hickory_stream", "players") for file in (ROOT / package).rglob("*.py"))
+    return {name for source in sources for name in re.findall(r"(?<!class )\b(\w+)\(", source)}
+
+
 @pytest.mark.parametrize("kind", [kind for kind in ALL if kind not in (HickoryError, InputError)])
 def test_every_specific_error_is_raised_somewhere(kind: type[HickoryError]) -> None:
-    sources = [file.read_text() for package in ("hickory_stream", "players") for file in (ROOT / package).rglob("*.py")]
-    raised = {
-        node.func.id
-        for source in sources
-        for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-    }
-    assert kind.__name__ in raised
+    assert kind.__name__ in called_names()

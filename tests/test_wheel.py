@@ -2,6 +2,7 @@
 
 import ast
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -17,6 +18,8 @@ from packaging.requirements import Requirement
 from hickory_stream.map_folder.saved_map import open_map
 
 ROOT = Path(__file__).resolve().parent.parent
+# Without the checkout on the path of modules, as for a person who installs the wheel.
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
 
 @pytest.mark.slow
@@ -132,6 +135,7 @@ def _needed_by(distribution: metadata.Distribution, extra: str) -> list[Requirem
 
 
 def _run(*command: object, cwd: Path) -> str:
-    done = subprocess.run([str(part) for part in command], cwd=cwd, capture_output=True, text=True, check=False)
+    words = [str(part) for part in command]
+    done = subprocess.run(words, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{command}: {done.stderr[-2000:]}"
     return done.stdout

@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import Delaunay, QhullError, cKDTree
-from scipy.stats import beta, binom, nbinom, t
 
 from hickory_stream.alignment.acceptance import log_expected_coincidences
 from hickory_stream.geometry.rigid import apply
@@ -113,6 +112,8 @@ class _Explained:
 
     def missing_shares(self) -> NDArray[np.float64]:
         """Return how often what should have a partner has none: quantiles of what is to be believed of it."""
+        from scipy.stats import beta  # loaded here: no run needs it, and it takes a third of a second
+
         amid = np.concatenate([self.amid_a, self.amid_b])
         missing = np.count_nonzero(amid & (np.concatenate([self.of_a, self.of_b]) == _NO_PARTNER))
         shares = beta.ppf(_QUANTILES, missing + 1, np.count_nonzero(amid) - missing + 1)
@@ -187,6 +188,8 @@ def _log_decisive(
 def _log_overlooked(num_missed: NDArray[np.int64], num_repeated: int, missing_shares: NDArray[np.float64]) -> float:
     # ln of the probability that repeated things were overlooked at all but one of their places: `num_missed` (K,) times
     # each, by quantiles (Q,) of how often something is overlooked.
+    from scipy.stats import nbinom
+
     levels = np.unique(num_missed)
     chances = [
         nbinom.sf(np.count_nonzero(num_missed >= level) - 1, num_repeated + 1, 1 - missing_shares**level).mean()
@@ -206,6 +209,8 @@ def _log_coincident(evidence: Evidence, one: Hypothesis, chosen: NDArray[np.bool
 
 def _log_compared(evidence: Evidence, one: Hypothesis, other: Hypothesis) -> float | None:
     # ln of the probability that objects with two partners favour those of `one` by chance (paired t-test).
+    from scipy.stats import t
+
     logs = []
     for side in (0, 1):
         _, in_one, in_other = np.intersect1d(one.pairs[:, side], other.pairs[:, side], return_indices=True)
@@ -228,6 +233,8 @@ def _costs(evidence: Evidence, hypothesis: Hypothesis) -> NDArray[np.float64]:
 
 def _log_missing(one: Contradictions, other: Contradictions) -> float | None:
     # ln of the probability that as many are missing under `other`, beyond those that `one` misses (binomial).
+    from scipy.stats import binom
+
     more = other.num_missing - one.num_missing
     if other.num_expected == 0 or more <= 0:
         return None

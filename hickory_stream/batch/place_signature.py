@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import poisson
 
 from hickory_stream.geometry.arrays import freeze
 
@@ -75,6 +74,8 @@ def place_signatures(maps: Sequence[ObjectMap]) -> tuple[PlaceSignature, ...]:
 
 def candidate_pairs(signatures: Sequence[PlaceSignature], chance: float = _CHANCE) -> dict[tuple[int, int], int]:
     """Return the pairs (a, b), a < b, that may overlap, with their scores."""
+    from scipy.stats import poisson  # loaded here, for it takes a third of a second
+
     if len(signatures) < 2:
         return {}
     index = _Index(signatures)

@@ -42,7 +42,7 @@ def reconstructors() -> dict[str, Reconstructor]:
     return {**ours, "box": BoxReconstructor(), "hull": HullReconstructor()}
 
 
-@pytest.fixture(params=sorted(reconstructors()))
+@pytest.fixture(scope="module", params=sorted(reconstructors()))
 def reconstructor(request: pytest.FixtureRequest) -> Reconstructor:
     return reconstructors()[request.param]
 
@@ -61,6 +61,11 @@ def inputs(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     )
 
 
+@pytest.fixture(scope="module")
+def answer(reconstructor: Reconstructor, inputs: ShapeInputs) -> Reconstruction:
+    return made(reconstructor, inputs)
+
+
 def made(reconstructor: Reconstructor, inputs: ShapeInputs) -> Reconstruction:
     answer = reconstructor.reconstruct(inputs)
     assert isinstance(answer, Reconstruction), answer
@@ -73,8 +78,8 @@ def test_it_goes_by_the_name_that_the_configuration_chooses_it_by() -> None:
     }
 
 
-def test_the_mesh_is_closed_finite_and_looks_outwards(reconstructor: Reconstructor, inputs: ShapeInputs) -> None:
-    mesh = made(reconstructor, inputs).mesh
+def test_the_mesh_is_closed_finite_and_looks_outwards(answer: Reconstruction) -> None:
+    mesh = answer.mesh
     assert is_closed(mesh)
     assert np.isfinite(mesh.vertices).all()
     assert mesh.faces.min() >= 0
@@ -82,20 +87,15 @@ def test_the_mesh_is_closed_finite_and_looks_outwards(reconstructor: Reconstruct
     assert volume_m3(mesh) > 0
 
 
-def test_every_vertex_has_a_colour_and_says_whether_it_was_seen(
-    reconstructor: Reconstructor, inputs: ShapeInputs
-) -> None:
-    mesh = made(reconstructor, inputs).mesh
+def test_every_vertex_has_a_colour_and_says_whether_it_was_seen(answer: Reconstruction) -> None:
+    mesh = answer.mesh
     assert mesh.colors.shape == (len(mesh.vertices), 3)
     assert mesh.is_seen.shape == (len(mesh.vertices),)
     # Nobody saw the bottom of a box on the floor, and everybody saw its front.
     assert 0 < mesh.is_seen.sum() < len(mesh.vertices)
 
 
-def test_the_shape_stands_where_the_object_stands_and_is_about_as_large(
-    reconstructor: Reconstructor, inputs: ShapeInputs
-) -> None:
-    answer = made(reconstructor, inputs)
+def test_the_shape_stands_where_the_object_stands_and_is_about_as_large(answer: Reconstruction) -> None:
     assert is_rigid(answer.world_from_object)
     vertices_world = apply(answer.world_from_object, answer.mesh.vertices.astype(np.float64))
     assert (vertices_world.min(axis=0) > np.array(TRUTH.low) - 0.08).all()
@@ -103,10 +103,7 @@ def test_the_shape_stands_where_the_object_stands_and_is_about_as_large(
     assert 0.4 * TRUE_VOLUME_M3 < volume_m3(answer.mesh) < 1.6 * TRUE_VOLUME_M3
 
 
-def test_what_was_seen_lies_where_a_view_or_layer_1_has_a_point(
-    reconstructor: Reconstructor, inputs: ShapeInputs
-) -> None:
-    answer = made(reconstructor, inputs)
+def test_what_was_seen_lies_where_a_view_or_layer_1_has_a_point(answer: Reconstruction, inputs: ShapeInputs) -> None:
     measured = np.concatenate([inputs.points_world, *(points_of(crop) for crop in inputs.crops)])
     seen_world = apply(answer.world_from_object, answer.mesh.vertices[answer.mesh.is_seen].astype(np.float64))
     distances_m, _ = cKDTree(measured).query(seen_world)
@@ -120,24 +117,20 @@ def points_of(crop: Crop) -> NDArray[np.float32]:
 
 
 def test_the_same_inputs_give_the_same_file_to_the_byte(
-    reconstructor: Reconstructor, inputs: ShapeInputs, tmp_path: Path
+    reconstructor: Reconstructor, inputs: ShapeInputs, answer: Reconstruction, tmp_path: Path
 ) -> None:
-    files = [tmp_path / "a.glb", tmp_path / "b.glb"]
-    poses = []
-    for file in files:
-        answer = made(reconstructors()[reconstructor.name], inputs)
-        write_glb(answer.mesh, file)
-        poses.append(answer.world_from_object.tobytes())
-    assert files[0].read_bytes() == files[1].read_bytes()
-    assert poses[0] == poses[1]
+    again = made(reconstructors()[reconstructor.name], inputs)
+    for name, made_shape in (("a", answer), ("b", again)):
+        write_glb(made_shape.mesh, tmp_path / f"{name}.glb")
+    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
+    assert answer.world_from_object.tobytes() == again.world_from_object.tobytes()
 
 
-def test_the_file_keeps_what_was_seen(reconstructor: Reconstructor, inputs: ShapeInputs, tmp_path: Path) -> None:
-    mesh = made(reconstructor, inputs).mesh
-    write_glb(mesh, tmp_path / "a.glb")
+def test_the_file_keeps_what_was_seen(answer: Reconstruction, tmp_path: Path) -> None:
+    write_glb(answer.mesh, tmp_path / "a.glb")
     again = read_glb(tmp_path / "a.glb")
     assert is_closed(again)
-    assert again.is_seen.sum() == mesh.is_seen.sum()
+    assert again.is_seen.sum() == answer.mesh.is_seen.sum()
     assert sha256_of(again) == sha256_of(read_glb(tmp_path / "a.glb"))
 
 

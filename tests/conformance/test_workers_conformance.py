@@ -29,7 +29,7 @@ LIMITS = WorkerLimits(time_s=60.0, memory_mb=4000.0)
 def use(request: pytest.FixtureRequest) -> Iterator[Callable[[Callable[[ShapeWorkers], Awaitable[Any]]], Any]]:
     """Give workers of a kind to a coroutine function."""
     if request.param == "local":
-        yield lambda function: asyncio.run(_with(LocalWorkers(2, LIMITS), function))
+        yield lambda function: asyncio.run(_with(LocalWorkers(1, LIMITS), function))
         return
     if request.param == "in process":
         yield lambda function: asyncio.run(_with(InProcessWorkers(), function))
@@ -37,7 +37,7 @@ def use(request: pytest.FixtureRequest) -> Iterator[Callable[[Callable[[ShapeWor
     pytest.importorskip("distributed")
     from hickory_stream.engine.shape_jobs.dask_workers import DaskWorkers
 
-    with cluster(workers=2) as (address, _):
+    with cluster(workers=1) as (address, _):
         yield lambda function: asyncio.run(_with(DaskWorkers(address, LIMITS), function))
 
 

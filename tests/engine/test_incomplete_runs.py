@@ -125,7 +125,7 @@ def test_a_reason_that_cannot_be_read_is_unknown(tmp_path: Path) -> None:
     [
         ("export", "{map}", "--format", "json", "--out", "{out}"),
         ("export", "{map}", "--format", "ply", "--out", "{out}"),
-        ("render", "{map}", "--layers", "1", "-o", "{out}"),
+        ("render", "{map}", "--layers", "1", "--size", "480x240", "-o", "{out}"),
         ("doctor", "{log}", "--html", "{out}"),
     ],
     ids=["json", "ply", "png", "html"],

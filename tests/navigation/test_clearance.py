@@ -77,14 +77,13 @@ def test_updates_one_by_one_leave_the_scene_as_if_it_were_new(seed: int) -> None
     points = rng.uniform(-0.5, 9.5, (4000, 3))
     assert np.array_equal(scene.classify(points) == Answer.HIT_SEEN, brute_force(second, points))
     assert len(scene.rows()) == 12
-    ways = rng.normal(size=points.shape)
-    assert np.array_equal(
-        scene.sweep(points, points + ways, radius_m=0.1),
-        scene_of(second).sweep(points, points + ways, radius_m=0.1),
-    )
+    starts = points[:400]
+    ends = starts + rng.normal(size=starts.shape)
+    ways = [one.sweep(starts, ends, radius_m=0.1) for one in (scene, scene_of(second))]
+    assert np.array_equal(*ways)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.integers(0, 10_000))
 def test_the_bound_never_exceeds_the_distance_and_the_exact_one_is_that_to_the_surface(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -109,12 +108,12 @@ def test_no_sweep_is_free_that_touches(seed: int, radius: float, is_box: bool) -
     primitives = random_primitives(rng, 20)
     scene = scene_of(primitives)
     half = np.array([0.1, 0.05, 0.2]) if is_box else np.zeros(3)
-    starts = rng.uniform(0, 4, (80, 3))
+    starts = rng.uniform(0, 4, (40, 3))
     ends = starts + rng.normal(size=starts.shape) * 0.6
     answers = scene.sweep(starts, ends, radius_m=radius, half_extents_m=half)
     # Points of the body along the way: its corners, and the ball around each.
     signs = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
-    ball = rng.normal(size=(20, 3))
+    ball = rng.normal(size=(12, 3))
     ball = np.concatenate([np.zeros((1, 3)), radius * ball / np.linalg.norm(ball, axis=1, keepdims=True)])
     body = (signs[:, None] * half + ball[None]).reshape(-1, 3)
     t = np.linspace(0, 1, 9)[:, None, None]

@@ -108,8 +108,9 @@ def test_a_margin_of_five_centimetres_thickens_a_plate_by_about_that_and_not_by_
     assert single.semi_axes_m[0, 0] > 2.0
 
 
-@pytest.mark.parametrize("name", ["chair", "mug", "table", "torus", "organic"])
-@pytest.mark.parametrize("r_safe_m", [0.0, 0.02, 0.05])
+@pytest.mark.parametrize(
+    ("name", "r_safe_m"), [("chair", 0.0), ("mug", 0.02), ("table", 0.05), ("torus", 0.0), ("organic", 0.02)]
+)
 def test_the_surface_its_margin_and_the_points_of_layer_1_are_inside(name: str, r_safe_m: float) -> None:
     shape = test_mesh(name)
     mesh = as_mesh(shape)
@@ -141,7 +142,7 @@ def test_the_inside_of_a_closed_mesh_is_contained_where_no_primitive_was() -> No
     assert (lowest_g(found.primitives, inside) <= 1.0).all()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(primitives(), st.integers(0, 10_000), st.floats(0.0, 0.2))
 def test_a_certificate_that_holds_is_true_and_one_that_fails_is_not_given(shape, seed, margin) -> None:
     rng = np.random.default_rng(seed)
@@ -170,7 +171,7 @@ def test_the_certificate_counts_what_a_missing_primitive_leaves_open() -> None:
     assert not certificate.holds
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(primitives(), st.integers(0, 10_000))
 def test_a_cell_is_covered_where_one_primitive_holds_its_corners_and_never_where_a_point_sticks_out(
     shape, seed
@@ -196,8 +197,7 @@ def test_a_cell_is_covered_where_one_primitive_holds_its_corners_and_never_where
     assert (lowest_g(shape, within) <= 1.0).all()
 
 
-@pytest.mark.parametrize("size_m", [4.0, 8.0, 20.0])
-@pytest.mark.parametrize("name", ["sphere", "cylinder", "ellipsoid"])
+@pytest.mark.parametrize(("name", "size_m"), [("sphere", 4.0), ("cylinder", 20.0), ("ellipsoid", 8.0)])
 def test_a_large_round_thing_needs_no_box(name: str, size_m: float) -> None:
     shape = test_mesh(name).copy()
     shape.apply_transform(trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.2])))

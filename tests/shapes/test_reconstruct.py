@@ -1,5 +1,7 @@
 """Layer 2 from rendered views of known objects: closed, close to the truth, and honest about what was seen."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from shape_fixtures import occupancy_iou, shape_inputs, test_mesh
@@ -12,6 +14,16 @@ from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape, make_reconstructor
 
 CONFIG = ShapeConfig()
+
+
+@cache
+def seen(name: str, num_views: int) -> ShapeInputs:
+    return shape_inputs(test_mesh(name), num_views)
+
+
+@cache
+def made_of(reconstructor: str, name: str, num_views: int) -> Reconstruction:
+    return reconstructed(reconstructor, seen(name, num_views))
 
 
 def reconstructed(name: str, inputs: ShapeInputs) -> Reconstruction:
@@ -29,7 +41,7 @@ def vertices_world(made: Reconstruction) -> np.ndarray:
     [("box", 0.93), ("cylinder", 0.93), ("sphere", 0.9), ("mug", 0.85), ("chair", 0.65), ("table", 0.65)],
 )
 def test_eight_views_give_a_closed_mesh_close_to_the_truth(name: str, iou: float) -> None:
-    made = reconstructed("fused", shape_inputs(test_mesh(name), 8))
+    made = made_of("fused", name, 8)
     assert is_closed(made.mesh)
     assert volume_m3(made.mesh) > 0
     assert len(made.mesh.faces) <= 30_000
@@ -40,7 +52,7 @@ def test_eight_views_give_a_closed_mesh_close_to_the_truth(name: str, iou: float
     ("name", "iou"), [("box", 0.6), ("cylinder", 0.7), ("sphere", 0.65), ("mug", 0.65), ("chair", 0.5)]
 )
 def test_one_view_gives_a_closed_mesh_of_about_the_right_shape(name: str, iou: float) -> None:
-    made = reconstructed("single_view", shape_inputs(test_mesh(name), 1))
+    made = made_of("single_view", name, 1)
     assert is_closed(made.mesh)
     assert occupancy_iou(test_mesh(name), vertices_world(made), made.mesh.faces) >= iou
 
@@ -60,7 +72,7 @@ def test_what_is_round_and_seen_from_one_side_is_completed(name: str) -> None:
 
 
 def test_the_unseen_bottom_is_generated_and_the_seen_top_is_seen() -> None:
-    made = reconstructed("fused", shape_inputs(test_mesh("box"), 8))
+    made = made_of("fused", "box", 8)
     z = vertices_world(made)[:, 2]
     assert made.mesh.is_seen[z > 0.25].mean() > 0.95
     inner_bottom = (z < 0.01) & (np.abs(vertices_world(made)[:, :2]) < 0.1).all(axis=1)
@@ -68,12 +80,12 @@ def test_the_unseen_bottom_is_generated_and_the_seen_top_is_seen() -> None:
 
 
 def test_seen_vertices_have_the_colour_of_the_object() -> None:
-    made = reconstructed("fused", shape_inputs(test_mesh("sphere"), 8))
+    made = made_of("fused", "sphere", 8)
     assert np.abs(made.mesh.colors.astype(int) - (200, 120, 40)).max() <= 2
 
 
 def test_the_object_frame_is_centred_in_the_gravity_aligned_box_of_the_mesh() -> None:
-    made = reconstructed("fused", shape_inputs(test_mesh("shelf"), 4))
+    made = made_of("fused", "shelf", 4)
     low, high = made.mesh.vertices.min(axis=0), made.mesh.vertices.max(axis=0)
     assert low + high == pytest.approx(np.zeros(3), abs=1e-4)
     assert made.world_from_object[:3, 2] == pytest.approx([0, 0, 1])
@@ -99,8 +111,8 @@ def test_single_view_uses_nothing_but_the_best_view() -> None:
 
 
 def test_points_alone_still_make_a_shape() -> None:
-    seen = shape_inputs(test_mesh("box"), 8)
-    inputs = ShapeInputs(crops=(), points_world=seen.points_world, colors=seen.colors, box=seen.box, support_z_m=0.0)
+    box = seen("box", 8)
+    inputs = ShapeInputs(crops=(), points_world=box.points_world, colors=box.colors, box=box.box, support_z_m=0.0)
     assert is_closed(reconstructed("fused", inputs).mesh)
 
 

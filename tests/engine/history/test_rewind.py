@@ -90,12 +90,18 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
     return map_scene(tmp_path_factory.mktemp("undisturbed"), *NO_SHAPES)
 
 
-def test_the_map_is_that_of_before_and_in_the_end_that_of_a_run_in_which_nobody_sought(
-    tmp_path: Path, undisturbed: SceneRun
-) -> None:
+@pytest.fixture(scope="module")
+def gone_back(tmp_path_factory: pytest.TempPathFactory) -> tuple[SceneRun, list[MapSnapshot]]:
+    """A run in which somebody went back, and the maps that it published."""
     sink = RememberingSink()
-    run = sought(tmp_path, there_and_back(), *NO_SHAPES, sink=sink)
-    known = [report.snapshot for report in sink.reports if report.snapshot is not None]
+    run = sought(tmp_path_factory.mktemp("back"), there_and_back(), *NO_SHAPES, sink=sink)
+    return run, [report.snapshot for report in sink.reports if report.snapshot is not None]
+
+
+def test_the_map_is_that_of_before_and_in_the_end_that_of_a_run_in_which_nobody_sought(
+    gone_back: tuple[SceneRun, list[MapSnapshot]], undisturbed: SceneRun
+) -> None:
+    run, known = gone_back
     # Seen a third time, and not a seventh: what the first pass knew of the third frame is forgotten.
     assert shown_as(known[BACK_AT]) == shown_as(known[BACK_TO])
     assert shown_as(known[-1]) == shown_as(open_map(undisturbed.folder.path).snapshot)
@@ -104,15 +110,13 @@ def test_the_map_is_that_of_before_and_in_the_end_that_of_a_run_in_which_nobody_
     assert run.digest == map_digest(known[-1])
 
 
-def test_the_journal_replays_it_and_knows_both_pasts(tmp_path: Path) -> None:
-    sink = RememberingSink()
-    run = sought(tmp_path, there_and_back(), *NO_SHAPES, sink=sink)
+def test_the_journal_replays_it_and_knows_both_pasts(gone_back: tuple[SceneRun, list[MapSnapshot]]) -> None:
+    run, known = gone_back
     assert map_digest(replay(run.folder.path)) == run.digest
     with Journal(run.folder.path) as journal:
         steps = [journal.step(i) for i in range(len(journal))]
     assert [step.goes_back_to for step in steps[: BACK_AT + 2]] == [*[None] * BACK_AT, BACK_TO, None]
     # Of a moment that came twice, the second time counts.
-    known = [report.snapshot for report in sink.reports if report.snapshot is not None]
     saved = open_map(run.folder.path)
     at_four = saved.as_known_at(START_NS + 4 * PERIOD_NS)
     assert map_digest(at_four) == map_digest(known[BACK_AT + 2])
@@ -143,9 +147,8 @@ def test_shapes_that_were_open_then_are_committed_again_when_they_are_due(
         assert all((saved.views / f"{view.name}.json").is_file() for view in item.views)
 
 
-def test_such_a_run_is_not_reproducible_and_says_how_often(tmp_path: Path) -> None:
-    run = sought(tmp_path, there_and_back(), *NO_SHAPES)
-    saved = open_map(run.folder.path)
+def test_such_a_run_is_not_reproducible_and_says_how_often(gone_back: tuple[SceneRun, list[MapSnapshot]]) -> None:
+    saved = open_map(gone_back[0].folder.path)
     assert not saved.manifest.is_reproducible
     assert saved.ledger["frames"]["rewinds"] == 1
 
