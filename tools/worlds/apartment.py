@@ -11,7 +11,7 @@ from hickory_stream.errors import ConfigError
 from hickory_stream.worlds.scene import World, numbered
 from tools.worlds.furnishing import FURNISH, Room
 from tools.worlds.routes import joins_rooms
-from tools.worlds.structure import DoorWay, apartment_structure
+from tools.worlds.structure import DoorWay, apartment_structure, drawn_door
 
 if TYPE_CHECKING:
     from hickory_stream.worlds.scene import Placement
@@ -80,14 +80,10 @@ def _plan(rng: np.random.Generator) -> _Plan:
     w = _WALL_M
     xs, ys = (0.0, left, left + w, left + w + right), (0.0, near, near + w, near + w + far)
     rooms = tuple((xs[2 * i], ys[2 * j], xs[2 * i + 1], ys[2 * j + 1]) for i in (0, 1) for j in (0, 1))
-    doors = [_door(rng, axis=0, at_m=left + w / 2, span_m=(ys[2 * j], ys[2 * j + 1])) for j in (0, 1)]
-    doors += [_door(rng, axis=1, at_m=near + w / 2, span_m=(xs[2 * i], xs[2 * i + 1])) for i in (0, 1)]
+    doors = [drawn_door(rng, (0.88, 1.0), axis=0, at_m=left + w / 2, span_m=(ys[2 * j], ys[2 * j + 1])) for j in (0, 1)]
+    doors += [
+        drawn_door(rng, (0.88, 1.0), axis=1, at_m=near + w / 2, span_m=(xs[2 * i], xs[2 * i + 1])) for i in (0, 1)
+    ]
     if rng.random() < 1 / 3:
         doors.pop(int(rng.integers(4)))
     return _Plan(rooms_m=rooms, doors=tuple(doors))
-
-
-def _door(rng: np.random.Generator, *, axis: int, at_m: float, span_m: tuple[float, float]) -> DoorWay:
-    width = float(rng.uniform(0.88, 1.0))
-    low, high = span_m[0] + 0.35 + width / 2, span_m[1] - 0.35 - width / 2
-    return DoorWay(axis=axis, at_m=at_m, middle_m=float(rng.uniform(low, high)), width_m=width)

@@ -16,7 +16,7 @@ from hickory_stream.worlds.shots import Stage, WorldChange
 from hickory_stream.worlds.trajectory import NoWalk, Trajectory, walk_round
 from tools.worlds.apartment import apartment
 from tools.worlds.building.building import BuildingSize, building
-from tools.worlds.building.walk import building_walk
+from tools.worlds.building.route import building_walk
 from tools.worlds.clutter.families import recipes_of
 from tools.worlds.clutter.room import clutter_room
 from tools.worlds.clutter.walk import wander

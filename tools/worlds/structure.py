@@ -38,6 +38,15 @@ class DoorWay:
         return along[0], across[0], along[1], across[1]
 
 
+def drawn_door(
+    rng: np.random.Generator, width_m: tuple[float, float], *, axis: int, at_m: float, span_m: tuple[float, float]
+) -> DoorWay:
+    """Return a doorway in the wall at `at_m` on an axis, at a random position along the wall, off its corners."""
+    width = float(rng.uniform(*width_m))
+    low, high = span_m[0] + 0.35 + width / 2, span_m[1] - 0.35 - width / 2
+    return DoorWay(axis=axis, at_m=at_m, middle_m=float(rng.uniform(low, high)), width_m=width)
+
+
 def apartment_structure(
     rng: np.random.Generator, rooms_m: Sequence[tuple[float, float, float, float]], doors: Sequence[DoorWay]
 ) -> tuple[Model, ...]:

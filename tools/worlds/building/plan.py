@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.worlds.room import WALL_M
-from tools.worlds.structure import DoorWay
+from tools.worlds.structure import DoorWay, drawn_door
 
 if TYPE_CHECKING:
     from tools.worlds.furnishing import Rectangle
 
 _SECTION_M = 5.0
-_FROM_CORNER_M = 0.35
+_DOORS_M = (0.95, 1.05)
 # So many of the walls between two rooms have a door: loops that do not lead through the corridor.
 _DOOR_SHARE = 0.35
 
@@ -71,9 +71,9 @@ def drawn_plan(rng: np.random.Generator, outline: Outline, rooms: int) -> Storey
         for i, (x0, x1) in enumerate(ends):
             rectangles.append((x0, low, x1, high))
             sides.append(side)
-            doors.append(_door(rng, axis=1, at_m=wall_y, span_m=(x0, x1)))
+            doors.append(drawn_door(rng, _DOORS_M, axis=1, at_m=wall_y, span_m=(x0, x1)))
             if i and rng.random() < _DOOR_SHARE:
-                doors.append(_door(rng, axis=0, at_m=x0 - WALL_M / 2, span_m=(low, high)))
+                doors.append(drawn_door(rng, _DOORS_M, axis=0, at_m=x0 - WALL_M / 2, span_m=(low, high)))
     doors.append(DoorWay(axis=0, at_m=outline.length_m + WALL_M / 2, middle_m=outline.width_m / 2, width_m=1.1))
     return StoreyPlan(
         outline=outline,
@@ -101,9 +101,3 @@ def _sections(outline: Outline) -> tuple[Rectangle, ...]:
     count = max(1, round(outline.length_m / _SECTION_M))
     edges = np.linspace(0.0, outline.length_m, count + 1)
     return tuple((float(a), 0.0, float(b), outline.width_m) for a, b in pairwise(edges))
-
-
-def _door(rng: np.random.Generator, *, axis: int, at_m: float, span_m: tuple[float, float]) -> DoorWay:
-    width = float(rng.uniform(0.95, 1.05))
-    low, high = span_m[0] + _FROM_CORNER_M + width / 2, span_m[1] - _FROM_CORNER_M - width / 2
-    return DoorWay(axis=axis, at_m=at_m, middle_m=float(rng.uniform(low, high)), width_m=width)
