@@ -23,10 +23,9 @@ from hickory_stream.alignment.judgement import (
     why_uncertain,
 )
 from hickory_stream.alignment.refinement import refined
-from hickory_stream.alignment.registration import common_covariance, registered
+from hickory_stream.alignment.registration import common_covariance, levelled, registered
 from hickory_stream.alignment.search import hypotheses_of
 from hickory_stream.alignment.shape_scores import superquadric_scores
-from hickory_stream.alignment.tilt import levelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
     from hickory_stream.alignment.hypothesis import Hypothesis
     from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.alignment.tilt import Levelled
+    from hickory_stream.alignment.registration import Levelled
 
     ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
 

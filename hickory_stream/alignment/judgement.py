@@ -15,10 +15,9 @@ import numpy as np
 from hickory_stream.alignment.answer import Contradictions, NoAlignment, Refusal, Rival
 from hickory_stream.alignment.contradiction import contradictions
 from hickory_stream.alignment.hypothesis import grown
-from hickory_stream.alignment.registration import information
+from hickory_stream.alignment.registration import information, levelled
 from hickory_stream.alignment.rivalry import alike, separation
 from hickory_stream.alignment.search import NOTABLE, distinct, searched
-from hickory_stream.alignment.tilt import levelled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

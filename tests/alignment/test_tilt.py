@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hickory_stream.alignment.registration import common_covariance
-from hickory_stream.alignment.tilt import levelled, tilt_vector
+from hickory_stream.alignment.registration import common_covariance, levelled, tilt_vector
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 
 SIGMAS = np.radians([0.1, 0.5, 2.0, 10.0])

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from hickory_stream.geometry.superquadric import Superquadrics
-from hickory_stream.shapes.fit.thin_parts import with_thin_parts
+from hickory_stream.shapes.fit.panels import with_thin_parts
 
 SEAT = Superquadrics(
     exponents=np.full((1, 2), 0.1), semi_axes_m=np.array([[0.2, 0.2, 0.05]]), world_from_local=np.eye(4)[None]

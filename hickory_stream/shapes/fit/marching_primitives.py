@@ -23,10 +23,9 @@ from hickory_stream.shapes.fit.canonical_frame import object_axes
 from hickory_stream.shapes.fit.envelope import filled
 from hickory_stream.shapes.fit.fit_field import FitField
 from hickory_stream.shapes.fit.joint import jointly_refined, refined_beside, simplified
-from hickory_stream.shapes.fit.panels import panels, sheet_thickness
+from hickory_stream.shapes.fit.panels import panels, sheet_thickness, with_thin_parts
 from hickory_stream.shapes.fit.quadric_lm import ROW, row_of
 from hickory_stream.shapes.fit.seeds import bounds_along, chessboard_depth, grown_box, principal_axes
-from hickory_stream.shapes.fit.thin_parts import with_thin_parts
 from hickory_stream.shapes.mesh_validation import usable
 from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
 
