@@ -88,7 +88,7 @@ def test_what_a_keyframe_does_not_concern_would_not_have_changed(looks: list[tup
         patch.setattr("hickory_stream.mapping.steps.ageing.Concerned", Everything)
         # As if all space were always at hand.
         patch.setattr(submaps, "looking_at", lambda known, *_: known)
-        patch.setattr("hickory_stream.mapping.core.looking_at", lambda known, *_: known)
+        patch.setattr("hickory_stream.mapping.steps.submaps.looking_at", lambda known, *_: known)
         everything, whole = mapped(looks)
     assert found == everything
     for a, b in zip(core.submaps, whole.submaps, strict=True):

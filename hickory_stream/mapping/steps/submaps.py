@@ -8,6 +8,7 @@ from hickory_stream.events import SearchLoops
 from hickory_stream.geometry import portable
 from hickory_stream.mapping.entities import submaps
 from hickory_stream.mapping.entities.observed_space import floor_change
+from hickory_stream.mapping.entities.submaps import looking_at
 from hickory_stream.mapping.rules.space_agreement import agreed_after
 from hickory_stream.mapping.steps.ageing import settle
 from hickory_stream.mapping.steps.endings import compress_tracks
@@ -30,7 +31,7 @@ def begin_keyframe(state: MapState, event: FrameObserved, config: MappingConfig)
     state.advance_clock(event.stamp_ns)
     warm = state.derived.warm
     moved = submaps.with_keyframe(state.submaps, event, config.submaps)
-    state.submaps = submaps.looking_at(moved, event.space, warm.keep)
+    state.submaps = looking_at(moved, event.space, warm.keep)
     compress_tracks(state, warm.follow(state.tracks, sight=state.sight, revision=state.revision))
     for rejected in event.rejected:
         state.decide("reject", None, f"mask {rejected.box_px}: {rejected.reason}")
