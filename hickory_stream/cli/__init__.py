@@ -1,13 +1,7 @@
 """The command line: one module per command, which adds its arguments and runs it.
 
-A command imports what it needs only when it runs, so that `--help` answers at once.
-
-Exit status: 0 done; 1 an internal failure; 2 something outside is not as it must be; 3 the answer is no: two maps
-were not aligned, there is no path, nothing answers a question; or the run is done but something that was asked for is
-missing: every shape job failed, or a recording or costmap could not be written to its end; 130 stopped by a signal (the
-map is saved).
-
-The notice while kernels are compiled: nothing for a few, a line now and then for more.
+A command imports what it needs when it runs, so that `--help` answers at once. Exit status: 0 done; 1 internal failure;
+2 bad input; 3 no alignment, path or answer, all shape jobs failed, or an output is incomplete; 130 stopped by a signal.
 """
 
 from __future__ import annotations
@@ -37,7 +31,7 @@ _EVERY_S = 5.0
 
 
 class CompileNotice:
-    """A listener of `compiling.tell_when_compiling`; as JSON lines where `as_json`."""
+    """Listener of `compiling.tell_when_compiling` that prints a line for many kernels, and nothing for a few."""
 
     def __init__(self, *, as_json: bool, clock: Callable[[], float] = time.monotonic) -> None:
         self._as_json = as_json
@@ -46,9 +40,8 @@ class CompileNotice:
         self._said_s = 0.0
         self._num_compiled = 0
 
-    def __call__(self, kernel: str) -> None:
-        """Take note that a kernel is about to be compiled."""
-        del kernel
+    def __call__(self, _kernel: str) -> None:
+        """Count a kernel that is about to be compiled."""
         now_s = self._clock()
         if self._began_s is None:
             self._began_s, self._said_s = now_s, now_s + _AFTER_S - _EVERY_S
@@ -70,7 +63,7 @@ class CompileNotice:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status; nothing that it prints commands the terminal."""
+    """Run a command and return its exit status; control characters in its output are escaped."""
     with shown_safely():
         return _run(arguments)
 

@@ -1,4 +1,4 @@
-"""The subcommands of the command line: the type that each command adds its parser to, and a walk over them."""
+"""The type of the subcommands, and a walk over them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 def commands_of(
     parser: argparse.ArgumentParser, path: tuple[str, ...] = ()
 ) -> Iterator[tuple[tuple[str, ...], argparse.ArgumentParser]]:
-    """Yield every command and the commands below it, with their words."""
+    """Yield every command and its subcommands, with their words."""
     yield path, parser
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

@@ -1,4 +1,4 @@
-"""What `--help` of each command begins and ends with: a sentence, and a command line that works."""
+"""First sentence and example of the help of each command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The exit statuses that are not a failure's own."""
+"""Exit statuses of commands."""
 
 STOPPED = 130
 NO_ALIGNMENT = 3

@@ -1,4 +1,4 @@
-"""Checks of option values of the command line, with messages that say what was expected."""
+"""Options that several commands share, and checks of option values."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def read_settings(options: argparse.Namespace) -> Settings:
-    """Return the settings that `--config`, `--set` and `--workers` make; raises `ConfigError`."""
+    """Return the settings of `--config`, `--set` and `--workers`; raises `ConfigError`."""
     from dataclasses import replace
 
     from hickory_stream.base.config_text import read_config
@@ -33,7 +33,7 @@ def read_settings(options: argparse.Namespace) -> Settings:
 
 
 def parse_workers(text: str) -> dict[str, Any]:
-    """Return what a text like 2 or dask=tcp://HOST:PORT says of the workers; raises `ConfigError`."""
+    """Return the worker settings of a text like 2 or dask=tcp://HOST:PORT; raises `ConfigError`."""
     if text.startswith("dask="):
         return {"cluster": text.removeprefix("dask=")}
     if not text.isdigit() or int(text) < 1:
@@ -42,14 +42,9 @@ def parse_workers(text: str) -> dict[str, Any]:
 
 
 def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_whole: bool = False) -> SavedMap:
-    """Return the map in a folder, as it was known at a time (`--at`) where one is given.
+    """Return the map in a folder, at the time `at` if given; warns on standard error of a run that did not end.
 
-    `warns` and `is_whole` are those of `open_map`. Of a run that did not end it is said on standard error
-    how to go on with it.
-
-    Raises:
-        MapFolderError: there is no map, or it keeps no history.
-        InputError: the time is none, or outside of the run.
+    Raises `MapFolderError` without a map or its history, `InputError` for a time outside of the run.
     """
     from dataclasses import replace
 
@@ -69,7 +64,7 @@ def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_who
 
 
 def add_allow_unverified(parser: argparse.ArgumentParser) -> None:
-    """Add what says that an altered map is taken all the same."""
+    """Add the option that accepts altered maps."""
     parser.add_argument(
         "--allow-unverified",
         action="store_true",
@@ -78,11 +73,9 @@ def add_allow_unverified(parser: argparse.ArgumentParser) -> None:
 
 
 def open_verified_map_at(options: argparse.Namespace) -> tuple[SavedMap, str]:
-    """Return the map of `options.map` and `options.at`, and why its layer 4 is not proven, "" where it is.
+    """Return the map of `options.map` and `options.at`, and why its layer 4 is not proven, "" if it is.
 
-    Raises:
-        MapFolderError: there is no map, it keeps no history, or it was altered and `--allow-unverified` is not given.
-        InputError: the time is none, or outside of the run.
+    Raises like `open_map_at`, and `MapFolderError` for an altered map without `--allow-unverified`.
     """
     from hickory_stream.map_folder.saved_map import check_unaltered
 
@@ -96,11 +89,7 @@ def open_verified_map_at(options: argparse.Namespace) -> tuple[SavedMap, str]:
 
 
 def robot_of_option(name: str | None, option: str) -> Robot:
-    """Return the robot that an option names; there is no default, which would be too low or too slim for another one.
-
-    Raises:
-        ConfigError: it names none, one that nobody knows, or a file that is no robot's.
-    """
+    """Return the robot that an option names; raises `ConfigError` without one: a default could be too small."""
     from hickory_stream.navigation.robot import load_robot, robot_names
 
     if name is None:
@@ -110,7 +99,7 @@ def robot_of_option(name: str | None, option: str) -> Robot:
 
 
 def make_style(options: argparse.Namespace) -> Style:
-    """Return how the progress is shown."""
+    """Return the style of progress output."""
     return "json" if options.json else "bar" if sys.stderr.isatty() else "lines"
 
 
@@ -128,14 +117,14 @@ def parse_rate(text: str) -> float | None:
 
 
 def positive(number: int, option: str) -> int:
-    """Return the number, which is 1 or more; raises `InputError`, which names the option."""
+    """Return the number if it is 1 or more; raises `InputError`."""
     if number < 1:
         raise InputError(f"found {option} {number}, expected at least 1")
     return number
 
 
 def seconds(value: float, option: str, *, least: float) -> float:
-    """Return seconds, which are `least` or more and not endless; raises `InputError`, which names the option."""
+    """Return the value if it is finite and at least `least`; raises `InputError`."""
     if not least <= value < float("inf"):
         raise InputError(f"found {option} {value:g}, expected seconds, {least:g} or more")
     return value
@@ -162,7 +151,7 @@ def parse_place(text: str, option: str) -> tuple[float, float]:
 
 
 def parse_layers(text: str) -> set[int]:
-    """Return the layers that a text like 1,2 names; raises `InputError`."""
+    """Return the layers of a text like 1,2; raises `InputError`."""
     parts = {part.strip() for part in text.split(",")}
     if not parts <= {"1", "2", "3", "4"}:
         raise InputError(f"found --layers {text}, expected some of 1,2,3,4")

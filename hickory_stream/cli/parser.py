@@ -1,4 +1,4 @@
-"""The parser of the whole command line, put together from its commands."""
+"""The parser of the whole command line."""
 
 from __future__ import annotations
 
@@ -74,21 +74,20 @@ _MOVED = {
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that takes `-1,2` for a value, as it does `-1`: no option begins with a digit."""
-
+    # Takes `-1,2` for a value, as argparse takes `-1`: no option begins with a digit.
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._negative_number_matcher = re.compile(r"-(\.?\d|inf|nan)")
 
     def error(self, message: str) -> NoReturn:
-        """Exit; what an earlier release called otherwise is answered by its name of today."""
+        # A name of an earlier release is answered by its present name.
         words = message.partition("(choose")[0].replace("'", " ").split()
         moved = next((word for word in words if word in _MOVED), None)
         super().error(message if moved is None else f"found {moved}, which is now {_MOVED[moved]}")
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return the parser; the namespace it makes holds `run`, the function of the chosen command, and the `parser`."""
+    """Return the parser; its namespace holds `run`, the function of the chosen command, and the `parser`."""
     parser = _Parser(
         prog="hickory-stream",
         description="Streaming object mapper: posed RGB-D in, a map of objects with four layers out.",

@@ -1,4 +1,4 @@
-"""What may be said on the command line about a log: shared by `play` and `doctor`."""
+"""Options of a log, shared by `play` and `doctor`."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def add_source_options(command: argparse.ArgumentParser) -> None:
 
 
 def source_options(options: argparse.Namespace) -> SourceOptions:
-    """Return what was said; raises `InputError` for values that cannot be."""
+    """Return the options of a log; raises `InputError` for invalid values."""
     from players import SourceOptions
 
     gap_ms = options.max_pose_gap

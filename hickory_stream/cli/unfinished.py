@@ -1,4 +1,4 @@
-"""The notice for a map whose run did not end: how much of it there is, and the command that resumes it."""
+"""The notice for a map whose run did not end: its extent, and the command that resumes it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 
 def resume_command(folder: Path) -> str:
-    """Return the command line that goes on with the run of a map."""
+    """Return the command line that resumes the run of a map."""
     return f"hickory-stream resume {shlex.quote(str(folder))}"
 
 
 def unfinished_note(saved: SavedMap) -> str | None:
-    """Return what is to be said of a map's run, None where it has ended or can not be gone on with."""
+    """Return the notice of a map's run, None if it has ended or cannot be resumed."""
     mode = saved.manifest.run.get("mode")
     if saved.manifest.finished_cleanly or mode is None:
         return None

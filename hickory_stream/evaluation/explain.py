@@ -1,4 +1,4 @@
-"""What every figure of `evaluate` means, in words, and a result as text."""
+"""Definitions of the figures of `evaluate`, and a result as text."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ false        Where an object comes from that has no match, and is not of ignored
 
 
 def as_json(evaluation: Evaluation) -> dict[str, Any]:
-    """Return an evaluation for machines."""
+    """Return an evaluation as JSON data."""
     return dataclasses.asdict(evaluation)
 
 
@@ -114,7 +114,7 @@ def worst_first(evaluation: Evaluation) -> list[ObjectEvaluation]:
 
 
 def verdict(row: ObjectEvaluation) -> str:
-    """Return in a phrase what became of a true object."""
+    """Return the outcome of a true object in a phrase."""
     told = []
     if row.map_id is None:
         told.append("missed" if not row.track_ids else "found, but its box is off")

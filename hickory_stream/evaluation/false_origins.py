@@ -34,7 +34,7 @@ _HALF = 0.5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FalseObject:
-    """A mapped object that counts as false; `truth_ids` are the true objects that the text mentions."""
+    """A mapped object that counts as false; `truth_ids` are the true objects in the text."""
 
     map_id: int
     origin: FalseOrigin
@@ -45,13 +45,9 @@ class FalseObject:
 def origin_of(
     map_id: int, owner: int | None, tracks_of: Mapping[int, tuple[int, ...]], evidence: Evidence
 ) -> FalseObject:
-    """Return where an object comes from.
+    """Return the origin of a false object.
 
-    Args:
-        map_id: the object.
-        owner: the true object that most of its points lie on, None where there is none.
-        tracks_of: the objects that lie mostly on each true object.
-        evidence: what the run saw, and where its objects lie.
+    `owner` is the true object under most of its points; `tracks_of` are the objects mostly on each true object.
     """
     lies_on = evidence.overlap.lies_on[map_id]
     of = lies_on_text(lies_on, evidence.names)

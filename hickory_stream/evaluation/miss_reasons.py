@@ -1,8 +1,7 @@
-"""The reason why a true object is missed: one of a closed list, with the counts that support it.
+"""The reason why a true object is missed: the first that holds of a closed list, with supporting counts.
 
-The reasons are tried in order, and the first that holds is given: the map has it in pieces, or as one object with a
-wrong box; it was too small in every keyframe; another object absorbed it; else the label that most keyframes gave it,
-or the way in which its own tracks ended.
+In order: in pieces, or a wrong box; too small in every keyframe; absorbed by another object; the label of most
+keyframes, or the end of its own tracks.
 """
 
 from __future__ import annotations
@@ -86,9 +85,9 @@ _EXTENT_SLACK_M, _EXTENT_SLACK = 0.03, 0.1
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Missed:
-    """A true object without a match; `map_ids` are the mapped objects that the text mentions.
+    """A true object without a match; `map_ids` are the mapped objects in the text.
 
-    `best_frame` is the frame index of the keyframe that shows most pixels of it, None if no keyframe shows it.
+    `best_frame` is the frame of the keyframe with most pixels of it, None if no keyframe shows it.
     """
 
     truth_id: int
@@ -101,7 +100,7 @@ class Missed:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """The input to all reasons; `names` are those of true objects, `boxes` those of the map's objects.
+    """Input to all reasons; `names` are of true objects, `boxes` of the map's objects.
 
     A track is confirmed when the evidence of its sightings (weighted by `existence`) adds up to `confirm`.
     """
@@ -115,19 +114,19 @@ class Evidence:
 
     @property
     def fewest_sightings(self) -> int:
-        """The least number of sightings that can confirm a track, each of full weight and from a new viewpoint."""
+        """The least number of sightings of full weight, each from a new viewpoint, that confirms a track."""
         return max(1, int(np.ceil(self.confirm / max(self.existence.fresh, self.existence.again, 1e-9))))
 
     @property
     def what_confirms(self) -> str:
-        """What confirms a track, in words."""
+        """The condition for a confirmed track, in words."""
         fresh, again = self.existence.fresh, self.existence.again
         worth = f"{fresh:g} for a sighting from another place, {again:g} for one more from the same"
         return f"a track takes evidence of {self.confirm:g}: {worth}, less for what is small or has little depth"
 
 
 def state_of(sighting: Sighting) -> State:
-    """Return what a keyframe took a thing for."""
+    """Return the label of an object in a keyframe."""
     masks = [part for part in sighting.parts if part.where == "mask"]
     if sum(part.share for part in masks) >= _HALF:
         if masks[0].share >= _HALF:
@@ -147,7 +146,7 @@ def state_of(sighting: Sighting) -> State:
 
 
 def why_missed(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> Missed:
-    """Return why a true object is missed; `track_ids` are the objects that lie mostly on it."""
+    """Return why a true object is missed; `track_ids` are the objects mostly on it."""
     seen = evidence.sightings.of_object[truth_id]
     if not seen:
         text = f"none of {evidence.sightings.num_keyframes} keyframes shows it"
@@ -268,7 +267,6 @@ def _merge_text(gone: Sequence[int], map_id: int, evidence: Evidence) -> str:
 
 
 def _own_tracks(truth_id: int, evidence: Evidence) -> Counter[int]:
-    """Return the number of masks that each track got of this object alone, the most first."""
     tracks: Counter[int] = Counter()
     for sighting in evidence.sightings.of_object[truth_id]:
         if state_of(sighting) == "in a mask of its own":
@@ -281,7 +279,6 @@ def _own_tracks(truth_id: int, evidence: Evidence) -> Counter[int]:
 def _lost_track(
     truth_id: int, large: Sequence[Sighting], states: Sequence[State], told: str, evidence: Evidence
 ) -> Missed:
-    """Return why an object that mostly had masks of its own is missed: the ends of their tracks."""
     tracks, histories = _own_tracks(truth_id, evidence), evidence.sightings.histories
     own = sum(tracks.values())
     ends: Counter[MissReason] = Counter()
@@ -310,7 +307,6 @@ def _reason_of_end(ending: Ending | None) -> MissReason:
 
 
 def _detail(state: State, shown: Sequence[Sighting], evidence: Evidence) -> str:
-    """Return the details of the keyframes that gave an object the same label."""
     if state == "taken for structure":
         share = np.mean([sighting.share("structure") for sighting in shown])
         return f"there {share:.0%} of its pixels are taken for floor, wall or ceiling"

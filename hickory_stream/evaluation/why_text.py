@@ -1,4 +1,4 @@
-"""Histories and reasons as text for people; as JSON the records themselves are written."""
+"""Histories and reasons as text."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def why_text(why: Why) -> str:
 
 
 def missed_title(why: Why) -> str:
-    """Return the number of missed true objects, their total, and the number that does not count."""
+    """Return the counts of missed, counted and ignored true objects."""
     aside = f"; {why.num_little_seen} more were seen too little to count" if why.num_little_seen else ""
     return f"{len(why.missed)} of {why.num_truth} true objects that count are missed{aside}"
 
 
 def false_title(why: Why) -> str:
-    """Return the number of false objects, their total, and the number that is ignored."""
+    """Return the counts of false, all and ignored objects."""
     aside = f"; {why.num_aside} more are of true objects that do not count" if why.num_aside else ""
     return f"{len(why.false)} of {why.num_objects - why.num_aside} objects are no true object{aside}"
 

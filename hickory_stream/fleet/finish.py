@@ -1,7 +1,6 @@
-"""The merged maps of a fleet: the finished maps aligned and merged by the code of `merge`, one map for each frame.
+"""The merged maps of a fleet: finished maps are aligned and merged as by `merge`, one map per frame.
 
-The frame with the most robots gives `fleet.map`; where there are more frames of two and more robots, theirs are
-`fleet-2.map` and so on. A robot that agrees with no other keeps its own map, and is in none of them.
+The frame with the most robots becomes `fleet.map`, further ones with two or more robots `fleet-2.map` and so on.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MergedFrame:
-    """The merged map of the robots in one frame; `num_united` of its objects are in the maps of several robots."""
+    """The merged map of the robots in one frame; `num_united` objects are in several robots' maps."""
 
     path: Path
     names: tuple[str, ...]
@@ -47,21 +46,21 @@ class MergedFrame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Finished:
-    """What became of the finished maps.
-
-    `maps` by robot; `answers` of each two; all robots with a map are in one of the `frames`, those of two and more are
-    merged, the largest first; `problems` by robot say why a map cannot be read.
-    """
+    """Alignments and merged maps of the finished maps."""
 
     maps: Mapping[str, SavedMap]
+    #: of each two robots
     answers: Mapping[tuple[str, str], Alignment | NoAlignment]
+    #: of all robots with a map
     frames: tuple[Frame, ...]
+    #: of frames with two and more robots, the largest first
     merged: tuple[MergedFrame, ...]
+    #: by robot, why a map cannot be read
     problems: Mapping[str, str]
 
 
 def merged_path(out: Path, place: int, name: str = FLEET) -> Path:
-    """Return the folder of the merged map of a fleet's frames, `place` from 0."""
+    """Return the folder of a merged map; `place` is the index of its frame."""
     return out / (f"{name}.map" if place == 0 else f"{name}-{place + 1}.map")
 
 
@@ -80,13 +79,9 @@ def finish(
     name: str = FLEET,
     joining: JoiningConfig | None = None,
 ) -> Finished:
-    """Align and merge the maps of a fleet's robots, in the order of `folders`; `tell` is told what is being done.
+    """Align and merge the maps of a fleet's robots in the order of `folders`; raises `MapFolderError` for a merged map.
 
-    `choose` says which two maps are aligned, (a, b) with a < b, and `joining` how surely; `name` is that of the merged
-    map.
-
-    Raises:
-        MapFolderError: a merged map cannot be written.
+    `choose` returns the pairs (a, b), a < b, to align, `joining` the required certainty; `name` is of the merged map.
     """
     maps, problems = _opened(folders)
     names = tuple(maps)
@@ -111,7 +106,7 @@ def finish(
 
 
 def why_alone(name: str, answers: Mapping[tuple[str, str], Alignment | NoAlignment]) -> str:
-    """Return why a robot is in no other's frame: what was found of it and each of the others."""
+    """Return why a robot shares no frame: its alignment with each other robot."""
     told = []
     for (a, b), answer in answers.items():
         if name in (a, b):

@@ -13,17 +13,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GraphSummary:
-    """A pose graph: how many submaps and loops it has, and the loops themselves.
-
-    `moved_m` is how far the solution moved the submap that it moved most, `sigma_m` the standard deviation of the place
-    that is known least, relative to the first submap.
-    """
+    """Counts of submaps and loops of a pose graph, and the loops."""
 
     num_submaps: int
     num_accepted: int
     num_rejected: int
     num_withdrawn: int
+    #: largest displacement of a submap by the solution
     moved_m: float
+    #: largest standard deviation of a position, relative to the first submap
     sigma_m: float
     loops: tuple[GraphEdge, ...]
 

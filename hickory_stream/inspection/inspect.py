@@ -1,7 +1,6 @@
 """A map in numbers: its objects, and the storage and time of the four layers as in the paper's table.
 
-Storage counts what the layers hold, not how a file packs it: 15 bytes a point (three float32 and a colour), the GLB for
-a mesh, eleven float64 for a superquadric (two exponents, three semi-axes, six of the pose).
+Storage counts content, not file packing: 15 bytes a point, the GLB of a mesh, eleven float64 a superquadric.
 """
 
 from __future__ import annotations
@@ -36,19 +35,15 @@ _PRIMITIVE_BYTES = 11 * 8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectSummary:
-    """One object; `size_m` are the sides of the box of layer 1, `layer_bytes` the sizes of layers 1 to 4, 0 if missing.
-
-    `place` is the pose and size of its best layer. `supports` are its relations in the support graph.
-    `is_sketched`: it has no layers 2 to 4 yet, but one superquadric fitted to its points. `verdict` is why a generated
-    shape was taken, or was not; "" where none was asked for. `fit_kind` says of what layer 3 is, as in `ObjectShape`;
-    None without a shape.
-    """
+    """One object in numbers."""
 
     id: int
     phase: Phase
     submap_id: int
+    #: pose and size of its best layer
     place: Place
     sightings: int
+    #: sides of the box of layer 1
     size_m: tuple[float, float, float]
     num_points: int
     num_views: int
@@ -56,17 +51,21 @@ class ObjectSummary:
     num_inflated: int
     reconstructor: str | None
     layers: tuple[int, ...]
+    #: of layers 1 to 4, 0 if missing
     layer_bytes: tuple[int, int, int, int]
     containment: Containment | None
+    #: without layers 2 to 4, but with one superquadric fitted to its points
     is_sketched: bool = False
     supports: tuple[Support, ...] = ()
+    #: why a generated shape was accepted or not, "" without one
     verdict: str = ""
+    #: as in `ObjectShape`, None without a shape
     fit_kind: FitKind | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LayerSummary:
-    """One layer of all objects together; `seconds` is the time to build it, None if no time was recorded."""
+    """One layer of all objects; `seconds` is the time to build it, None if it was not recorded."""
 
     layer: int
     num_objects: int
@@ -76,17 +75,15 @@ class LayerSummary:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapSummary:
-    """A map; `digest` is of its objects as they are, `num_checked` and `num_outside` sum up the containment.
+    """A map in numbers; `objects` are the selected ones.
 
-    `num_objects` are in the map, `num_shaped` of them with layer 4; `objects` are those that were asked for.
-    `num_certified` objects have a layer 4 that provably contains them; in `num_fallbacks` of these it is a box.
-    `is_altered`: the objects differ from those that were saved, so that none counts as certified. `doubt` says why the
-    statements about layer 4 may not hold, "" if they do. `notes` are warnings about the map's floor and gravity.
-    `graph` is the map's pose graph, None where no loops were searched for.
+    `num_checked` and `num_outside` sum up the containment. `num_shaped` of `num_objects` have a layer 4;
+    `num_certified` have one that provably contains them, `num_fallbacks` of these a box.
     """
 
     objects: tuple[ObjectSummary, ...]
     layers: tuple[LayerSummary, ...]
+    #: of the objects as found
     digest: str
     finished_cleanly: bool
     revision: int
@@ -97,8 +94,11 @@ class MapSummary:
     num_fallbacks: int
     num_objects: int
     num_shaped: int
+    #: the objects differ from the saved ones, so that none counts as certified
     is_altered: bool
+    #: why statements about layer 4 may not hold, "" if they do
     doubt: str
+    #: warnings about floor and gravity
     notes: tuple[str, ...]
     graph: GraphSummary | None = None
 
@@ -136,14 +136,14 @@ def chosen(
     within_m: float | None = None,
     min_size_m: float = 0.0,
 ) -> MapSummary:
-    """Return the summary with the objects that are asked for, in the order asked for; its totals stay the map's.
+    """Return the summary with the selected objects in the given order; its totals stay the map's.
 
     Args:
         summary: of the whole map.
-        sort: by id or nearest first; largest, tallest and most often seen first. Ties by id.
-        near: x and y in the map, metres; distances are horizontal, from here to the objects' centres.
-        within_m: objects farther than this from `near` are left out.
-        min_size_m: objects whose longest side is shorter are left out.
+        sort: by id or distance, ascending; by size, height or sightings, descending. Ties by id.
+        near: x and y in the map, metres; distances are horizontal, to the objects' centres.
+        within_m: leaves out farther objects.
+        min_size_m: leaves out objects whose longest side is shorter.
     """
 
     def distance_m(row: ObjectSummary) -> float:
@@ -163,12 +163,12 @@ def chosen(
 
 
 def as_json(summary: MapSummary) -> dict[str, Any]:
-    """Return the summary as JSON has it; keys are the names of the fields."""
+    """Return the summary as JSON data; keys are the field names."""
     return asdict(summary)
 
 
 def format_table(summary: MapSummary) -> str:
-    """Return the summary as text for people: where each object is, what each holds, and what each layer takes."""
+    """Return the summary as text: position, content and size of each object, and each layer."""
     return "\n".join(
         [
             f"{summary.source}: {_count_objects(summary)}, {_ending(summary)}",
@@ -220,7 +220,6 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject, supports: tuple[S
 
 
 def _containment(saved: SavedMap, shape: ObjectShape) -> Containment:
-    """Return the certificate that a shape came with, None for an altered map, in which no certificate holds."""
     return replace(shape.containment, is_certified=False) if saved.is_altered else shape.containment
 
 
@@ -305,7 +304,6 @@ def _layer_row(row: LayerSummary) -> tuple[str, ...]:
 
 
 def _columns(rows: list[tuple[str, ...]]) -> list[str]:
-    """Return the rows as lines, every column as wide as its widest cell; text to the left, numbers to the right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     is_text = [row_i in ("phase", "layers", "color", "held by", "") for row_i in rows[0]]
     return [
@@ -318,7 +316,6 @@ def _columns(rows: list[tuple[str, ...]]) -> list[str]:
 
 
 def _bytes(size: int) -> str:
-    """Return a size as the paper writes it."""
     if size < 1024:
         return f"{size} B"
     return f"{size / 1024:.1f} KiB" if size < 1024**2 else f"{size / 1024**2:.2f} MiB"
@@ -359,7 +356,7 @@ def _containment_line(summary: MapSummary) -> str:
 
 
 def _margins(summary: MapSummary) -> str:
-    """Return the safety margins of the objects; containment without a margin proves little."""
+    # Containment without a margin proves little.
     margins = [row.containment.margin_m for row in summary.objects if row.containment]
     if not margins:
         return ""

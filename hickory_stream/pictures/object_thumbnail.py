@@ -1,4 +1,4 @@
-"""Small pictures of single objects: ray cast on the CPU, all from the same side so that they can be compared."""
+"""Small pictures of single objects, ray cast on the CPU from one side for comparison."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FILL = 0.62
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CloseUp:
-    """An orthographic view: its centre, half the width of the area shown, and the direction it is seen from."""
+    """An orthographic view: its centre, half its width, and its direction."""
 
     center_m: tuple[float, float, float]
     half_m: float

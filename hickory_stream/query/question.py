@@ -1,4 +1,4 @@
-"""A question as the grammar reads it: what is wanted, as conditions that each object fulfils to a degree."""
+"""A question from the grammar: conditions that each object fulfils to a degree."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 
 
 class Relation(StrEnum):
-    """How an object lies to another one, or to a place; `CARRYING` is `ON` the other way round."""
+    """Relation of an object to another one, or to a place; `CARRYING` is the inverse of `ON`."""
 
     ON = "on"
     CARRYING = "carrying"
@@ -22,7 +22,7 @@ class Relation(StrEnum):
 
 
 class Quantity(StrEnum):
-    """What can be compared with a number, metres; `UNDERSIDE` is the height of an object's lowest point."""
+    """A comparable quantity in metres; `UNDERSIDE` is the height of an object's lowest point."""
 
     SIZE = "longest side"
     LENGTH = "longer horizontal side"
@@ -32,7 +32,7 @@ class Quantity(StrEnum):
 
 
 class Use(StrEnum):
-    """What an object would serve for by its geometry."""
+    """A use of an object by its geometry."""
 
     SIT_ON = "to sit on"
     PUT_ON = "to put things on"
@@ -55,10 +55,7 @@ class HasShape:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HasMeasure:
-    """A quantity lies on one side of a border: `zero_at` metres not at all, `one_at` fully. `name` is how it is said.
-
-    A word such as "large" and a comparison such as "taller than 0.5 m" are the same kind of condition.
-    """
+    """A quantity lies beyond a border: `zero_at` metres not at all, `one_at` fully; `name` is its wording."""
 
     name: str
     quantity: Quantity
@@ -93,7 +90,7 @@ Room = Literal["floor", "wall"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Related:
-    """The object lies in this way to a landmark."""
+    """The object has this relation to a landmark."""
 
     relation: Relation
     to: Thing | ObjectOfId | Place | Room
@@ -103,7 +100,7 @@ class Related:
 class Most:
     """Of the objects that fulfil the rest, the one with the most, or the least, of a quantity.
 
-    With `nearest_to` it is the one with the least distance from there.
+    With `nearest_to` it is the nearest to that place.
     """
 
     name: str
@@ -121,7 +118,7 @@ class Not:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LooksLike:
-    """The object looks like what a text says; only an image-text network can tell."""
+    """The object looks like a text, by an image-text network."""
 
     text: str
 
@@ -138,7 +135,7 @@ class Thing:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Question:
-    """What is wanted: objects, best first, or (`counts`) how many there are."""
+    """The objects asked for, or (`counts`) their number."""
 
     thing: Thing
     counts: bool

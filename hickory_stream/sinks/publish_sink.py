@@ -1,10 +1,8 @@
-"""The sink that tells a robot what the map knows, over the link by which it is heard, and answers where it may go.
+"""Publishes the map to a robot over its live link, and answers its goals with paths.
 
-Costmap, objects, markers and `map -> odom` are published as the map grows; a goal (`geometry_msgs/PoseStamped` on
-`/goal_pose`, as RViz sends it) is answered with a `nav_msgs/Path` on `/plan` from where the camera is. Names and QoS
-are those of Nav2 and RViz. Nothing here ever holds the map up: what cannot be sent in time is dropped and counted.
-
-What waits to be sent to a robot: bounded, sent in a thread of its own, and every message is counted by its fate.
+Costmap, objects, markers and `map -> odom` follow the map; a `geometry_msgs/PoseStamped` on `/goal_pose` is answered
+with a `nav_msgs/Path` on `/plan`. Names and QoS are the ones of Nav2 and RViz. Nothing here delays the map: a thread
+sends from a bounded queue, and late messages are dropped and counted.
 """
 
 from __future__ import annotations
@@ -59,25 +57,25 @@ _CLOSE_S = 2.0
 
 
 class ReturnLink(Protocol):
-    """The way back to a robot: a live route that can publish. `send` may take long, and never raises."""
+    """A live route that can publish. `send` may block, and never raises."""
 
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
-        """Announce a topic, now and whenever the link comes back; of a latched one the last message is kept."""
+        """Announce a topic, and again after a reconnection; a latched topic keeps its last message."""
         ...
 
     def send(self, name: str, data: bytes) -> bool:
-        """Publish a message of an offered topic; return False where nobody is there to take it."""
+        """Publish a message of an offered topic; return False without a subscriber."""
         ...
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
-        """Have what is published under a name handed over as it comes, on a thread of the link's."""
+        """Call `hear` with each message of a topic, on a thread of the link."""
         ...
 
 
 class Outbox:
-    """Sends messages in their order; where they take too much room the oldest go.
+    """Sends messages in order; when they take too much memory, the oldest are dropped and `overtaken` gets their names.
 
-    `overtaken` is told the name of a message that was dropped. Fates: `sent`, `unheard` (nobody there), `dropped`.
+    Fates: `sent`, `unheard` (no subscriber), `dropped`.
     """
 
     def __init__(
@@ -95,7 +93,7 @@ class Outbox:
         self._thread.start()
 
     def put(self, name: str, data: bytes, *, is_urgent: bool = False) -> None:
-        """Have a message sent; an urgent one before all others."""
+        """Queue a message; urgent ones go first."""
         dropped: list[str] = []
         with self._changed:
             if is_urgent:
@@ -113,7 +111,7 @@ class Outbox:
             self._overtaken(old)
 
     def fates(self) -> dict[str, dict[str, int]]:
-        """Return by topic how many messages had which fate so far."""
+        """Return the number of messages by topic and fate."""
         with self._changed:
             found: dict[str, dict[str, int]] = {}
             for (name, fate), number in sorted(self._fates.items()):
@@ -121,7 +119,7 @@ class Outbox:
             return found
 
     def close(self) -> None:
-        """Send what waits, for a moment, and end; what is left then is counted as dropped."""
+        """Send the queue for a moment, then count the rest as dropped."""
         with self._changed:
             self._is_over = True
             self._changed.notify()
@@ -167,12 +165,9 @@ _CELL_M = 0.05
 
 
 class PublishSink:
-    """A `Sink` that publishes over a link; `parts` are some of `PARTS`.
+    """Publishes `parts` of `PARTS` over a link; raises `InputError` for an unknown part.
 
-    `odom_frame` is the frame of the robot's poses. `counts` says what became of every message and goal.
-
-    Raises:
-        InputError: there is no such part.
+    `odom_frame` is the frame of the robot's poses.
     """
 
     def __init__(
@@ -213,7 +208,7 @@ class PublishSink:
             link.listen(GOAL_TOPIC, self._hear)
 
     def show(self, report: FrameReport) -> None:
-        """Publish what changed with the report's snapshot."""
+        """Publish the changes of the report's snapshot."""
         snapshot = report.snapshot
         if snapshot is None:
             return
@@ -244,18 +239,18 @@ class PublishSink:
             self._tell_objects(snapshot)
 
     def counts(self) -> dict[str, Any]:
-        """Return by topic how many messages had which fate, and what became of goals."""
+        """Return the number of messages by topic and fate, and of goals by outcome."""
         return {"topics": self._outbox.fates(), "goals": dict(self._goal_fates)}
 
     def close(self) -> None:
-        """Send what waits, for a moment, and end."""
+        """Send the queue for a moment, and end."""
         if self._planner is not None:
             self._goals_put(None)
             self._planner.join(2.0)
         self._outbox.close()
 
     def _follow(self) -> None:
-        """Have the grid of the planner be that of the newest snapshot; called with the lock."""
+        # Updates the planner's grid to the newest snapshot; the lock is held.
         if self._unfollowed is not None:
             self._space.update(self._unfollowed)
             self._unfollowed = None
@@ -278,7 +273,7 @@ class PublishSink:
         self._goals_put(data)
 
     def _goals_put(self, data: bytes | None) -> None:
-        """Have a goal answered; of too many the oldest are dropped: the robot wants to know of its last one."""
+        # Of too many goals the oldest are dropped.
         while True:
             try:
                 self._goals.put_nowait(data)
@@ -302,7 +297,6 @@ class PublishSink:
             self._outbox.put(PLAN_TOPIC, path_message(self._stamp_ns, answer), is_urgent=True)
 
     def _answer(self, data: bytes) -> Path | str | None:
-        """Return the path to a goal, None where there is none, or why nothing can be said."""
         goal = goal_of(data)
         if goal is None:
             return f"{GOAL_TOPIC} was sent {len(data)} bytes that are no PoseStamped with a finite place"
@@ -327,7 +321,7 @@ class PublishSink:
 
 
 def followed_space(robot: Robot, *, cell_m: float, seen: SeenSurface) -> Followed[FreeSpace]:
-    """Return the free space of a robot that follows the snapshots of a live run."""
+    """Return the free space of a robot, updated from the snapshots of a live run."""
     num_layers = len(robot.postures) * robot.num_headings
     return Followed(
         lambda frame, floor_m: FreeSpace(robot, frame, floor_m),

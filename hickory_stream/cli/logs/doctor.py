@@ -1,4 +1,4 @@
-"""`hickory-stream doctor`: examine a log, or a robot, before it is mapped."""
+"""`hickory-stream doctor`: examine a log, or a robot, before mapping it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ _LIVE_S = 10.0
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     doctor = commands.add_parser(
         "doctor",
         parents=[common],
@@ -38,7 +37,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from players.doctor.diagnosis import examine
     from players.doctor.report import diagnosis_page, diagnosis_text
     from players.live.examine import examine_live

@@ -1,4 +1,4 @@
-"""`hickory-stream odometry`: estimate where the camera was, without mapping anything."""
+"""`hickory-stream odometry`: estimate the camera's trajectory without mapping."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     odometry = commands.add_parser(
         "odometry", parents=[common], help="estimate the poses of a log from LiDAR or depth, and compare with truth"
     )
@@ -41,7 +40,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.base.atomic_files import write_output
     from players import open_source
     from players.opening import open_estimating
@@ -99,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def tum_text(stamps_ns: list[int], poses: list[NDArray[np.float64]]) -> str:
-    """Return poses (4, 4) as TUM has them, a line each: seconds, place, quaternion with w last."""
+    """Return poses (4, 4) in TUM format, one a line: seconds, position, quaternion with w last."""
     from hickory_stream.geometry.rigid import quaternion_from_rotation
 
     lines = ["# stamp tx ty tz qx qy qz qw: the camera (x right, y down, z forward) in the world"]
@@ -112,7 +110,6 @@ def tum_text(stamps_ns: list[int], poses: list[NDArray[np.float64]]) -> str:
 
 
 def _truth(path: Path) -> Trajectory:
-    """Return the stamps and the poses of a file, or those of the frames of a log."""
     import numpy as np
 
     from players import SourceOptions, open_source

@@ -1,4 +1,4 @@
-"""`hickory-stream segment`: what perception makes of one frame, as a picture."""
+"""`hickory-stream segment`: draw the masks and features of one frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     segment = commands.add_parser(
         "segment", parents=[common, configured], help="segment one frame and draw masks, rejected masks and features"
     )
@@ -46,7 +45,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     import numpy as np
 
     from hickory_stream.engine.reading import sensed
@@ -75,7 +73,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _frame(options: argparse.Namespace) -> Frame:
-    """Return the two images as a frame whose world has its origin in the camera, and z up."""
     import numpy as np
 
     from hickory_stream.geometry.depth_sensor import DepthSensor
@@ -120,7 +117,6 @@ def _frame(options: argparse.Namespace) -> Frame:
 
 
 def _depth_camera(options: argparse.Namespace, profile: Profile, width: int, height: int) -> Camera:
-    """Return the depth camera: as told, as the folder of the image has it, or as the profile does."""
     from players.logs.folder_layouts import INTRINSICS
     from players.logs.folder_text import read_intrinsics
 
@@ -217,7 +213,7 @@ def _numbers(text: str, count: int, option: str, form: str) -> list[float]:
 
 
 def _upright(down_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return world_from_camera (4, 4) of a camera at the origin of a world that is z up, by where down is in it."""
+    """Return world_from_camera (4, 4) of a camera at the origin of a z-up world, from the down direction."""
     import numpy as np
 
     length = float(np.linalg.norm(down_camera))

@@ -1,4 +1,4 @@
-"""`hickory-stream align`: find where two maps overlap, or say why not."""
+"""`hickory-stream align`: find where two maps overlap, or say why none was found."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ METHODS = ("sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic", "ransa
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     align = commands.add_parser(
         "align", parents=[common], help="find the transform between two maps that overlap; exit status 3: they do not"
     )
@@ -37,7 +36,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.alignment.answer import Alignment
     from hickory_stream.alignment.methods import align_by
 
@@ -59,14 +57,14 @@ def load_objects(folder: Path) -> ObjectMap:
 
 
 def objects_of(saved: SavedMap) -> ObjectMap:
-    """Return the objects of an opened map, with the name of what made their features."""
+    """Return the objects of an opened map, with the name of their feature extractor."""
     from hickory_stream.alignment.object_map import object_map
 
     return object_map(saved.snapshot, saved.manifest.extractor)
 
 
 def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
-    """Return an answer for machines."""
+    """Return an answer as JSON data."""
     import numpy as np
 
     from hickory_stream.alignment.answer import Alignment
@@ -129,7 +127,7 @@ def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
 
 
 def answer_text(answer: Alignment | NoAlignment) -> str:
-    """Return an answer for people."""
+    """Return an answer as text."""
     import numpy as np
 
     from hickory_stream.alignment.answer import Alignment

@@ -1,7 +1,6 @@
-"""`hickory-stream diff`: what happened to the objects between two moments of a run, or between two maps of a place.
+"""`hickory-stream diff`: changes of objects between two moments of a run, or between two maps of one place.
 
-Two maps are aligned first. With `--other` they are in one world already, as a live map and that of its recording are,
-and objects are the same whose boxes overlap by half.
+`align` relates the two maps first, except with `--other`: both maps then share one world, and boxes match at IoU 0.5.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     diff = commands.add_parser(
         "diff", parents=[common], help="what happened between two moments of a run, or from one map to another"
     )
@@ -55,7 +53,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.base.atomic_files import write_output
     from hickory_stream.changes.run_page import run_page
     from hickory_stream.changes.within_run import changes_within_run
@@ -94,7 +91,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _between_days(options: argparse.Namespace, later: Path) -> int:
-    """Say what became of every object from one map of a place to a later one."""
     from hickory_stream.alignment.align import align
     from hickory_stream.alignment.answer import Alignment
     from hickory_stream.base.atomic_files import write_output
@@ -156,7 +152,6 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
 
 
 def _compare(options: argparse.Namespace, first: SavedMap, second: SavedMap) -> int:
-    """Say which objects of two maps are the same, and which are in one alone."""
     from hickory_stream.evaluation.match import STRICT_IOU, match_boxes
 
     ours, theirs = first.snapshot.objects, second.snapshot.objects

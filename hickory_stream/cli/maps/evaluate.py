@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     evaluate = commands.add_parser("evaluate", parents=[common], help="compare a map with truth")
     evaluate.set_defaults(run=run)
     evaluate.add_argument("map", type=Path, metavar="MAP", nargs="?")
@@ -26,7 +25,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.evaluation.explain import DEFINITIONS, as_json, format_evaluation
 
     if options.explain:

@@ -1,4 +1,4 @@
-"""`hickory-stream explain`: why something is not in a map, or how it came to be there."""
+"""`hickory-stream explain`: why a map lacks an object, or how an object came into it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     explain = commands.add_parser("explain", parents=[common], help="say why something is not in a map")
     explain.set_defaults(run=run)
     explain.add_argument("map", type=Path, metavar="MAP")
@@ -38,7 +37,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     if options.object is not None and options.truth is None:
         raise InputError(f"found --object {options.object} without --truth DIR, expected both")
     if options.log is not None and options.at_pixel is None:
@@ -95,7 +93,6 @@ def _place(options: argparse.Namespace) -> int:
 
 
 def _three_numbers(text: str, option: str, expected: str) -> tuple[float, float, float]:
-    """Return the numbers of a text like 1,2,3; raises `InputError`."""
     try:
         a, b, c = (float(part) for part in text.split(","))
     except ValueError as error:
@@ -106,8 +103,6 @@ def _three_numbers(text: str, option: str, expected: str) -> tuple[float, float,
 
 
 def _depth_reader(path: Path, logs: list[str]) -> Callable[[int], NDArray[np.float32]]:
-    """Return what gives the depth of the frame of a stamp, from a log that is played as the map's was."""
-
     def depth_of(stamp_ns: int) -> NDArray[np.float32]:
         from hickory_stream.map_folder.manifest import read_manifest
         from players import open_noted

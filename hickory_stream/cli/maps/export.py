@@ -1,4 +1,4 @@
-"""`hickory-stream export`: a map in a format that other programs read."""
+"""`hickory-stream export`: write a map in a format of other programs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,6 @@ _MOST_TOLD = 3
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     export = commands.add_parser("export", parents=[common], help="write a map in another format")
     export.set_defaults(run=run)
     export.add_argument("map", type=Path, metavar="MAP")
@@ -72,7 +71,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     saved, doubt = open_verified_map_at(options)
     ending = "yaml" if options.format == "nav2" else options.format
     out = options.out or options.map.with_suffix(f".{ending}")
@@ -133,7 +131,6 @@ def _ply(saved: SavedMap, _options: argparse.Namespace) -> bytes:
 def _texture_of(
     saved: SavedMap, tracked: TrackedObject, options: argparse.Namespace, mesh: Mesh
 ) -> TexturedMesh | None:
-    """Return the textured mesh of an object, None where colours per vertex were asked for."""
     if not options.texture:
         return None
     from hickory_stream.map_folder.textured_objects import textured_object
@@ -145,7 +142,7 @@ def _texture_of(
 
 
 def _glb(saved: SavedMap, options: argparse.Namespace) -> bytes:
-    """Return a scene of glTF, which is y up; `_SEEN` of a vertex is 1 where the surface was seen, 0 where completed."""
+    # glTF is y up; `_SEEN` of a vertex is 1 where the surface was seen, 0 where it was completed.
     import numpy as np
     import trimesh
 

@@ -1,4 +1,4 @@
-"""`--floor`: which storey of a map a command means."""
+"""`--floor`: the storey of a map that a command uses."""
 
 from __future__ import annotations
 
@@ -21,10 +21,9 @@ def add_floor_argument(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def floor_of_option(snapshot: MapSnapshot, floor_m: float | None) -> float:
-    """Return the floor that --floor means; without it, the only one of the map.
+    """Return the floor that `--floor` selects; without it, the map's only floor.
 
-    Raises:
-        InputError: the map has several floors and none was named, or it has none at this height.
+    Raises `InputError` if the map has several floors and none was given, or none at this height.
     """
     from hickory_stream.storeys import floor_of, floors_of
 

@@ -1,4 +1,4 @@
-"""`hickory-stream inspect`: show what a map holds."""
+"""`hickory-stream inspect`: list the objects and layers of a map."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     inspect = commands.add_parser("inspect", parents=[common], help="show what a map holds")
     inspect.set_defaults(run=run)
     inspect.add_argument("map", type=Path, metavar="MAP")
@@ -34,7 +33,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.inspection.inspect import as_json, chosen, format_table, summarize
 
     near, within_m = _near(options.near)
@@ -47,7 +45,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _near(text: str | None) -> tuple[tuple[float, float], float | None]:
-    """Return the place of a text like 1,2 or 1,2,0.5, and how far from it things are looked at; raises `InputError`."""
     if text is None:
         return (0.0, 0.0), None
     place, _, radius = text.rpartition(",") if text.count(",") == 2 else (text, "", "")

@@ -1,4 +1,4 @@
-"""`hickory-stream merge`: make one map of several."""
+"""`hickory-stream merge`: combine several maps into one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     merge = commands.add_parser(
         "merge", parents=[common], help="make one map of several that overlap; the inputs are not changed"
     )
@@ -30,7 +29,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.cli.option_values import open_map_at
     from hickory_stream.engine.merged_map import outcome_text, write_merged_map
     from hickory_stream.map_folder.saved_map import check_unaltered

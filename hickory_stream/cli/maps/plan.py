@@ -1,4 +1,4 @@
-"""`hickory-stream plan`: a way through a map for a robot, or why there is none."""
+"""`hickory-stream plan`: a path through a map for a robot, or why there is none."""
 
 from __future__ import annotations
 
@@ -33,7 +33,6 @@ PLANNERS = ("rrt", "rrt-connect", "rrt-star")
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     plan = commands.add_parser(
         "plan", parents=[common], help="plan a path through a map for a robot; exit status 3: there is none"
     )
@@ -63,7 +62,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what says which robot plans, and on what grid."""
+    """Add the options of the robot and its grid."""
     parser.add_argument("--robot", metavar="NAME|FILE", help="which one drives: jackal, b2, point, or a TOML file")
     parser.add_argument("--cell", type=float, default=0.033, metavar="M", help="the side of a cell, default 0.033 m")
     parser.add_argument(
@@ -75,7 +74,6 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     import numpy as np
 
     from hickory_stream.navigation.berth import keep_off, passed_by
@@ -136,23 +134,23 @@ def run(options: argparse.Namespace) -> int:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Proof:
-    """What the answer rests on: objects avoided by `boxes`, those with an `uncertified` layer 4, why none is proven.
+    """How far a plan rests on proven geometry."""
 
-    `observed_only`: in a live run, objects that were seen and have no layer 4 yet: what was seen is avoided.
-    `doubt` is "" where the map is the one that was saved. `movable` are the objects that tend to move, `passed` those
-    of them that the path comes so near that they may be in its way by now.
-    """
-
+    #: objects avoided by their boxes
     boxes: list[int]
+    #: objects of a live run that have no layer 4 yet
     observed_only: list[int]
+    #: objects whose layer 4 is not certified
     uncertified: list[int]
+    #: why nothing is proven, "" where the map is as it was saved
     doubt: str
+    #: objects that tend to move
     movable: list[int]
+    #: movable objects within reach of the path
     passed: list[int]
 
 
 def _as_driven(saved: SavedMap, at: str | None) -> tuple[MapSnapshot, SeenSurface | None]:
-    """Return the map that the robot is to keep off, and what was seen and is not sure in a live run that goes on."""
     from hickory_stream.map_folder.history.live_map import is_live, live_map
 
     if not is_live(saved):
@@ -166,7 +164,6 @@ def _listed(ids: list[int]) -> str:
 
 
 def _object_id(goal: str) -> int | None:
-    """Return the id of a goal like object:12, None where it is a place; raises `InputError`."""
     kind, colon, number = goal.partition(":")
     if not colon:
         return None
@@ -176,7 +173,6 @@ def _object_id(goal: str) -> int | None:
 
 
 def _floor_of(snapshot: MapSnapshot, floor_m: float | None, object_id: int | None) -> float:
-    """Return the floor to plan on: the one that was named, or that of the goal; raises `InputError`."""
     from hickory_stream.storeys import floor_beneath, floors_of
 
     floors_m = floors_of(snapshot)
@@ -195,7 +191,6 @@ def _floor_of(snapshot: MapSnapshot, floor_m: float | None, object_id: int | Non
 def _beside(
     space: FreeSpace, snapshot: MapSnapshot, start: NDArray[np.float64], object_id: int | None
 ) -> NDArray[np.float64] | NoPath:
-    """Return where the robot can stand beside an object, or why it cannot; raises `InputError` where it is unknown."""
     from hickory_stream.navigation.free_space import place_beside
     from hickory_stream.navigation.search import NoPath, NoPathReason, refused_start
 

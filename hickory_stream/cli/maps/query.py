@@ -1,4 +1,4 @@
-"""`hickory-stream query`: which objects of a map are what a question asks for, or how many there are."""
+"""`hickory-stream query`: objects of a map that answer a question, or their number."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ _TOLD_EVERY = 100
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     query = commands.add_parser(
         "query", parents=[common], help="which objects answer a question; exit status 3: none does"
     )
@@ -51,7 +50,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.config import MapperConfig, as_far_as_known
     from hickory_stream.query.answers import ask
     from hickory_stream.query.grammar import UnknownWord
@@ -77,7 +75,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _looks(saved: SavedMap, index: MapIndex, model: str | None, unknown: InputError, *, is_quiet: bool) -> ObjectLooks:
-    """Return how objects look by the network of a name, or by the only one that is there."""
     from hickory_stream.perception.models.image_text import open_image_text
     from hickory_stream.perception.models.library import find_model, models_folder, read_manifest
     from hickory_stream.perception.models.network import Network, NetworkConfig

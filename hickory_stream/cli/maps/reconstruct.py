@@ -17,14 +17,12 @@ _MESH = "mesh.glb"  # for people to look at, beside the answer
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     reconstruct = commands.add_parser("reconstruct", parents=[common], help="repeat a shape job that failed")
     reconstruct.set_defaults(run=run)
     reconstruct.add_argument("view", type=Path, metavar="VIEW", help="the input of a job: a folder in MAP/failed")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status: 1 where there is no shape this time, either."""
     from hickory_stream.base.atomic_files import write_atomically
     from hickory_stream.engine.shape_jobs.generators.choose import reconstructor_of
     from hickory_stream.engine.shape_jobs.job_folder import JOB, read_job, write_result

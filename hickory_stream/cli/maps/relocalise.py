@@ -1,4 +1,4 @@
-"""`hickory-stream relocalise`: a running log finds itself in a stored map."""
+"""`hickory-stream relocalise`: locate a running log in a stored map."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     relocalise = commands.add_parser(
         "relocalise", parents=[common, configured], help="play a log and find its place in a stored map, live"
     )
@@ -34,7 +33,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.cli.maps.align import objects_of
     from hickory_stream.cli.option_values import open_map_at
     from hickory_stream.engine.relocalise import relocalise, without

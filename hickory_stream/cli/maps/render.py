@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     render = commands.add_parser("render", parents=[common], help="draw a map; needs no screen")
     render.set_defaults(run=run)
     render.add_argument("map", type=Path, metavar="MAP")
@@ -39,7 +38,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     layers = parse_layers(options.layers)
     width, height = parse_size(options.size)
     saved = open_map_at(options.map, options.at)

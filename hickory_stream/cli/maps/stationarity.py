@@ -1,4 +1,4 @@
-"""The option that tells a command which objects of a map tend to move."""
+"""`--stationarity`: the objects of a map that tend to move."""
 
 from __future__ import annotations
 

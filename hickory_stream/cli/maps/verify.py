@@ -1,4 +1,4 @@
-"""`hickory-stream verify`: does what a map says of itself hold?"""
+"""`hickory-stream verify`: check the seals and proofs of a map."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     verify = commands.add_parser(
         "verify",
         parents=[common],
@@ -35,7 +34,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status: 1 where something does not hold, 2 where the map cannot be read."""
     from hickory_stream.map_folder.verify import verify
 
     is_told = not options.json and sys.stderr.isatty()
@@ -52,7 +50,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _mend(path: Path) -> bool:
-    """Mend a map that is altered or cannot be read; return whether it was."""
     from hickory_stream.errors import MapFolderError
     from hickory_stream.map_folder.saved_map import open_map
     from hickory_stream.map_folder.verify import mend
@@ -67,7 +64,7 @@ def _mend(path: Path) -> bool:
 
 
 def tell(what: str) -> None:
-    """Draw what is done now over what was done before, on a terminal."""
+    """Replace the progress line on a terminal."""
     clear_line()
     sys.stderr.write(what)
     sys.stderr.flush()
@@ -88,7 +85,6 @@ def _as_json(path: Path, verdict: Verdict, *, is_mended: bool) -> dict[str, Any]
 
 
 def _as_lines(path: Path, verdict: Verdict) -> list[str]:
-    """Return what was found: the map as a whole, then the objects of which something is not proven, then the sum."""
     from hickory_stream.map_folder.verify import State
 
     lines = []

@@ -1,4 +1,4 @@
-"""`hickory-stream batch`: map many logs, each a task of its own, and join their maps."""
+"""`hickory-stream batch`: map many logs, each as a separate task, and merge their maps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     batch = commands.add_parser(
         "batch",
         parents=[common, configured],
@@ -48,7 +47,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.base.atomic_files import write_output
     from hickory_stream.batch.page import text_of, write_page
     from hickory_stream.batch.run import BatchPlan, run_batch
@@ -85,7 +83,7 @@ def _tell(text: str, *, as_json: bool) -> None:
 
 
 def result_json(result: BatchResult) -> dict[str, Any]:
-    """Return the result for machines."""
+    """Return the result as JSON data."""
     joined = result.joined
     return {
         "event": "finished",

@@ -1,4 +1,4 @@
-"""`hickory-stream demo`: make a small recording, map it and draw the map; needs nothing besides this program."""
+"""`hickory-stream demo`: make a small recording, map it and draw the map."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ _EVERY = 12
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     demo = commands.add_parser(
         "demo", parents=[common], help="make a small recording of a synthetic room, map it and draw the map"
     )
@@ -34,7 +33,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     folder: Path = options.out
     _make_room(folder, is_overwritten=options.overwrite)
     log, saved = folder / f"{_NAME}.mcap", folder / "map"
@@ -62,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _make_room(folder: Path, *, is_overwritten: bool) -> None:
-    """Make the folder; an earlier demo's parts are removed if so told, and nothing else ever is."""
+    # Removes the parts of an earlier demo if permitted, and no other file.
     there = [folder / name for name in _PARTS if (folder / name).exists()]
     if there and not is_overwritten:
         raise InputError(f"{there[0]} is there; add --overwrite to replace it, or choose another --out")
@@ -78,7 +76,6 @@ def _make_room(folder: Path, *, is_overwritten: bool) -> None:
 
 
 def _record(options: argparse.Namespace, folder: Path) -> None:
-    """Make the recording, in a log and beside it the truth."""
     from hickory_stream.worlds.recording import make_recording
     from hickory_stream.worlds.recording_config import RecordingConfig
 

@@ -1,4 +1,4 @@
-"""`hickory-stream fleet`: map several robots in one run, and join their maps."""
+"""`hickory-stream fleet`: map several robots in one run, and merge their maps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ DEFAULTS: dict[str, Any] = {"fleet": None, "resume": False, "every": None, "proc
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     fleet = commands.add_parser(
         "fleet", parents=[common, configured], help="map several robots in one run; exit status 3: not all are in one"
     )
@@ -50,7 +49,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from dataclasses import replace
 
     from hickory_stream.base.atomic_files import write_output
@@ -102,8 +100,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 class _Watcher:
-    """Shows how far all robots are, as one run."""
-
     def __init__(self, printer: ProgressPrinter, names: Sequence[str], *, as_json: bool) -> None:
         self._printer = printer
         self._as_json = as_json
@@ -140,7 +136,7 @@ class _Watcher:
 
 
 def result_text(result: FleetResult) -> str:
-    """Return a table of the robots for people."""
+    """Return a table of the robots."""
     import numpy as np
 
     rows = [("robot", "keyframes", "objects", "joined with", "pairs", "sigma", "since keyframe")]
@@ -159,7 +155,6 @@ def result_text(result: FleetResult) -> str:
 
 
 def _notes(result: FleetResult) -> list[str]:
-    """Return what is said beside the table: losses, and how to go on with what did not end."""
     lines = [f"{robot.name}: {note}" for robot in result.robots for note in robot.notes]
     unfinished = [robot.name for robot in result.robots if not robot.is_finished and robot.map is not None]
     if unfinished:
@@ -168,7 +163,7 @@ def _notes(result: FleetResult) -> list[str]:
 
 
 def result_json(result: FleetResult, out: Path) -> dict[str, Any]:
-    """Return the result for machines."""
+    """Return the result as JSON data."""
     return {
         "event": "finished",
         "out": str(out),

@@ -37,7 +37,6 @@ _RECORD_GB = 50.0
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     live = commands.add_parser("live", parents=[common, configured], help="map a robot while it moves")
     live.set_defaults(run=run)
     live.add_argument(
@@ -72,7 +71,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
@@ -147,11 +145,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _publishes(options: argparse.Namespace) -> tuple[Robot, tuple[str, ...]] | None:
-    """Return the robot for which, and what is published; None for nothing.
-
-    Raises:
-        InputError: there is no such robot, or no such part.
-    """
     from hickory_stream.sinks.publish_sink import PARTS
 
     if not options.publish and options.publish_only is None:
@@ -201,7 +194,7 @@ def _recorder(options: argparse.Namespace) -> Recorder | None:
 
 
 def default_name(uri: str) -> str:
-    """Return the name of a map for an address: its letters and digits, `live` where it has none."""
+    """Return the name of a map for an address: its letters and digits, else `live`."""
     return re.sub(r"[^A-Za-z0-9.]+", "-", uri.rpartition("/")[2] or uri).strip("-.") or "live"
 
 
@@ -211,8 +204,7 @@ def _say(text: str, *, as_json: bool) -> None:
 
 
 class _StatusPrinter:
-    """While entered: writes the table of topics to standard error, now and then and at the end."""
-
+    # While entered, writes the table of topics to standard error at intervals and at the end.
     def __init__(self, source: LiveMapSource, every_s: float, *, as_json: bool) -> None:
         self._source = source
         self._every_s = every_s

@@ -1,7 +1,4 @@
-"""`hickory-stream play`: map a recorded log.
-
-Keys on a terminal that drive the playback clock: space, arrows and the full stop.
-"""
+"""`hickory-stream play`: map a recorded log; keys of a terminal control the playback clock."""
 
 from __future__ import annotations
 
@@ -35,7 +32,7 @@ _RATES = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, None)
 
 
 class Keys:
-    """While entered, keys drive a clock; does nothing where standard input is no terminal."""
+    """While entered, keys control a clock; does nothing unless standard input is a terminal."""
 
     def __init__(self, clock: PlaybackClock) -> None:
         self._clock = clock
@@ -43,7 +40,6 @@ class Keys:
         self._ended = threading.Event()
 
     def __enter__(self) -> Self:
-        """Take the terminal out of its line mode; Ctrl-C stays what it is."""
         if sys.platform != "win32" and sys.stdin.isatty():
             import termios
             import tty
@@ -54,7 +50,6 @@ class Keys:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the terminal back."""
         self._ended.set()
         if self._saved is not None:
             import termios
@@ -72,7 +67,7 @@ class Keys:
 
 
 def press(clock: PlaybackClock, keys: bytes) -> None:
-    """Do what the keys say; unknown ones do nothing."""
+    """Apply keys to a clock, and ignore unknown ones."""
     match keys:
         case b" ":
             clock.pause()
@@ -99,7 +94,6 @@ _OF_ONE_LOG = {
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     play = commands.add_parser("play", parents=[common, configured], help="map a recorded log")
     play.set_defaults(run=run)
     play.add_argument(
@@ -129,7 +123,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 
 def add_run_options(command: argparse.ArgumentParser) -> None:
-    """Add what may be said of a run, whatever is mapped: its workers, and where it is shown."""
+    """Add the options of every run: its workers, and where it is shown."""
     command.add_argument(
         "--workers",
         metavar="N",
@@ -147,7 +141,6 @@ def add_run_options(command: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
@@ -212,7 +205,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _play_fleet(options: argparse.Namespace) -> int:
-    """Map several robots as `fleet` does; the options of a single log are refused."""
     from argparse import Namespace
 
     from hickory_stream.cli.runs import fleet
@@ -228,10 +220,9 @@ def _play_fleet(options: argparse.Namespace) -> int:
 
 
 def sinks_beside(options: argparse.Namespace, settings: Settings, *, is_live: bool) -> list[Sink]:
-    """Return the sinks of `--metrics-port` and `--costmap`, where in a live run nothing waits to be sure.
+    """Return the sinks of `--metrics-port` and `--costmap`; raises `InputError` for a port or file that cannot be used.
 
-    Raises:
-        InputError: what they are told cannot be had.
+    A live costmap shows unconfirmed objects too.
     """
     made: list[Sink] = []
     if options.metrics_port is not None:
@@ -258,10 +249,7 @@ def all_sinks(
     *,
     status: Callable[[], str] | None = None,
 ) -> Callable[[MapFolder], list[tuple[Sink, bool]]]:
-    """Return what makes the sinks of a run; it hands over those `beside`, which until then are the caller's.
-
-    `status` says how a live route is, for the viewer.
-    """
+    """Return a function that makes all sinks of a run, and takes ownership of `beside`."""
 
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
         made = make_sinks(folder, settings, viewer, options.rrd, status)
@@ -275,7 +263,7 @@ def all_sinks(
 def make_sinks(
     folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None, status: Callable[[], str] | None = None
 ) -> list[tuple[Sink, bool]]:
-    """Return the sinks of a playback, each with whether the run must stop when it fails."""
+    """Return the sinks of a playback, each with whether its failure stops the run."""
     from hickory_stream.sinks.disk_sink import DiskSink
     from hickory_stream.sinks.rerun.sink import RerunSink
     from hickory_stream.sinks.rerun.viewer import ViewerKind

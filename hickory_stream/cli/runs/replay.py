@@ -1,4 +1,4 @@
-"""`hickory-stream replay`: go through a recorded run again, from its map folder alone."""
+"""`hickory-stream replay`: repeat a recorded run from its map folder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     replay = commands.add_parser(
         "replay", parents=[common, configured], help="repeat a recorded run from its journal, and compare the map"
     )
@@ -26,7 +25,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status: 1 where the map that comes out is another one."""
     from hickory_stream.cli.option_values import open_map_at, read_settings
     from hickory_stream.map_folder.digest import map_digest
     from hickory_stream.map_folder.history.replay import replay

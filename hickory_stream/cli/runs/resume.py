@@ -1,4 +1,4 @@
-"""`hickory-stream resume`: go on with a playback that was interrupted."""
+"""`hickory-stream resume`: continue an interrupted playback."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     resume = commands.add_parser(
         "resume", parents=[common, configured], help="go on with an interrupted playback, to the same map"
     )
@@ -38,7 +37,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.map_folder.history.recorded_config import resumed_config

@@ -1,4 +1,4 @@
-"""The summary of a run that has ended: what it made, which shapes failed, and which outputs are incomplete."""
+"""The summary of a run that has ended: its map, failed shapes and incomplete outputs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _IDS_TOLD = 5
 
 
 def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
-    """Say what a run has made, and return the exit status."""
+    """Print the summary of a run, and return the exit status."""
     from hickory_stream.engine.shape_jobs.job_folder import failed_shapes
     from hickory_stream.inspection.graph_summary import summary_of, told
     from hickory_stream.map_folder.history.registration_history import registration_summary
@@ -75,7 +75,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
 
 
 def failures_line(failures: tuple[FailedShapes, ...], num_objects: int) -> str:
-    """Return in one line how many objects have no shape because their jobs failed, and why; "" where none has."""
+    """Return how many objects lack a shape because their jobs failed, and why; "" if none does."""
     if not failures:
         return ""
     number = sum(len(failure.object_ids) for failure in failures)
@@ -103,7 +103,6 @@ def _as_dict(failure: FailedShapes) -> dict[str, Any]:
 
 
 def _damage(ledger: dict[str, Any]) -> str:
-    """Return in one line that the log was damaged, "" where it was sound."""
     from players.doctor.report import damage_line
 
     return damage_line(ledger["messages"]) if ledger.get("messages") else ""

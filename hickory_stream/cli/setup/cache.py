@@ -1,4 +1,4 @@
-"""`hickory-stream cache`: what is kept to save time, and removing it."""
+"""`hickory-stream cache`: show or remove cached data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     del configured
     cache = commands.add_parser(
         "cache",

@@ -1,4 +1,4 @@
-"""`hickory-stream generators`: the programs that make shapes on this machine."""
+"""`hickory-stream generators`: list or check the shape generators of this machine."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     actions = commands.add_parser("generators", help="programs that make shapes").add_subparsers(
         required=True, metavar="ACTION"
     )

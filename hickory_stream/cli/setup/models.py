@@ -1,4 +1,4 @@
-"""`hickory-stream models`: the networks of this machine."""
+"""`hickory-stream models`: list, add or check the networks of this machine."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ _KINDS = ("fastsam", "dinov2", "oneformer", "semantic", "image-text")
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     actions = commands.add_parser("models", help="the networks of this machine").add_subparsers(
         required=True, metavar="ACTION"
     )
@@ -195,7 +194,6 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tuple[dict[str, Any], NDArray[np.uint8]]:
-    """Return what a model gives on the built-in picture, in figures and drawn."""
     from dataclasses import replace
 
     import numpy as np
@@ -244,7 +242,6 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
 
 
 def _guess(name: str) -> Any:
-    """Return the kind that a name that is not there was probably meant to have."""
     return next((kind for kind in _KINDS if kind in name.lower()), "fastsam")
 
 

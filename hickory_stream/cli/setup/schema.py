@@ -1,4 +1,4 @@
-"""`hickory-stream schema`: the form of what a command prints with `--json`, as JSON Schema."""
+"""`hickory-stream schema`: print the JSON Schema of a `--json` output."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
     schema = commands.add_parser("schema", parents=[common], help="print the JSON Schema of what --json prints")
     schema.set_defaults(run=run)
     schema.add_argument(
@@ -23,7 +22,6 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.outputs import OUTPUTS, output_schema
 
     if options.name is not None and options.name not in OUTPUTS:

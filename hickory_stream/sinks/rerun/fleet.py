@@ -1,8 +1,7 @@
-"""A fleet in Rerun: every robot in a colour of its own, and one frame for those that were joined.
+"""A fleet in Rerun: each robot has a colour, and joined robots share a frame.
 
-A robot's objects hang on its entity, in its own frame; when it is joined, that entity moves. Robots that are in no
-other's frame stand beside those that are. The timeline `keyframe` counts every robot's own keyframes, since clocks need
-not agree; `log_time` has the stamps.
+Objects hang on the entity of their robot, which moves when the robot is joined. Unjoined frames stand side by side. The
+timeline `keyframe` counts each robot's own keyframes, since clocks may differ; `log_time` has the stamps.
 """
 
 from __future__ import annotations
@@ -44,9 +43,9 @@ TEXTS, OBJECTS, FRAMES = "fleet/joins", "plots/objects", "plots/frames"
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ShownRobot:
-    """A robot at one moment: what is new of its path (N, 4, 4), its objects, and where its frame lies.
+    """A robot at one moment: its objects and the new part of its path, `world_from_camera` (N, 4, 4).
 
-    `frame` is the name of the robot in whose frame it is, `frame_from_robot` (4, 4) its place there.
+    `frame` names the robot that defines its frame; `frame_from_robot` (4, 4) is its place there.
     """
 
     name: str
@@ -58,11 +57,9 @@ class ShownRobot:
 
 
 class FleetRecording:
-    """Writes the recording of a fleet, and shows it in a viewer; entered with `with`, and whole when that is left.
+    """Writes the recording of a fleet while entered, and shows it in a viewer.
 
-    Raises:
-        ViewerError: the file cannot be written, or the viewer that was asked for cannot be had.
-        OutputError: the disk refused.
+    Raises `ViewerError` if the file or the viewer is not available, `OutputError` on a disk error.
     """
 
     def __init__(self, path: Path, names: Sequence[str], config: RerunConfig, viewer: ViewerChoice) -> None:
@@ -89,17 +86,15 @@ class FleetRecording:
 
     @property
     def web_url(self) -> str | None:
-        """The page that shows the fleet in a browser, where there is one."""
+        """Address of the page of a web viewer."""
         return None if self._viewer is None else self._viewer.web_url
 
     def __enter__(self) -> Self:
-        """Return the recording."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Finish the file, which is removed where the fleet has failed, and give the viewer a moment."""
         try:
             self._file.send_blueprint(_blueprint(self._corners, self._ever))
             self._file.close()
@@ -113,7 +108,7 @@ class FleetRecording:
                 self._viewer.process.wait(_CLOSE_TIMEOUT_S)
 
     def show(self, keyframe: int, robots: Sequence[ShownRobot], texts: Sequence[str]) -> None:
-        """Log the robots after so many keyframes, and what happened: robots that were joined."""
+        """Log the robots after `keyframe` keyframes, and events such as joins."""
         import rerun as rr
 
         if self._last is None and robots:
@@ -179,7 +174,6 @@ class FleetRecording:
         return [*items, LogItem(path=f"{OBJECTS}/{robot.name}", archetypes=(count,))]
 
     def _object_items(self, robot: ShownRobot, root: str, color: tuple[int, int, int]) -> list[LogItem]:
-        """Return what has changed of a robot's objects."""
         import rerun as rr
 
         def cleared(object_id: int) -> LogItem:
@@ -205,12 +199,11 @@ class FleetRecording:
 
 
 def color_of_robot(place: int) -> tuple[int, int, int]:
-    """Return the colour of a robot by its place in the fleet."""
+    """Return the colour of a robot by its index in the fleet."""
     return shaded(_COLORS[place % len(_COLORS)], (1.0, 0.7, 1.5)[place // len(_COLORS) % 3])
 
 
 def _drawn(item: TrackedObject, color: tuple[int, int, int]) -> Any:
-    """Return layer 3 of an object, or its sketch, or its box: what is known of it."""
     import rerun as rr
 
     from hickory_stream.sinks.rerun.meshes import superquadric_mesh
@@ -234,7 +227,7 @@ def _looks_the_same(a: TrackedObject, b: TrackedObject) -> bool:
 
 
 def _places(robots: Sequence[ShownRobot]) -> dict[str, NDArray[np.float64]]:
-    """Return where every robot's frame is drawn, scene_from_robot (4, 4): frames stand beside one another along x."""
+    # scene_from_robot (4, 4) by robot: frames stand side by side along x.
     places: dict[str, NDArray[np.float64]] = {}
     next_m, middle = 0.0, np.zeros(3)
     for i, frame in enumerate(dict.fromkeys(robot.frame for robot in robots)):
@@ -258,7 +251,7 @@ def _corners_of(objects: Sequence[TrackedObject]) -> NDArray[np.float64]:
 
 
 def _blueprint(corners: NDArray[np.float64], ever: NDArray[np.float64]) -> Any:
-    """Return the arrangement: (N, 3) corners of the map in the end, and of all there was at any time."""
+    # (N, 3) corners of the final map, and of all that was shown at any time.
     import rerun.blueprint as rrb
 
     from hickory_stream.sinks.rerun.blueprint import BACKGROUND

@@ -1,7 +1,6 @@
-"""The four layers of every object, logged only when they changed.
+"""The four layers of every object, logged when they change.
 
-Entities are layer first (`world/layer2/7`, not `world/7/layer2`): the eye of one entity in the viewer's tree switches a
-layer on and off for the whole map, and each 3D view names the layers that it shows.
+Entities are layer first (`world/layer2/7`): one switch in the viewer's tree then hides a layer of the whole map.
 """
 
 from __future__ import annotations
@@ -42,18 +41,17 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Shown:
-    """What was last logged of an object; `cloud_of` has the cloud that was logged, at the stamp `cloud_ns`."""
-
+    # Last logged state of an object; `cloud_of` has the logged cloud, of the stamp `cloud_ns`.
     object: TrackedObject
     cloud_of: TrackedObject
     cloud_ns: int
 
 
 class ObjectLayers:
-    """Knows what the viewer shows of each object, and returns what has to be logged to make it true.
+    """Returns the items that bring the viewer's objects up to date.
 
-    A growing cloud is logged at most once per `cloud_period_ns`; `finish` catches up, and gives layer 2 its textures.
-    Records never change: of an object that has the one that was shown last nothing is looked at.
+    A growing cloud is logged once per `cloud_period_ns`; `finish` catches up, and adds textures to layer 2. Records are
+    immutable: an object with an unchanged record is skipped.
     """
 
     def __init__(self, *, folder: Path, max_points: int, cloud_period_ns: int, texture_px: int) -> None:
@@ -64,7 +62,7 @@ class ObjectLayers:
         self._shown: dict[int, _Shown] = {}
 
     def update(self, objects: tuple[TrackedObject, ...], stamp_ns: int) -> list[LogItem]:
-        """Return the items that bring the viewer to these objects."""
+        """Return the items that show these objects."""
         items = self._gone({o.id for o in objects})
         for seen in objects:
             shown = self._shown.get(seen.id)
@@ -81,7 +79,7 @@ class ObjectLayers:
         return items
 
     def finish(self) -> list[LogItem]:
-        """Return the clouds that have changed since they were last logged, and meshes with textures."""
+        """Return clouds that are out of date, and textured meshes."""
         clouds = [
             _cloud_item(shown.object, self._max_points)
             for _, shown in sorted(self._shown.items())
@@ -90,7 +88,7 @@ class ObjectLayers:
         return clouds + self._textured_items() if self._texture_px else clouds
 
     def corners(self) -> NDArray[np.float64]:
-        """Return the (N, 3) corners of the boxes of all objects that are more than tentative."""
+        """Return the (N, 3) corners of the boxes of all confirmed objects."""
         known = [s.object for s in self._shown.values() if s.object.phase is not Phase.TENTATIVE]
         return np.concatenate([np.empty((0, 3)), *(o.box.corners_world() for o in known)])
 
@@ -156,7 +154,6 @@ def _cloud_item(seen: TrackedObject, max_points: int) -> LogItem:
 
 
 def _facts(shape: ObjectShape) -> rr.DynamicArchetype:
-    """Return what a selected shape is said of: who made it and why, what was fitted, whether layer 4 is certified."""
     facts = {
         "reconstructor": shape.reconstructor,
         "verdict": shape.verdict or "none was asked for",
@@ -173,7 +170,6 @@ def _sketch_item(object_id: int, sketch: Superquadrics) -> LogItem:
 
 
 def _box_items(seen: TrackedObject) -> list[LogItem]:
-    """Return an object's box as lines, and filled; the label, with its phase, shows when it is pointed at."""
     label = str(seen.id) if seen.phase is Phase.ACTIVE else f"{seen.id} {seen.phase}"
 
     box: dict[str, Any] = {
@@ -203,7 +199,7 @@ def _same_box(a: TrackedObject, b: TrackedObject) -> bool:
 
 
 def _same_shape(a: ObjectShape, b: ObjectShape | None) -> bool:
-    """Return whether it is the same shape at the same place: a corrected submap takes its shapes along."""
+    # Same shape at the same pose: a corrected submap moves its shapes.
     return b is not None and a.revision == b.revision and _same(a.world_from_object, b.world_from_object)
 
 
