@@ -48,10 +48,7 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Draw a map from above and in perspective, without a screen.",
         "render demo.map -o demo.png --layers 3,4",
     ),
-    "export": (
-        "Write a map in a format that other programs read.",
-        "export demo.map --format glb -o demo.glb",
-    ),
+    "export": ("Write a map in a format that other programs read.", "export demo.map --format glb -o demo.glb"),
     "diff": (
         "Tell what happened to the objects between two moments of a run, or from one map of a place to a later one: "
         "still there, moved, gone, new, exchanged, or not seen; exit status 3 where the maps do not align.",
@@ -95,10 +92,7 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Segment one frame and draw masks, rejected masks with their reasons, and features.",
         "segment color.png depth.png --intrinsics 525,525,319.5,239.5 -o segments.png",
     ),
-    "models": (
-        "Manage the networks of this machine; nothing is ever downloaded.",
-        "models list",
-    ),
+    "models": ("Manage the networks of this machine; nothing is ever downloaded.", "models list"),
     "models where": ("Print the folder of models.", "models where"),
     "models list": ("List the models, and whether their hashes are right.", "models list --json"),
     "models add": (
@@ -136,10 +130,7 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Prove anew what a map says of itself: digest, journal, files, and layer 4 from the meshes.",
         "verify demo.map",
     ),
-    "demo": (
-        "Make a small recording of a synthetic room, map it and draw the map.",
-        "demo --out my-demo",
-    ),
+    "demo": ("Make a small recording of a synthetic room, map it and draw the map.", "demo --out my-demo"),
     "completion": (
         "Print a script that completes commands, options and their values in a shell.",
         "completion bash > ~/.local/share/bash-completion/completions/hickory-stream",

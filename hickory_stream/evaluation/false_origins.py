@@ -14,11 +14,7 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.miss_reasons import Evidence
 
 FalseOrigin = Literal[
-    "a piece of an object",
-    "an object whose box is off",
-    "several things in one",
-    "structure",
-    "nothing there",
+    "a piece of an object", "an object whose box is off", "several things in one", "structure", "nothing there"
 ]
 
 FALSE_ORIGINS: dict[FalseOrigin, str] = {

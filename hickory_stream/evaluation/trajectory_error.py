@@ -68,10 +68,7 @@ class TrajectoryError:
 
 
 def trajectory_error(
-    stamps_ns: Sequence[int],
-    poses: NDArray[np.float64],
-    true_stamps_ns: Sequence[int],
-    true_poses: NDArray[np.float64],
+    stamps_ns: Sequence[int], poses: NDArray[np.float64], true_stamps_ns: Sequence[int], true_poses: NDArray[np.float64]
 ) -> TrajectoryError:
     """Return the error of poses (N, 4, 4) against true ones (M, 4, 4), with their stamps in order.
 

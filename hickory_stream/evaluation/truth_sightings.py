@@ -188,11 +188,7 @@ def _table(shown: NDArray[np.int64], codes: NDArray[np.int32]) -> dict[int, dict
 
 
 def _parts(
-    truth_id: int,
-    table: dict[int, dict[int, int]],
-    labels: SeenAs,
-    keyframe: RecordedKeyframe,
-    book: TrackHistories,
+    truth_id: int, table: dict[int, dict[int, int]], labels: SeenAs, keyframe: RecordedKeyframe, book: TrackHistories
 ) -> tuple[Part, ...]:
     row = table[truth_id]
     total = sum(row.values())

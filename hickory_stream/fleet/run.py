@@ -98,11 +98,7 @@ def run_fleet(plan: FleetPlan, watcher: Watcher) -> FleetResult:
         ended = {name: ended[name] for name in names}
         usable = {name: folders[name] for name in names if ended[name].is_finished or ended[name].was_stopped}
         finished = finish(
-            usable,
-            plan.out,
-            overwrite=plan.overwrite or plan.resumes,
-            tell=watcher.said,
-            joining=plan.config.joining,
+            usable, plan.out, overwrite=plan.overwrite or plan.resumes, tell=watcher.said, joining=plan.config.joining
         )
         if not finished.maps and not any(one.was_stopped for one in ended.values()):
             raise InputError(

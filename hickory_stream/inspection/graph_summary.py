@@ -43,11 +43,7 @@ def summary_of(graph: PoseGraphRecord) -> GraphSummary:
 
 def told(summary: GraphSummary) -> str:
     """Return a pose graph as a line for people."""
-    counts = {
-        "accepted": summary.num_accepted,
-        "rejected": summary.num_rejected,
-        "withdrawn": summary.num_withdrawn,
-    }
+    counts = {"accepted": summary.num_accepted, "rejected": summary.num_rejected, "withdrawn": summary.num_withdrawn}
     said = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
     return (
         f"pose graph: {summary.num_submaps} submaps, {len(summary.loops)} loops{f' ({said})' if said else ''}; submaps "

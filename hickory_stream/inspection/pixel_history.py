@@ -83,10 +83,7 @@ def _depth_of_structure(keyframe: RecordedKeyframe, pixel: tuple[float, float], 
 
 
 def story_of_pixel(
-    path: Path,
-    frame: int,
-    pixel: tuple[float, float],
-    depth_of: Callable[[int], NDArray[np.float32]] | None = None,
+    path: Path, frame: int, pixel: tuple[float, float], depth_of: Callable[[int], NDArray[np.float32]] | None = None
 ) -> PlaceStory:
     """Return the history of the point at `pixel` (column, row) of a frame of the log.
 

@@ -36,10 +36,7 @@ def close_up_of(vertices: NDArray[Any], azimuth_rad: float, size_px: int = 200) 
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     x, y, z = ((low + high) / 2).tolist()
     return CloseUp(
-        center_m=(x, y, z),
-        half_m=_FILL * float(np.linalg.norm(high - low)),
-        azimuth_rad=azimuth_rad,
-        size_px=size_px,
+        center_m=(x, y, z), half_m=_FILL * float(np.linalg.norm(high - low)), azimuth_rad=azimuth_rad, size_px=size_px
     )
 
 

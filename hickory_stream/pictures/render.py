@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.pictures.labels import (
-    draw_caption,
-    draw_labels,
-    draw_scale,
-    draw_title,
-    most_visible,
-    place_labels,
-)
+from hickory_stream.pictures.labels import draw_caption, draw_labels, draw_scale, draw_title, most_visible, place_labels
 from hickory_stream.pictures.rasterize import first_hits
 from hickory_stream.pictures.render_parts import dots_of, floor_cells, mesh_surface, superquadric_surfaces
 from hickory_stream.pictures.render_storeys import Place, Storey, places_of, storeys_to_draw
@@ -42,11 +35,7 @@ _LABEL_STEP_PX = 3
 
 
 def render_map(
-    saved: SavedMap,
-    layers: AbstractSet[int],
-    size: tuple[int, int],
-    texture_px: int = 0,
-    floor_m: float | None = None,
+    saved: SavedMap, layers: AbstractSet[int], size: tuple[int, int], texture_px: int = 0, floor_m: float | None = None
 ) -> NDArray[np.uint8]:
     """Return an (H, W, 3) uint8 picture of a map: from above on the left, from a corner on the right.
 

@@ -38,10 +38,7 @@ _BOX_FACES = np.array(
 
 
 def render_alignment(
-    map_a: ObjectMap,
-    map_b: ObjectMap,
-    answer: Alignment | NoAlignment,
-    size: tuple[int, int] = (1600, 800),
+    map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment, size: tuple[int, int] = (1600, 800)
 ) -> NDArray[np.uint8]:
     """Return an (H, W, 3) uint8 picture of two maps and their alignment; raises `ValueError` below 480 x 240 pixels."""
     width, height = size

@@ -29,13 +29,7 @@ from hickory_stream.query.question import (
     Use,
     told,
 )
-from hickory_stream.query.relations import (
-    distances_to,
-    distances_to_place,
-    related,
-    related_to_place,
-    related_to_room,
-)
+from hickory_stream.query.relations import distances_to, distances_to_place, related, related_to_place, related_to_room
 from hickory_stream.query.shape_scores import LEVEL_M, NUM_LEVELS, SHAPE_WORDS, ramp
 
 if TYPE_CHECKING:

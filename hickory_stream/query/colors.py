@@ -13,20 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-COLOR_NAMES = (
-    "black",
-    "gray",
-    "white",
-    "red",
-    "orange",
-    "brown",
-    "beige",
-    "yellow",
-    "green",
-    "blue",
-    "purple",
-    "pink",
-)
+COLOR_NAMES = ("black", "gray", "white", "red", "orange", "brown", "beige", "yellow", "green", "blue", "purple", "pink")
 
 # Below this chroma a colour is black, gray or white, by its lightness.
 _GRAY_CHROMA = 10.0

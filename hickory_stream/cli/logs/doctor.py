@@ -23,9 +23,7 @@ _LIVE_S = 10.0
 
 def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
     doctor = commands.add_parser(
-        "doctor",
-        parents=[common],
-        help="examine a log or a robot: status 0 sound, 3 usable with losses, 2 unusable",
+        "doctor", parents=[common], help="examine a log or a robot: status 0 sound, 3 usable with losses, 2 unusable"
     )
     doctor.set_defaults(run=run)
     doctor.add_argument("source", nargs="+", metavar="LOG", help="what play or live would be given")

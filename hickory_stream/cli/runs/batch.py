@@ -29,12 +29,7 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
     batch.set_defaults(run=run)
     batch.add_argument("logs", nargs="+", metavar="LOG", help="each is mapped into OUT/maps/NAME.map")
     batch.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        required=True,
-        metavar="OUT",
-        help="the folder for the maps and batch.html",
+        "-o", "--out", type=Path, required=True, metavar="OUT", help="the folder for the maps and batch.html"
     )
     batch.add_argument(
         "--workers",

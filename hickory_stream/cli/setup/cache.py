@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
     del configured
     cache = commands.add_parser(
-        "cache",
-        help="show or clear what is kept to save time: compiled kernels, shapes, recordings",
+        "cache", help="show or clear what is kept to save time: compiled kernels, shapes, recordings"
     )
     actions = cache.add_subparsers(required=True, metavar="ACTION")
     show = actions.add_parser("show", parents=[common], help="print the folder and the sizes by kind")

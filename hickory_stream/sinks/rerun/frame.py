@@ -137,9 +137,7 @@ def rejected_items(report: FrameReport) -> list[LogItem]:
     )
     return [
         LogItem(
-            path=f"{CAMERA}/rejected/masks",
-            archetypes=(rr.SegmentationImage(image, opacity=0.6),),
-            weight=Weight.HEAVY,
+            path=f"{CAMERA}/rejected/masks", archetypes=(rr.SegmentationImage(image, opacity=0.6),), weight=Weight.HEAVY
         ),
         LogItem(path=f"{CAMERA}/rejected/boxes", archetypes=(boxes,)),
     ]
