@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     options = make_parser().parse_args(arguments)
     logging.basicConfig(level=logging.DEBUG if options.debug else logging.WARNING, format="%(levelname)s: %(message)s")
-    told_no_more = tell_when_compiling(CompileNotice(as_json=getattr(options, "json", False)))
+    stop_notices = tell_when_compiling(CompileNotice(as_json=getattr(options, "json", False)))
     try:
         refuse_taken(outputs_of(options), overwrite=getattr(options, "overwrite", False))
         status: int = options.run(options)
@@ -84,29 +84,27 @@ def _run(arguments: Sequence[str] | None) -> int:
         return error.exit_status
     except KeyboardInterrupt:
         resumed_by = getattr(options, "resumed_by", None)
-        _fail(
-            "cancelled; what was saved before is kept" + (f"; go on with: {resumed_by}" if resumed_by else ""), options
-        )
+        _fail("cancelled; earlier saves are kept" + (f"; continue with: {resumed_by}" if resumed_by else ""), options)
         return STOPPED
     except BrokenPipeError:
         return 0
     except MemoryError as error:
-        # A map or a log that is larger than this machine, or one that somebody altered to look so.
-        what = str(error) or "no more can be had"
-        _fail(f"found too little memory: {what}; expected a machine with more, or a smaller map or log", options)
+        # The map or log is larger than this machine, or was altered to look so.
+        what = str(error) or "out of memory"
+        _fail(f"found too little memory: {what}; use a machine with more, or a smaller map or log", options)
         return 2
-    except Exception as error:  # noqa: BLE001 -- what nobody foresaw ends here, in one line
+    except Exception as error:  # noqa: BLE001 -- unforeseen errors end here, in one line
         if options.debug:
             traceback.print_exc()
         _fail(f"internal failure, {type(error).__name__}: {error}; run with --debug to see where", options)
         return 1
     finally:
-        told_no_more()
+        stop_notices()
     return status
 
 
 def _fail(text: str, options: argparse.Namespace) -> None:
-    message = " ".join(text.split())  # one line, whatever a library had to say
+    message = " ".join(text.split())  # libraries may use several lines
     sys.stderr.write(f"hickory-stream: {message}\n")
     if getattr(options, "json", False):
         print(output("error", {"event": "error", "message": message}))

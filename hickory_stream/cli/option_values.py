@@ -57,18 +57,22 @@ def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_who
         sys.stderr.write(f"note: {note}\n")
     if at is None:
         return saved
-    # With the core, which takes a second to import and which nobody else needs.
+    # Imports the core, which takes a second.
     from hickory_stream.map_folder.history.time_travel import stamp_of
 
     return replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
 
 
+def add_at(parser: argparse.ArgumentParser) -> None:
+    """Add the option of a time in the run."""
+    told = "the map at this time: seconds from the first keyframe, or a stamp like 17...ns"
+    parser.add_argument("--at", metavar="T", help=told)
+
+
 def add_allow_unverified(parser: argparse.ArgumentParser) -> None:
     """Add the option that accepts altered maps."""
     parser.add_argument(
-        "--allow-unverified",
-        action="store_true",
-        help="go on with a map that was altered after it was saved, and say so",
+        "--allow-unverified", action="store_true", help="accept a map that was altered after it was saved, with a note"
     )
 
 
@@ -81,10 +85,10 @@ def open_verified_map_at(options: argparse.Namespace) -> tuple[SavedMap, str]:
 
     saved = open_map_at(options.map, options.at, warns=False)
     if not options.allow_unverified:
-        check_unaltered(saved, ", --allow-unverified goes on all the same")
+        check_unaltered(saved, ", --allow-unverified accepts it")
     doubt = saved.doubt
     if not doubt and options.at is not None:
-        doubt = f"what was known at {options.at} is from the journal, which only `hickory-stream verify` looks through"
+        doubt = f"the map at {options.at} is from the journal, which only `hickory-stream verify` checks"
     return saved, doubt
 
 
@@ -94,7 +98,7 @@ def robot_of_option(name: str | None, option: str) -> Robot:
 
     if name is None:
         known = ", ".join(robot_names())
-        raise ConfigError(f"found no {option}, expected the robot that is to drive: {known}, or a file FILE.toml")
+        raise ConfigError(f"found no {option}, expected a robot: {known}, or a file FILE.toml")
     return load_robot(name)
 
 
@@ -167,11 +171,11 @@ def add_texture_argument(parser: argparse.ArgumentParser, what: str, default: in
     def side(text: str) -> int:
         if not text.isdigit() or not (int(text) == 0 or least <= int(text) <= most):
             raise argparse.ArgumentTypeError(
-                f"found --texture {text}, expected {least} to {most} pixels, or 0 for the colours of vertices"
+                f"found --texture {text}, expected {least} to {most} pixels, or 0 for vertex colours"
             )
         return int(text)
 
-    told = f"{what} at most, {least} to {most} pixels; 0: colours of vertices; default {default}"
+    told = f"{what} at most, {least} to {most} pixels; 0: vertex colours; default {default}"
     parser.add_argument("--texture", type=side, default=default, metavar="PX", help=told)
 
 

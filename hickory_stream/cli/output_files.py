@@ -24,7 +24,7 @@ def add_output(command: argparse.ArgumentParser, *names: str, **options: Any) ->
     known = command.get_default("outputs") or ()
     command.set_defaults(outputs=(*known, dest))
     if not any("--overwrite" in action.option_strings for action in command._actions):
-        command.add_argument("--overwrite", action="store_true", help="replace files that are there")
+        command.add_argument("--overwrite", action="store_true", help="replace existing files")
 
 
 def outputs_of(options: argparse.Namespace) -> list[Path]:
@@ -33,11 +33,17 @@ def outputs_of(options: argparse.Namespace) -> list[Path]:
     return [path for path in named if path is not None]
 
 
+def check_ending(path: Path | None, *endings: str) -> None:
+    """Raise `InputError` for an output file with another ending."""
+    if path is not None and path.suffix not in endings:
+        raise InputError(f"found -o {path}, expected a name that ends in {' or '.join(endings)}")
+
+
 def refuse_taken(paths: Iterable[Path], *, overwrite: bool) -> None:
     """Raise `InputError` if a file exists and may not be replaced; pipes and devices may."""
     for path in paths:
         if path.is_file() and not overwrite:
-            raise InputError(f"{path} is there already; --overwrite replaces it, or choose another name")
+            raise InputError(f"{path} exists; replace it with --overwrite, or choose another name")
 
 
 @contextmanager
@@ -73,8 +79,5 @@ def write_drawing(path: Path, drawing: Drawing) -> None:
 def written_text(path: Path) -> str:
     """Return the line about a file that was written."""
     size = path.stat().st_size
-    return f"{path}: {size} bytes" if size < 1024 else f"{path}: {_large(size)}"
-
-
-def _large(size: int) -> str:
-    return f"{size / 1024:.1f} KiB" if size < 1024**2 else f"{size / 1024**2:.2f} MiB"
+    large = f"{size / 1024:.1f} KiB" if size < 1024**2 else f"{size / 1024**2:.2f} MiB"
+    return f"{path}: {size} bytes" if size < 1024 else f"{path}: {large}"

@@ -32,15 +32,15 @@ def unfinished_note(saved: SavedMap) -> str | None:
     except MapFolderError:
         return None
     objects = len(saved.snapshot.objects)
-    # The first save comes with the first snapshot that is kept, which has a revision of 1 or more.
-    known = f"{objects} objects as of its last save" if saved.snapshot.revision else "nothing of it was saved yet"
+    # Saved snapshots have a revision of 1 or more.
+    known = f"{objects} objects as of its last save" if saved.snapshot.revision else "nothing was saved yet"
     journal_text = f"its journal holds {steps} keyframe{'' if steps == 1 else 's'}"
     try:
         check_unlocked(saved.folder)
     except MapFolderError:
-        return f"{saved.folder} is still being made: {known}, {journal_text}"
-    action = "save what it had with" if mode == "live" else "go on with"
-    look = " (`inspect --at` looks at any moment of it)" if steps else ""
+        return f"{saved.folder} is being written: {known}, {journal_text}"
+    action = "save it with" if mode == "live" else "continue with"
+    look = " (`inspect --at` shows any time of it)" if steps else ""
     return f"the run of {saved.folder} did not end: {known}, {journal_text}{look}; {action}: " + resume_command(
         saved.folder
     )

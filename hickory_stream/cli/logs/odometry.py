@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,17 +25,14 @@ if TYPE_CHECKING:
     Trajectory = tuple[list[int], list[NDArray[np.float64]]]
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    odometry = commands.add_parser(
-        "odometry", parents=[common], help="estimate the poses of a log from LiDAR or depth, and compare with truth"
-    )
-    odometry.set_defaults(run=run)
-    odometry.add_argument("source", nargs="+", metavar="LOG", help="as for play")
+def add(commands: Commands) -> None:
+    odometry = commands.add("odometry", run)
+    odometry.add_argument("source", nargs="+", metavar="LOG", help="logs as for play")
     add_output(
-        odometry, "-o", "--out", type=Path, metavar="FILE", help="write the camera's poses (TUM: stamp, place, xyzw)"
+        odometry, "-o", "--out", type=Path, metavar="FILE", help="write the camera's poses (TUM: stamp, position, xyzw)"
     )
     odometry.add_argument(
-        "--truth", type=Path, metavar="FILE|LOG", help="true poses of the camera (TUM, CSV), or a log that has them"
+        "--truth", type=Path, metavar="FILE|LOG", help="true poses of the camera (TUM, CSV), or a log with poses"
     )
     add_source_options(odometry)
 
@@ -62,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
         source.close()
     if not poses:
         told = ", ".join(f"{name} {count}" for name, count in sorted(ledger.items())) or "nothing"
-        raise RecordingError(f"{source.info.uri}: no frame could be placed ({told}); choose another --odometry")
+        raise RecordingError(f"{source.info.uri}: no frame got a pose ({told}); choose another --odometry")
     error = _error(stamps_ns, poses, true) if true is not None else None
     if options.out is not None:
         with disk_refusals(options.out, "poses"):
@@ -71,13 +69,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         errors = None
         if error is not None:
-            errors = {
-                "ate_m": error.ate_m,
-                "rpe_m": error.rpe_m,
-                "rpe_deg": error.rpe_deg,
-                "way_m": error.way_m,
-                "num_poses": error.num_poses,
-            }
+            errors = asdict(error)
         said = {"poses": len(poses), "pose": by, **counts, "seconds": spent_s, "error": errors}
         print(output("odometry", said))
         return 0
@@ -89,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
     if error is not None:
         print(
             f"ATE {error.ate_m:.4f} m (RMSE, aligned), RPE {error.rpe_m:.4f} m and {error.rpe_deg:.3f} degrees from "
-            f"pose to pose; {error.num_poses} poses on a way of {error.way_m:.1f} m"
+            f"pose to pose; {error.num_poses} poses on a path of {error.way_m:.1f} m"
         )
     if options.out is not None:
         print(written_text(options.out))

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.exit_status import NO_ALIGNMENT
-from hickory_stream.cli.output_files import add_output, disk_refusals, write_picture
-from hickory_stream.errors import InputError
+from hickory_stream.cli.output_files import add_output, check_ending, disk_refusals, write_picture
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
@@ -24,12 +23,9 @@ if TYPE_CHECKING:
 METHODS = ("sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic", "ransac")
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    align = commands.add_parser(
-        "align", parents=[common], help="find the transform between two maps that overlap; exit status 3: they do not"
-    )
-    align.set_defaults(run=run)
-    align.add_argument("a", type=Path, metavar="A", help="the map whose frame the answer is in")
+def add(commands: Commands) -> None:
+    align = commands.add("align", run)
+    align.add_argument("a", type=Path, metavar="A", help="the map that defines the frame of the answer")
     align.add_argument("b", type=Path, metavar="B")
     align.add_argument("--method", choices=METHODS, default="sq", help="sq (default), or another method for comparison")
     add_output(align, "-o", "--out", type=Path, metavar="PNG|RRD", help="draw both maps joined by their pairs")
@@ -39,8 +35,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.alignment.answer import Alignment
     from hickory_stream.alignment.methods import align_by
 
-    if options.out is not None and options.out.suffix not in (".png", ".rrd"):
-        raise InputError(f"found -o {options.out}, expected a name that ends in .png or .rrd")
+    check_ending(options.out, ".png", ".rrd")
     map_a, map_b = load_objects(options.a), load_objects(options.b)
     answer = align_by(options.method, map_a, map_b)
     if options.out is not None:
@@ -148,7 +143,7 @@ def answer_text(answer: Alignment | NoAlignment) -> str:
         f"  uncertainty {100 * answer.translation_sigma_m:.1f} cm, {np.degrees(answer.rotation_sigma_rad):.2f} deg"
         f"{', refined on surfaces' if answer.is_refined else ''}{'' if answer.is_level else ', maps tilted'}",
         f"  expected false alarms 10^{answer.log10_chance:.1f}; {_separation_text(answer)}",
-        f"  of {against.num_expected} objects whose place the other map saw, {against.num_missing} are missing",
+        f"  of {against.num_expected} objects in observed places of the other map, {against.num_missing} are missing",
     ]
     return "\n".join([*lines, *notes])
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hickory_stream.cli.exit_status import NO_ALIGNMENT
-from hickory_stream.cli.output_files import add_output, disk_refusals
+from hickory_stream.cli.output_files import add_output, check_ending, disk_refusals
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -23,11 +23,8 @@ if TYPE_CHECKING:
     from hickory_stream.map_folder.saved_map import SavedMap
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    diff = commands.add_parser(
-        "diff", parents=[common], help="what happened between two moments of a run, or from one map to another"
-    )
-    diff.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    diff = commands.add("diff", run)
     diff.add_argument("map", type=Path, metavar="MAP")
     diff.add_argument(
         "first",
@@ -40,15 +37,15 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         "--other",
         type=Path,
         metavar="MAP",
-        help="compare the ends of two maps instead, e.g. of a session and its replay",
+        help="compare the ends of two maps instead, e.g. of a live run and its replay",
     )
     add_output(diff, "-o", "--out", type=Path, metavar="HTML", help="write a page with plan and pictures")
-    # No output that must not be there yet: what it says is built on.
+    # Not `add_output`: an existing file is updated.
     diff.add_argument(
         "--stationarity",
         type=Path,
         metavar="FILE",
-        help="two maps: note how probable it is that each object stays, building on what the file says of the first",
+        help="two maps: update the probability that each object stays, from the file of the first map",
     )
 
 
@@ -59,8 +56,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.cli.option_values import open_map_at
     from hickory_stream.map_folder.history.time_travel import stamp_of
 
-    if options.out is not None and options.out.suffix != ".html":
-        raise InputError(f"found -o {options.out}, expected a name that ends in .html")
+    check_ending(options.out, ".html")
     if options.first is not None and options.second is None and Path(options.first).is_dir():
         return _between_days(options, Path(options.first))
     if options.stationarity is not None:
@@ -68,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None and options.other is not None:
         raise InputError("found -o with --other, expected MAP MAP2 -o page.html, or MAP T1 T2 -o page.html")
     if (options.other is None) != (options.second is not None) or (options.other is not None and options.first):
-        raise InputError("found neither T1 and T2 nor --other MAP, or both; expected one of them")
+        raise InputError("expected either T1 and T2, or --other MAP")
     saved = open_map_at(options.map)
     if options.other is not None:
         return _compare(options, saved, open_map_at(options.other))
@@ -110,7 +106,7 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
     for saved in (first, second):
         if not any(len(submap.observed_space.free) for submap in saved.snapshot.submaps):
             raise InputError(
-                f"{saved.folder} has no observed space, without which nothing can be called gone; map its log again"
+                f"{saved.folder} has no observed space, which proves that objects are gone; map its log again"
             )
     before: Mapping[int, StayCount] = {}
     if options.stationarity is not None and options.stationarity.exists():
@@ -136,7 +132,7 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
     if options.stationarity is not None:
         digest = second.manifest.digest
         if digest is None:
-            raise InputError(f"{second.folder} is not finished: its objects may still change")
+            raise InputError(f"{second.folder} is not finished; wait for the end of its run")
         known = Stationarity(digest=digest, counts=after_comparison(before, found))
         with disk_refusals(options.stationarity, "file"):
             write_output(options.stationarity, write_stationarity(known))
@@ -163,7 +159,7 @@ def _compare(options: argparse.Namespace, first: SavedMap, second: SavedMap) -> 
     if options.json:
         print(output("diff-maps", {"both": both, "only_in_a": only_a, "only_in_b": only_b}, indent=1))
         return 0
-    print(f"{len(both)} objects are in both (boxes overlap by {STRICT_IOU:g} and more)")
+    print(f"{len(both)} objects are in both (box overlap {STRICT_IOU:g} and more)")
     for path, ids in ((options.map, only_a), (options.other, only_b)):
         print(f"{len(ids)} only in {path}" + (f": {', '.join(map(str, ids))}" if ids else ""))
     return 0

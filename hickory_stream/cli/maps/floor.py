@@ -11,13 +11,13 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import MapSnapshot
 
-# A height that is farther from all floors is a slip of the hand.
+# A height farther from all floors is a mistake.
 _REACH_M = 1.0
 
 
 def add_floor_argument(parser: argparse.ArgumentParser, what: str) -> None:
     """Add --floor: a height near one of the map's floors."""
-    parser.add_argument("--floor", type=float, metavar="Z", help=f"{what}: the height of its floor in metres")
+    parser.add_argument("--floor", type=float, metavar="Z", help=f"{what}: height of its floor in metres")
 
 
 def floor_of_option(snapshot: MapSnapshot, floor_m: float | None) -> float:

@@ -16,16 +16,11 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    merge = commands.add_parser(
-        "merge", parents=[common], help="make one map of several that overlap; the inputs are not changed"
-    )
-    merge.set_defaults(run=run)
-    merge.add_argument(
-        "maps", type=Path, metavar="A B", nargs="+", help="maps; the result is in the frame of the first that is in it"
-    )
-    merge.add_argument("-o", "--out", type=Path, required=True, metavar="MAP", help="the map folder to make")
-    merge.add_argument("--overwrite", action="store_true", help="replace the map that is there")
+def add(commands: Commands) -> None:
+    merge = commands.add("merge", run)
+    merge.add_argument("maps", type=Path, metavar="A B", nargs="+", help="maps; the first merged one defines the frame")
+    merge.add_argument("-o", "--out", type=Path, required=True, metavar="MAP", help="map folder to write")
+    merge.add_argument("--overwrite", action="store_true", help="replace an existing map")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -38,10 +33,10 @@ def run(options: argparse.Namespace) -> int:
     if len(paths) < 2:
         raise InputError(f"found {len(paths)} map, expected at least two: merge A B [C ...] -o MAP")
     if options.out.resolve() in [path.resolve() for path in paths]:
-        raise InputError(f"-o {options.out} is one of the inputs, which are never changed; choose another folder")
+        raise InputError(f"-o {options.out} is one of the inputs; choose another folder")
     inputs = [open_map_at(path, warns=False) for path in paths]
     for saved in inputs:
-        # Their certificates become those of the merged map, which has a digest of its own.
+        # Their certificates are copied into the merged map.
         check_unaltered(saved)
     quiet = options.json
 
@@ -67,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
             merged,
             inputs,
             overwrite=options.overwrite,
-            progress=lambda done, total: tell(f"shapes made anew: {done} of {total}"),
+            progress=lambda done, total: tell(f"shapes rebuilt: {done} of {total}"),
         )
         both = sum(len(group) > 1 for group in merged.provenance.values())
         result |= {"objects": len(merged.objects), "united": both, "digest": manifest.digest}
@@ -77,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
         for outcome in outcomes:
             print(f"{outcome['a']} and {outcome['b']}: {outcome['outcome']}")
         for path in left_out:
-            print(f"{path} was left out: it is aligned with none of the maps that were merged")
+            print(f"{path} was left out: it aligns with none of the merged maps")
         print(f"{options.out}: {result['objects']} objects, {result['united']} of them in several maps" if is_any else
               "nothing was merged")  # fmt: skip
     return 0 if is_any else NO_ALIGNMENT

@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.cli.exit_status import NO_PATH
 from hickory_stream.cli.maps.floor import add_floor_argument, floor_of_option
 from hickory_stream.cli.maps.stationarity import add_stationarity, movable_objects
-from hickory_stream.cli.option_values import add_allow_unverified, open_verified_map_at, parse_place, robot_of_option
-from hickory_stream.cli.output_files import add_output, disk_refusals, write_picture
+from hickory_stream.cli.option_values import (
+    add_allow_unverified,
+    add_at,
+    open_verified_map_at,
+    parse_place,
+    robot_of_option,
+)
+from hickory_stream.cli.output_files import add_output, check_ending, disk_refusals, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -32,17 +38,17 @@ MOST_BERTH_M = 5.0
 PLANNERS = ("rrt", "rrt-connect", "rrt-star")
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    plan = commands.add_parser(
-        "plan", parents=[common], help="plan a path through a map for a robot; exit status 3: there is none"
-    )
-    plan.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    plan = commands.add("plan", run)
     plan.add_argument("map", type=Path, metavar="MAP")
     plan.add_argument("--start", required=True, metavar="X,Y", help="metres in the map, e.g. -1,0.5")
     plan.add_argument(
-        "--goal", required=True, metavar="X,Y|object:ID", help="a place, or the nearest one beside an object of the map"
+        "--goal",
+        required=True,
+        metavar="X,Y|object:ID",
+        help="a position, or the nearest one beside an object of the map",
     )
-    add_floor_argument(plan, "which storey, of a map with several")
+    add_floor_argument(plan, "storey of a map with several")
     add_robot_arguments(plan)
     plan.add_argument("--planner", choices=PLANNERS, default="rrt-connect")
     plan.add_argument("--seed", type=int, default=0, help="the same seed gives the same path")
@@ -52,24 +58,19 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         type=float,
         default=0.3,
         metavar="M",
-        help="how far to keep off objects that tend to move, where there is a way (default 0.3 m)",
+        help="distance to objects that tend to move, if a path allows it (default 0.3 m)",
     )
     add_output(plan, "-o", "--out", type=Path, metavar="PNG|RRD", help="draw the grid, the objects and the path")
-    plan.add_argument(
-        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
-    )
+    add_at(plan)
     add_allow_unverified(plan)
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the robot and its grid."""
-    parser.add_argument("--robot", metavar="NAME|FILE", help="which one drives: jackal, b2, point, or a TOML file")
-    parser.add_argument("--cell", type=float, default=0.033, metavar="M", help="the side of a cell, default 0.033 m")
+    parser.add_argument("--robot", metavar="NAME|FILE", help="robot: jackal, b2, point, or a TOML file")
+    parser.add_argument("--cell", type=float, default=0.033, metavar="M", help="side of a cell, default 0.033 m")
     parser.add_argument(
-        "--unknown",
-        choices=("blocked", "free"),
-        default="blocked",
-        help="whether unobserved space is avoided (default)",
+        "--unknown", choices=("blocked", "free"), default="blocked", help="treatment of unobserved space (blocked)"
     )
 
 
@@ -81,8 +82,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.navigation.search import NoPath, SearchConfig, plan
     from hickory_stream.storeys import on_storey
 
-    if options.out is not None and options.out.suffix not in (".png", ".rrd"):
-        raise InputError(f"found -o {options.out}, expected a name that ends in .png or .rrd")
+    check_ending(options.out, ".png", ".rrd")
     start = np.array(parse_place(options.start, "--start"))
     wanted = _object_id(options.goal)
     place = None if wanted is not None else np.array(parse_place(options.goal, "--goal"))
@@ -183,7 +183,7 @@ def _floor_of(snapshot: MapSnapshot, floor_m: float | None, object_id: int | Non
     if floor_m is not None and floor_of_option(snapshot, floor_m) != beneath_m:
         raise InputError(
             f"found --floor {floor_m:g}, but object {object_id} is on the floor at z = {beneath_m:.2f} m; "
-            "a path lies on one floor"
+            "choose that floor, or leave out --floor"
         )
     return beneath_m
 
@@ -239,26 +239,26 @@ def _as_text(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> str:
 
     notes = []
     if proof.boxes:
-        told = f"{len(proof.boxes)} objects have no layer 4 of their own, their box is avoided"
+        told = f"{len(proof.boxes)} objects have no layer 4, their boxes are avoided"
         notes.append(f"note: {told}: {_listed(proof.boxes)}")
     if proof.observed_only:
-        told = f"{len(proof.observed_only)} objects have no layer 4 yet, what was seen of them is avoided"
+        told = f"{len(proof.observed_only)} objects have no layer 4 yet, their seen points are avoided"
         notes.append(f"note: {told}: {_listed(proof.observed_only)}")
     if proof.uncertified:
         count = len(proof.uncertified)
         notes.append(f"note: {count} objects have a layer 4 that is not certified: {_listed(proof.uncertified)}")
     if proof.passed:
-        notes.append(f"note: the path passes objects that tend to move, and may stand in it: {_listed(proof.passed)}")
+        notes.append(f"note: the path passes near objects that tend to move: {_listed(proof.passed)}")
     if isinstance(answer, NoPath):
         stirring = [b.object_id for b in answer.blockers if b.object_id in proof.movable]
         if stirring:
-            notes.append(f"note: of what is in the way, these tend to move, look again: {_listed(stirring)}")
+            notes.append(f"note: these blocking objects tend to move, look again: {_listed(stirring)}")
     if proof.doubt:
         notes.append(f"note: layer 4 is not proven: {proof.doubt}")
     if isinstance(answer, NoPath):
         return "\n".join([f"no path ({answer.reason.value}): {answer.text}", *notes])
     legs = f"{answer.length_m:.2f} m in {len(answer.points) - 1} legs"
-    how = "verified along the whole length" if not proof.doubt else "free of obstacles that are themselves NOT proven"
+    how = "verified along the whole length" if not proof.doubt else "free of obstacles, which are NOT proven"
     lines = [f"{legs}, {how} for {space.robot.name}"]
     for i, (x, y) in enumerate(answer.points):
         posture = space.robot.postures[int(answer.postures[min(i, len(answer.postures) - 1)])].name

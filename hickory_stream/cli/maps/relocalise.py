@@ -19,15 +19,12 @@ if TYPE_CHECKING:
     from hickory_stream.engine.relocalise import Located
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    relocalise = commands.add_parser(
-        "relocalise", parents=[common, configured], help="play a log and find its place in a stored map, live"
-    )
-    relocalise.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    relocalise = commands.add("relocalise", run, configured=True)
     relocalise.add_argument("map", type=Path, metavar="MAP")
-    relocalise.add_argument("source", metavar="LOG", help="what `play` reads")
+    relocalise.add_argument("source", metavar="LOG", help="log as for play")
     relocalise.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
-    relocalise.add_argument("--until-found", action="store_true", help="stop at the first confirmed place")
+    relocalise.add_argument("--until-found", action="store_true", help="stop at the first confirmed position")
     add_stationarity(relocalise)
     add_source_options(relocalise)
 
@@ -94,9 +91,7 @@ def _as_text(located: Located, start_ns: int | None) -> str:
         return f"{when}: searching ({answer.refusal.value})"
     x, y, z = answer.a_from_b[:3, 3]
     yaw_deg = np.degrees(np.arctan2(answer.a_from_b[1, 0], answer.a_from_b[0, 0]))
-    state = (
-        "confirmed" if located.is_confirmed else "it said otherwise before" if located.has_jumped else "first answer"
-    )
+    state = "confirmed" if located.is_confirmed else "differs from before" if located.has_jumped else "first answer"
     return (
         f"{when}: the log starts at ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {yaw_deg:.2f} deg; "
         f"{len(answer.pairs)} pairs, chance 10^{answer.log10_chance:.1f}, {state}"

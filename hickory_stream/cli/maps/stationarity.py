@@ -17,7 +17,7 @@ def add_stationarity(parser: argparse.ArgumentParser) -> None:
         "--stationarity",
         type=Path,
         metavar="FILE",
-        help="what `diff --stationarity` noted of this map: which objects tend to move",
+        help="file of `diff --stationarity` for this map: objects that tend to move",
     )
 
 

@@ -18,18 +18,13 @@ if TYPE_CHECKING:
     from hickory_stream.map_folder.verify import Verdict
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    verify = commands.add_parser(
-        "verify",
-        parents=[common],
-        help="verify digest, journal, files and layer 4 of a map; exit status 1: they do not hold",
-    )
-    verify.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    verify = commands.add("verify", run)
     verify.add_argument("map", type=Path, metavar="MAP")
     verify.add_argument(
         "--repair",
         action="store_true",
-        help="first restore objects.json from the journal, if that gives the map of the manifest",
+        help="first restore objects.json from the journal, if the digest matches the manifest",
     )
 
 
@@ -44,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(output("verify", _as_json(options.map, verdict, is_mended=is_mended), indent=1))
     else:
-        mended = [f"{options.map}: objects.json was written anew from the journal"] if is_mended else []
+        mended = [f"{options.map}: objects.json was restored from the journal"] if is_mended else []
         print("\n".join([*mended, *_as_lines(options.map, verdict)]))
     return 0 if verdict.is_sound else NOT_SOUND
 
@@ -58,7 +53,7 @@ def _mend(path: Path) -> bool:
         if not open_map(path, warns=False).is_altered:
             return False
     except MapFolderError:
-        pass  # what is wrong with it is told by `verify`, if it is not mended
+        pass  # `verify` reports it, unless it is mended
     mend(path)
     return True
 
@@ -95,5 +90,5 @@ def _as_lines(path: Path, verdict: Verdict) -> list[str]:
             lines.append(f"{finding.check:<8} {finding.state:<8} object {finding.object_id}: {finding.text}")
     failed = sum(finding.state is State.FAILS for finding in verdict.findings)
     told = "sound" if verdict.is_sound else f"NOT SOUND, {failed} {'finding' if failed == 1 else 'findings'} against it"
-    proven = f"layer 4 of {verdict.num_proven} of {verdict.num_objects} objects proven anew"
+    proven = f"layer 4 of {verdict.num_proven} of {verdict.num_objects} objects proven again"
     return [*lines, f"{path}: {told}; {proven}"]

@@ -20,24 +20,16 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    batch = commands.add_parser(
-        "batch",
-        parents=[common, configured],
-        help="map many logs, each a task of its own; the same command goes on; exit status 3: not all are mapped",
-    )
-    batch.set_defaults(run=run)
-    batch.add_argument("logs", nargs="+", metavar="LOG", help="each is mapped into OUT/maps/NAME.map")
+def add(commands: Commands) -> None:
+    batch = commands.add("batch", run, configured=True)
+    batch.add_argument("logs", nargs="+", metavar="LOG", help="logs, each mapped into OUT/maps/NAME.map")
     batch.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="OUT", help="the folder for the maps and batch.html"
+        "-o", "--out", type=Path, required=True, metavar="OUT", help="folder for the maps and batch.html"
     )
     batch.add_argument(
-        "--workers",
-        dest="tasks",
-        metavar="N",
-        help="logs at a time (as many as processors), or dask=tcp://HOST:PORT; they do not change a map",
+        "--workers", dest="tasks", metavar="N", help="logs at a time (as many as processors), or dask=tcp://HOST:PORT"
     )
-    batch.add_argument("--merge", action="store_true", help="align the maps that may overlap; OUT/merged.map of those")
+    batch.add_argument("--merge", action="store_true", help="align and merge overlapping maps into OUT/merged.map")
     add_source_options(batch)
 
 
@@ -67,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
         print(output("batch", told, indent=1))
     else:
         print(text_of(result))
-        print(f"{options.out / 'batch.html'}: the same as a page")
+        print(f"{options.out / 'batch.html'}: the same table as a page")
     if result.stopped:
         sys.stderr.write(f"hickory-stream: {result.stopped}\n")
     return 0 if result.is_whole and not result.stopped else INCOMPLETE

@@ -16,20 +16,17 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 _NAME = "room"
-# What `make_recording` leaves, and what comes after.
+# Files of `make_recording`, and of the steps after.
 _PARTS = (f"{_NAME}.mcap", f"{_NAME}.truth", "map", "map.png", "map-superquadrics.png")
 _EVERY = 12
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    demo = commands.add_parser(
-        "demo", parents=[common], help="make a small recording of a synthetic room, map it and draw the map"
-    )
-    demo.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    demo = commands.add("demo", run)
     demo.add_argument("--out", type=Path, default=Path("hickory-demo"), metavar="DIR", help="(default: hickory-demo)")
     demo.add_argument("--seconds", type=float, default=8.0, metavar="S", help="length of the recording (default: 8)")
-    demo.add_argument("--seed", type=int, default=7, help="which room (default: 7)")
-    demo.add_argument("--overwrite", action="store_true", help="replace what an earlier demo left there")
+    demo.add_argument("--seed", type=int, default=7, help="seed of the room (default: 7)")
+    demo.add_argument("--overwrite", action="store_true", help="replace the files of an earlier demo")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -63,7 +60,7 @@ def _make_room(folder: Path, *, is_overwritten: bool) -> None:
     # Removes the parts of an earlier demo if permitted, and no other file.
     there = [folder / name for name in _PARTS if (folder / name).exists()]
     if there and not is_overwritten:
-        raise InputError(f"{there[0]} is there; add --overwrite to replace it, or choose another --out")
+        raise InputError(f"{there[0]} exists; replace it with --overwrite, or choose another --out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path in there:

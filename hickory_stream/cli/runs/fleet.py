@@ -23,27 +23,26 @@ if TYPE_CHECKING:
 
 
 DEFAULTS: dict[str, Any] = {"fleet": None, "resume": False, "every": None, "processes": None, "most_s": None}
-"""What is not said of a fleet whose robots are named on the command line of `play`."""
+"""Defaults of `fleet` options that `play` lacks."""
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    fleet = commands.add_parser(
-        "fleet", parents=[common, configured], help="map several robots in one run; exit status 3: not all are in one"
+def add(commands: Commands) -> None:
+    fleet = commands.add("fleet", run, configured=True)
+    fleet.add_argument(
+        "fleet", type=Path, nargs="?", metavar="FLEET.toml", help="file with a table [[robot]] for each robot"
     )
-    fleet.set_defaults(run=run)
-    fleet.add_argument("fleet", type=Path, nargs="?", metavar="FLEET.toml", help="a table [[robot]] for each robot")
     fleet.add_argument(
         "--robot", action="append", metavar="NAME=LOG", help="a robot and its log or live URI, instead of a file"
     )
     fleet.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="OUT", help="the folder for NAME.map, fleet.map and fleet.rrd"
+        "-o", "--out", type=Path, required=True, metavar="OUT", help="folder for NAME.map, fleet.map and fleet.rrd"
     )
     there = fleet.add_mutually_exclusive_group()
-    there.add_argument("--overwrite", action="store_true", help="replace the maps that are there")
-    there.add_argument("--resume", action="store_true", help="go on with a fleet that was killed or stopped")
+    there.add_argument("--overwrite", action="store_true", help="replace existing maps")
+    there.add_argument("--resume", action="store_true", help="continue a fleet that was killed or stopped")
     fleet.add_argument("--every", type=int, metavar="N", help="align the maps every N keyframes (10)")
     fleet.add_argument("--processes", type=int, metavar="N", help="robots at a time (as many as processors)")
-    fleet.add_argument("--for", type=float, dest="most_s", metavar="S", help="map live robots for so many seconds")
+    fleet.add_argument("--for", type=float, dest="most_s", metavar="S", help="map live robots for this many seconds")
     fleet.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     fleet.add_argument("--workers", metavar="N", help="child processes of each robot that build shapes")
 
@@ -150,7 +149,9 @@ def result_text(result: FleetResult) -> str:
             rows.append((*(first if i == 0 else ("", "", "")), one.name, str(one.num_pairs), sigma, since))
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    lines += [f"{robot.name} is in no other robot's frame: {robot.reason}" for robot in result.robots if robot.reason]
+    lines += [
+        f"{robot.name} shares no frame with another robot: {robot.reason}" for robot in result.robots if robot.reason
+    ]
     return "\n".join(lines)
 
 
@@ -158,7 +159,7 @@ def _notes(result: FleetResult) -> list[str]:
     lines = [f"{robot.name}: {note}" for robot in result.robots for note in robot.notes]
     unfinished = [robot.name for robot in result.robots if not robot.is_finished and robot.map is not None]
     if unfinished:
-        lines.append(f"{', '.join(unfinished)}: the same command with --resume goes on with the fleet")
+        lines.append(f"{', '.join(unfinished)}: continue with the same command and --resume")
     return [*lines, *(f"note: {note}" for note in result.notes)]
 
 

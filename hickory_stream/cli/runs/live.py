@@ -36,36 +36,39 @@ _STATUS_S = 10.0
 _RECORD_GB = 50.0
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    live = commands.add_parser("live", parents=[common, configured], help="map a robot while it moves")
-    live.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    live = commands.add("live", run, configured=True)
     live.add_argument(
         "uri",
         metavar="URI",
         help="zenoh://HOST[/NAMESPACE], foxglove://HOST, mcap:PIPE, or - for MCAP on standard input",
     )
-    live.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
-    live.add_argument("--overwrite", action="store_true", help="replace the map and the files that are there")
-    live.add_argument("--for", type=float, dest="most_s", metavar="S", help="map for so many seconds, then save")
+    live.add_argument("--out", type=Path, metavar="MAP", help="map folder to write (default: NAME.map)")
+    live.add_argument("--overwrite", action="store_true", help="replace an existing map and files")
+    live.add_argument("--for", type=float, dest="most_s", metavar="S", help="map for this many seconds, then save")
     live.add_argument(
-        "--wait", type=float, default=_PATIENCE_S, metavar="S", help="give up if nothing can be mapped for so long (60)"
+        "--wait",
+        type=float,
+        default=_PATIENCE_S,
+        metavar="S",
+        help="give up after this time without a usable frame (60)",
     )
     live.add_argument(
-        "--status", type=float, default=_STATUS_S, metavar="S", help="show the table of topics so often (10); 0: never"
+        "--status", type=float, default=_STATUS_S, metavar="S", help="interval of the table of topics (10); 0: never"
     )
-    add_output(live, "--record", type=Path, metavar="FILE", help="write every message as it came (MCAP)")
+    add_output(live, "--record", type=Path, metavar="FILE", help="write every received message (MCAP)")
     live.add_argument(
-        "--record-limit", type=float, default=_RECORD_GB, metavar="GB", help="of the disk for that, at most (50)"
+        "--record-limit", type=float, default=_RECORD_GB, metavar="GB", help="maximum size of the recording (50)"
     )
     live.add_argument(
         "--publish",
         action="store_true",
-        help="send costmap, objects, markers and map -> odom over the same link, and answer goals with paths",
+        help="send costmap, objects, markers and map -> odom to the robot, and answer its goals with paths",
     )
+    live.add_argument("--publish-only", metavar="PARTS", help="publish only these parts, e.g. costmap,plan")
     live.add_argument(
-        "--publish-only", metavar="PARTS", help="only some of them, e.g. costmap,plan; with robots that localise"
+        "--publish-robot", metavar="NAME|FILE", help="robot of --publish: jackal, b2, point, or a TOML file"
     )
-    live.add_argument("--publish-robot", metavar="NAME|FILE", help="for which one: jackal, b2, point, or a TOML file")
     add_run_options(live)
     add_source_options(live)
 
@@ -92,16 +95,16 @@ def run(options: argparse.Namespace) -> int:
     publishes = _publishes(options)
     route = route_of(options.uri)
     if publishes is not None and not isinstance(route, ReturnLink):
-        raise InputError(f"{options.uri} has no way back to a robot; --publish needs zenoh://, foxglove:// or dds://")
+        raise InputError(f"{options.uri} cannot publish; --publish needs zenoh://, foxglove:// or dds://")
     out = options.out or Path(f"{default_name(options.uri)}.map")
-    # What cannot be had is refused before a map that is there is replaced.
+    # Refuse invalid options before an existing map is replaced.
     beside = sinks_beside(options, settings, is_live=True)
     printer = ProgressPrinter(make_style(options))
     recorder: Recorder | None = None
     source: LiveMapSource | None = None
     try:
         mapper = Mapper(settings.mapper, out=out, overwrite=options.overwrite)
-        # The robot may keep us waiting.
+        # Meanwhile the robot may connect.
         threading.Thread(target=mapper.rehearse, name="rehearse").start()
         recorder = _recorder(options)
         source = open_live(
@@ -225,7 +228,7 @@ class _StatusPrinter:
             self._print(self._source.status())
 
     def _run(self) -> None:
-        # What is done after the last frame is no affair of the robot's.
+        # After the last frame the topics do not matter.
         while not self._is_over.wait(self._every_s) and not self._source.has_ended:
             self._print(self._source.status())
 

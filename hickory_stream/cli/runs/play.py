@@ -85,7 +85,7 @@ def press(clock: PlaybackClock, keys: bytes) -> None:
             clock.set_rate(_RATES[min(max(place + step, 0), len(_RATES) - 1)])
 
 
-# What `play` has beside what a fleet has, and what it is where it was not said.
+# Options of a single log with their defaults; a fleet refuses them.
 _OF_ONE_LOG = {
     "rate": "max", "live": False, "loop": 1, "start": 0.0, "end": None, "inject": None, "frames": None, "rrd": None,
     "costmap": None, "metrics_port": None, "profile": None, "odometry": "auto", "poses": None, "pose_topic": None,
@@ -93,30 +93,29 @@ _OF_ONE_LOG = {
 }  # fmt: skip
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    play = commands.add_parser("play", parents=[common, configured], help="map a recorded log")
-    play.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    play = commands.add("play", run, configured=True)
     play.add_argument(
         "source",
         nargs="*",
-        help="an MCAP file, a ROS 1 or ROS 2 bag, or a folder of images; several logs are played as one; or, without "
-        "any, --robot NAME=LOG for each robot of a fleet",
+        help="MCAP file, ROS 1 or ROS 2 bag, or folder of images; several are played as one log; "
+        "without a log: --robot NAME=LOG for each robot of a fleet",
     )
-    play.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
-    play.add_argument("--overwrite", action="store_true", help="replace the map and the files that are there")
+    play.add_argument("--out", type=Path, metavar="MAP", help="map folder to write (default: NAME.map)")
+    play.add_argument("--overwrite", action="store_true", help="replace an existing map and files")
     play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
     play.add_argument(
         "--live",
         action="store_true",
-        help="play like a live camera: in real time; frames that come too fast are left out",
+        help="play in real time like a live camera, and drop frames when mapping is slower",
     )
     play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
-    play.add_argument("--start", type=float, default=0.0, metavar="S", help="begin so many seconds into the log")
-    play.add_argument("--end", type=float, metavar="S", help="end so many seconds into the log")
+    play.add_argument("--start", type=float, default=0.0, metavar="S", help="start of the playback in the log")
+    play.add_argument("--end", type=float, metavar="S", help="end of the playback in the log")
     play.add_argument(
         "--inject", metavar="FAULTS", help="inject faults, e.g. drop=0.1,teleport=0.02; see --inject-seed"
     )
-    play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="which frames have faults")
+    play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="seed of the faults")
     play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
     add_run_options(play)
     add_source_options(play)
@@ -124,20 +123,18 @@ def add(commands: Commands, common: argparse.ArgumentParser, configured: argpars
 
 def add_run_options(command: argparse.ArgumentParser) -> None:
     """Add the options of every run: its workers, and where it is shown."""
-    command.add_argument(
-        "--workers",
-        metavar="N",
-        help="child processes that build shapes, or dask=tcp://HOST:PORT; they do not change the map",
-    )
+    command.add_argument("--workers", metavar="N", help="child processes that build shapes, or dask=tcp://HOST:PORT")
     command.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     add_output(command, "--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
     add_output(
         command, "--costmap", type=Path, metavar="FILE", help="write the growing grid as ROS 2 messages (MCAP) for Nav2"
     )
     command.add_argument(
-        "--costmap-robot", metavar="NAME|FILE", help="at whose heights obstacles count there; --costmap needs it"
+        "--costmap-robot", metavar="NAME|FILE", help="robot of --costmap, whose height range counts (required)"
     )
-    command.add_argument("--metrics-port", type=int, metavar="N", help="answer Prometheus on 127.0.0.1:N/metrics")
+    command.add_argument(
+        "--metrics-port", type=int, metavar="N", help="serve Prometheus metrics on 127.0.0.1:N/metrics"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -177,7 +174,7 @@ def run(options: argparse.Namespace) -> int:
         sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
         sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
 
-    # What cannot be had is refused before a map that is there is replaced.
+    # Refuse invalid options before an existing map is replaced.
     beside = sinks_beside(options, settings, is_live=options.live)
     printer = ProgressPrinter(style, clock.describe)
     keys = Keys(clock)
@@ -213,7 +210,7 @@ def _play_fleet(options: argparse.Namespace) -> int:
         f"--{name.replace('_', '-')}" for name, default in _OF_ONE_LOG.items() if getattr(options, name) != default
     ]
     if alone:
-        raise InputError(f"found {alone[0]}, which is for a single log; leave it out, or use `fleet FLEET.toml`")
+        raise InputError(f"found {alone[0]}, which needs a single log; leave it out, or use `fleet FLEET.toml`")
     if options.out is None:
         raise InputError("found no --out, expected --out OUT: the folder for the robots' maps and the merged one")
     return fleet.run(Namespace(**{**vars(options), **fleet.DEFAULTS}))

@@ -21,17 +21,14 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Sink
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    resume = commands.add_parser(
-        "resume", parents=[common, configured], help="go on with an interrupted playback, to the same map"
-    )
-    resume.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    resume = commands.add("resume", run, configured=True)
     resume.add_argument("map", type=Path, metavar="MAP")
-    resume.add_argument("--source", nargs="+", metavar="LOG", help="where the log is now, if it was moved")
+    resume.add_argument("--source", nargs="+", metavar="LOG", help="new location of the log")
     resume.add_argument(
         "--use-current-workers",
         action="store_true",
-        help="build shapes as this machine is configured, though the map names another interpreter or cluster",
+        help="build shapes with the workers of this configuration instead of the recorded ones",
     )
     resume.add_argument("--viewer", default="none", help="none (default), auto, spawn, web or connect=URL")
 
@@ -53,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     if is_live or was_sought(options.map):
         digest = save_live(options.map)
         said = {"event": "saved", "map": str(options.map), "finished_cleanly": False, "digest": digest}
-        why = "its frames are gone" if is_live else "the log was sought in, so that it cannot be continued"
+        why = "its frames are gone" if is_live else "a playback with jumps cannot be continued"
         print(output("resume-saved", said) if options.json else f"{options.map}: saved as of its last step; {why}")
         return 0
     recorded = manifest.run.get("source")
@@ -61,8 +58,8 @@ def run(options: argparse.Namespace) -> int:
     if options.source is not None:
         note["uris"] = options.source
     if "uris" not in note:
-        raise MapFolderError(f"{options.map} does not say what it was made of; resume it from Python (Mapper.resuming)")
-    # Before the log is opened: what is refused is refused at once.
+        raise MapFolderError(f"{options.map} has no record of its source; resume it from Python (Mapper.resuming)")
+    # Refuse an invalid configuration before the log is opened.
     resumed_config(options.map, settings.mapper.run, ignores_recorded=options.use_current_workers)
     source = open_noted(note)
     if not options.json:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hickory_stream.engine.play import Played
     from hickory_stream.engine.shape_jobs.job_folder import FailedShapes
 
-_IDS_TOLD = 5
+_IDS_LISTED = 5
 
 
 def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
@@ -56,13 +56,13 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     else:
         print(f"{out}: {len(objects)} objects, {num_shaped} with all four layers")
         if played.is_reproducible and played.processor:
-            print(f"the same again on this kind of processor: {played.processor}")
+            print(f"reproducible on this kind of processor: {played.processor}")
         if ledger.get("messages"):
             from players.doctor.report import ledger_table
 
             print(ledger_table(ledger["messages"]))
         if not played.finished_cleanly:
-            print(f"stopped, and saved; go on with: {resume_command(out)}")
+            print(f"stopped, and saved; continue with: {resume_command(out)}")
         if registration is not None and registration.text():
             print(registration.text())
         if played.snapshot is not None and played.snapshot.graph is not None:
@@ -83,13 +83,13 @@ def failures_line(failures: tuple[FailedShapes, ...], num_objects: int) -> str:
     first = failures[0].folders[0]
     return (
         f"the shape jobs of {number} of {num_objects} objects failed: {reasons}. Their input lies in {first.parent}; "
-        f"`hickory-stream reconstruct {first}` repeats one"
+        f"repeat one with `hickory-stream reconstruct {first}`"
     )
 
 
 def _ids(failure: FailedShapes) -> str:
-    ids = ", ".join(str(object_id) for object_id in failure.object_ids[:_IDS_TOLD])
-    more = len(failure.object_ids) - _IDS_TOLD
+    ids = ", ".join(str(object_id) for object_id in failure.object_ids[:_IDS_LISTED])
+    more = len(failure.object_ids) - _IDS_LISTED
     noun = "object" if len(failure.object_ids) == 1 else "objects"
     return f"{noun} {ids}" + (f" and {more} more" if more > 0 else "")
 

@@ -12,9 +12,8 @@ if TYPE_CHECKING:
 SHELLS = ("bash", "zsh", "fish")
 
 
-def add(commands: Commands, _common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    completion = commands.add_parser("completion", help="print a script that completes the command line in a shell")
-    completion.set_defaults(run=run, debug=False)
+def add(commands: Commands) -> None:
+    completion = commands.add_plain("completion", run=run, debug=False)
     completion.add_argument("shell", choices=SHELLS)
 
 

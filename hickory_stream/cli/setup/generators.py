@@ -15,18 +15,12 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    actions = commands.add_parser("generators", help="programs that make shapes").add_subparsers(
-        required=True, metavar="ACTION"
-    )
-    listing = actions.add_parser(
-        "list", parents=[common], help="the generators of $HICKORY_GENERATORS, and what they lack"
-    )
-    listing.set_defaults(run=_list)
-    check = actions.add_parser("check", parents=[common], help="start a generator and give it a built-in object")
-    check.set_defaults(run=_check)
-    check.add_argument("name", metavar="NAME", help="its TOML, or its name in the folder of generators")
-    add_output(check, "-o", "--out", type=Path, metavar="PNG", help="draw what it made, placed over what it was shown")
+def add(commands: Commands) -> None:
+    actions = commands.group("generators")
+    actions.add("list", _list)
+    check = actions.add("check", _check)
+    check.add_argument("name", metavar="NAME", help="TOML file, or name in the folder of generators")
+    add_output(check, "-o", "--out", type=Path, metavar="PNG", help="draw its mesh over the input")
 
 
 def _list(options: argparse.Namespace) -> int:
@@ -49,7 +43,7 @@ def _list(options: argparse.Namespace) -> int:
     for row in rows:
         print(f"{row['name']}  {row['licence']}  {row['state']}")
     if not rows:
-        print(f"no generators in {folder}; put a TOML there (hickory_stream/engine/shape_jobs/generators/README.md)")
+        print(f"no generators in {folder}; add a TOML file (hickory_stream/engine/shape_jobs/generators/README.md)")
     return 0
 
 
