@@ -48,7 +48,7 @@ def test_a_killed_or_stopped_run_is_resumed_to_the_map_of_an_undisturbed_one(
     assert alive == []
     looked = look("inspect", tmp_path / "map")
     assert looked.status == 0
-    assert f"go on with: hickory-stream resume {tmp_path / 'map'}" in looked.stderr
+    assert f"continue with: hickory-stream resume {tmp_path / 'map'}" in looked.stderr
     if number is signal.SIGKILL:
         assert "not finished: nothing was saved yet" in looked.stdout
         assert re.search(r"its journal holds [1-9]\d* keyframe", looked.stderr)
@@ -124,14 +124,14 @@ def test_diff_tells_what_is_in_one_of_two_maps_alone(calm: Path) -> None:
     assert found["only_in_a"] == found["only_in_b"] == []
     lines = look("diff", calm, "--other", calm).stdout.splitlines()
     assert lines == [
-        f"{len(found['both'])} objects are in both (boxes overlap by 0.5 and more)",
+        f"{len(found['both'])} objects are in both (box overlap 0.5 and more)",
         f"0 only in {calm}",
         f"0 only in {calm}",
     ]
     for wrong in ((), ("1",), ("1", "2", "--other", calm), ("1", "--other", calm)):
         refused = look("diff", calm, *wrong)
         assert refused.status == 2
-        assert "found neither T1 and T2 nor --other MAP, or both; expected one of them" in refused.stderr
+        assert "expected either T1 and T2, or --other MAP" in refused.stderr
 
 
 @pytest.mark.parametrize(("kind", "first"), [("json", b"{"), ("ply", b"ply\n"), ("glb", b"glTF")])

@@ -146,7 +146,7 @@ def test_what_is_in_the_way_of_start_or_goal_is_named_with_its_distance(
 def test_objects_without_layer_4_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bare = saved(tmp_path / "bare.map", tracked(7, table(), with_shape=False))
     assert main(["plan", str(bare), "--start", "0.7,0.6", "--goal", "5.3,3.4", "--robot", "point"]) == 0
-    assert "1 objects have no layer 4 of their own, their box is avoided: 7" in capsys.readouterr().out
+    assert "1 objects have no layer 4, their boxes are avoided: 7" in capsys.readouterr().out
 
 
 def two_storeys(folder: Path) -> Path:
@@ -171,7 +171,7 @@ def test_a_map_of_two_storeys_is_planned_on_the_one_that_is_named_or_has_the_goa
     assert main(to_crate) == 0
     assert told(capsys)["floor_m"] == 3.0
     assert main([*to_crate, "--floor", "0"]) == 2
-    assert "object 2 is on the floor at z = 3.00 m; a path lies on one floor" in capsys.readouterr().err
+    assert "object 2 is on the floor at z = 3.00 m; choose that floor" in capsys.readouterr().err
     assert main([*across, "--floor", "1.5"]) == 2
     assert "no floor within 1 m of it: its floors are at z = 0.00 and 3.00 m" in capsys.readouterr().err
 
