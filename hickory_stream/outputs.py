@@ -27,13 +27,6 @@ VERSION = 1
 Matrix = list[list[float]]
 
 
-class Error(TypedDict):
-    """Why a command failed; on standard output, beside the line on standard error."""
-
-    event: Literal["error"]
-    message: str
-
-
 class Progress(TypedDict):
     """Progress of a run; on standard error, twice a second. `part` names one of several runs."""
 
@@ -49,28 +42,6 @@ class Progress(TypedDict):
     num_kernels: int
 
 
-class Compiling(TypedDict):
-    """Number of compiled kernels, by a command that shows no other progress; on standard error."""
-
-    event: Literal["progress"]
-    phase: Literal["compiling"]
-    num_compiled: int
-
-
-class Metrics(TypedDict):
-    """Address of `--metrics-port`; on standard error."""
-
-    event: Literal["metrics"]
-    url: str
-
-
-class LiveWaiting(TypedDict):
-    """The event that `live` waits for before it maps; on standard error, at each change."""
-
-    event: Literal["waiting"]
-    text: str
-
-
 class LiveGoals(TypedDict):
     """Goals of a robot by outcome; `dropped`: newer ones came first."""
 
@@ -78,14 +49,6 @@ class LiveGoals(TypedDict):
     no_path: int
     refused: int
     dropped: int
-
-
-class LivePublished(TypedDict):
-    """Messages of `live --publish` by topic: `sent`, `unheard` (no subscriber) and `dropped`."""
-
-    event: Literal["published"]
-    topics: dict[str, dict[str, int]]
-    goals: LiveGoals
 
 
 class LiveStatus(TypedDict):
@@ -133,15 +96,6 @@ class Finished(TypedDict):
     registration: RegistrationSummary | None
     resume: NotRequired[str]
     ledger: dict[str, Any]
-
-
-class Saved(TypedDict):
-    """`resume` of a run that cannot be continued: its map is saved as of its last step."""
-
-    event: Literal["saved"]
-    map: str
-    finished_cleanly: Literal[False]
-    digest: str | None
 
 
 class Replayed(TypedDict):
@@ -194,34 +148,6 @@ class Diagnosis(TypedDict):
     refusal: str | None
 
 
-class Demonstrated(TypedDict):
-    """Files of `demo`, after the outputs of `play` and `render`."""
-
-    log: str
-    map: str
-    pictures: list[str]
-
-
-class Rendered(TypedDict):
-    """A picture of a map, in pixels; `graph`: of its pose graph, without layers."""
-
-    picture: str
-    width: int
-    height: int
-    layers: list[int]
-    graph: bool
-
-
-class Exported(TypedDict):
-    """The written file, or the first of several `files`; `unproven` is why layer 4 is not proven, or null."""
-
-    file: str
-    format: str
-    objects: int
-    unproven: str | None
-    files: NotRequired[int]
-
-
 class Differences(TypedDict):
     """Changes of objects between two moments."""
 
@@ -236,28 +162,12 @@ class SameObject(TypedDict):
     iou: float
 
 
-class MapDifferences(TypedDict):
-    """Differences of the ends of two maps: objects in both, and ids in one only."""
-
-    both: list[SameObject]
-    only_in_a: list[int]
-    only_in_b: list[int]
-
-
 class DaysDiffer(TypedDict):
     """Changes of all objects from one map of a place to a later one at `a_from_b`."""
 
     a_from_b: Matrix
     sigma_m: float
     objects: list[ObjectChange]
-
-
-class NotCompared(TypedDict):
-    """Two maps that do not align, and the reason."""
-
-    aligned: Literal[False]
-    refusal: str
-    reason: str
 
 
 class Blocker(TypedDict):
@@ -398,13 +308,6 @@ class Merged(TypedDict):
     digest: NotRequired[str | None]
 
 
-class FleetSaid(TypedDict):
-    """An event of a fleet, such as a join, in a sentence; on standard error."""
-
-    event: Literal["said"]
-    text: str
-
-
 class FleetJoined(TypedDict):
     """Alignment with another robot; `since_keyframe` is null if only the finished maps are joined."""
 
@@ -493,26 +396,11 @@ class Reconstructed(TypedDict):
     seconds: NotRequired[dict[str, float]]
 
 
-class Definitions(TypedDict):
-    """What the figures of `evaluate` mean."""
-
-    definitions: str
-
-
 class RejectedMask(TypedDict):
     """A mask that is no object: its box in pixels and the reason."""
 
     box_px: list[int]
     reason: str
-
-
-class Segmented(TypedDict):
-    """Masks of one frame."""
-
-    picture: str
-    masks: int
-    objects: int
-    rejected: list[RejectedMask]
 
 
 class Generator(TypedDict):
@@ -523,13 +411,6 @@ class Generator(TypedDict):
     licence: str
     acceptance: str
     state: str
-
-
-class Generators(TypedDict):
-    """The generators in their folder."""
-
-    folder: str
-    generators: list[Generator]
 
 
 class GeneratorChecked(TypedDict):
@@ -558,12 +439,6 @@ class GeneratorChecked(TypedDict):
     picture: NotRequired[str]
 
 
-class ModelsFolder(TypedDict):
-    """Folder of the models."""
-
-    folder: str
-
-
 class Model(TypedDict):
     """One network; `state` is "ok" or the problem. `input_px` is 0 for any."""
 
@@ -577,21 +452,6 @@ class Model(TypedDict):
     labels: list[str]
     companions: list[Companion]
     state: str
-
-
-class Models(TypedDict):
-    """Networks in the folder of models."""
-
-    folder: str
-    models: list[Model]
-
-
-class ModelAdded(TypedDict):
-    """A network that was added."""
-
-    name: str
-    file: str
-    sha256: str
 
 
 class ModelChecked(TypedDict):
@@ -619,28 +479,6 @@ class CacheKind(TypedDict):
     bytes: int
 
 
-class CacheShown(TypedDict):
-    """Cached data by kind."""
-
-    folder: str
-    cap_mb: float
-    kinds: dict[str, CacheKind]
-
-
-class CacheCleared(TypedDict):
-    """Removed kinds of cached data, and their size."""
-
-    folder: str
-    cleared: list[str]
-    bytes: int
-
-
-class ConfigChecked(TypedDict):
-    """A valid configuration; an error otherwise."""
-
-    ok: Literal[True]
-
-
 class Estimated(TypedDict):
     """Result of `odometry`: frames with a pose and `lost` ones, scans, `degenerate` ones, and processor time."""
 
@@ -651,13 +489,6 @@ class Estimated(TypedDict):
     scans: int
     seconds: float
     error: TrajectoryError | None
-
-
-class BatchSaid(TypedDict):
-    """An event of a batch in a sentence; on standard error."""
-
-    event: Literal["said"]
-    text: str
 
 
 class BatchLog(TypedDict):
@@ -714,30 +545,63 @@ class Batch(TypedDict):
 
 OUTPUTS: dict[str, Any] = {
     "batch": Batch,
-    "batch-said": BatchSaid,
+    "batch-said": ("An event of a batch in a sentence; on standard error.", {"event": Literal["said"], "text": str}),
     "odometry": Estimated,
-    "demo": Demonstrated,
-    "error": Error,
+    "demo": (
+        "Files of `demo`, after the outputs of `play` and `render`.",
+        {"log": str, "map": str, "pictures": list[str]},
+    ),
+    "error": (
+        "Why a command failed; on standard output, beside the line on standard error.",
+        {"event": Literal["error"], "message": str},
+    ),
     "progress": Progress,
-    "compiling": Compiling,
-    "metrics": Metrics,
-    "live-waiting": LiveWaiting,
+    "compiling": (
+        "Number of compiled kernels, by a command that shows no other progress; on standard error.",
+        {"event": Literal["progress"], "phase": Literal["compiling"], "num_compiled": int},
+    ),
+    "metrics": ("Address of `--metrics-port`; on standard error.", {"event": Literal["metrics"], "url": str}),
+    "live-waiting": (
+        "The event that `live` waits for before it maps; on standard error, at each change.",
+        {"event": Literal["waiting"], "text": str},
+    ),
     "live-status": LiveStatus,
-    "live-published": LivePublished,
+    "live-published": (
+        "Messages of `live --publish` by topic: `sent`, `unheard` (no subscriber) and `dropped`.",
+        {"event": Literal["published"], "topics": dict[str, dict[str, int]], "goals": LiveGoals},
+    ),
     "play": Finished,
     "fleet": Fleet,
-    "fleet-said": FleetSaid,
-    "resume-saved": Saved,
+    "fleet-said": (
+        "An event of a fleet, such as a join, in a sentence; on standard error.",
+        {"event": Literal["said"], "text": str},
+    ),
+    "resume-saved": (
+        "`resume` of a run that cannot be continued: its map is saved as of its last step.",
+        {"event": Literal["saved"], "map": str, "finished_cleanly": Literal[False], "digest": str | None},
+    ),
     "replay": Replayed,
     "doctor": Diagnosis,
     "inspect": "hickory_stream.inspection.inspect.MapSummary",
     "verify": Verified,
-    "render": Rendered,
-    "export": Exported,
+    "render": (
+        "A picture of a map, in pixels; `graph`: of its pose graph, without layers.",
+        {"picture": str, "width": int, "height": int, "layers": list[int], "graph": bool},
+    ),
+    "export": (
+        "The written file, or the first of several `files`; `unproven` is why layer 4 is not proven, or null.",
+        {"file": str, "format": str, "objects": int, "unproven": str | None, "files": NotRequired[int]},
+    ),
     "diff": Differences,
-    "diff-maps": MapDifferences,
+    "diff-maps": (
+        "Differences of the ends of two maps: objects in both, and ids in one only.",
+        {"both": list[SameObject], "only_in_a": list[int], "only_in_b": list[int]},
+    ),
     "diff-days": DaysDiffer,
-    "diff-refused": NotCompared,
+    "diff-refused": (
+        "Two maps that do not align, and the reason.",
+        {"aligned": Literal[False], "refusal": str, "reason": str},
+    ),
     "query": Queried,
     "plan": Planned,
     "align": Aligned,
@@ -745,23 +609,26 @@ OUTPUTS: dict[str, Any] = {
     "relocalise": Located,
     "reconstruct": Reconstructed,
     "evaluate": "hickory_stream.evaluation.evaluate.Evaluation",
-    "evaluate-explain": Definitions,
+    "evaluate-explain": ("What the figures of `evaluate` mean.", {"definitions": str}),
     "explain": "hickory_stream.inspection.point_history.PlaceStory",
     "explain-object": "hickory_stream.evaluation.why.ObjectStory",
     "explain-truth": "hickory_stream.evaluation.why.Why",
-    "segment": Segmented,
-    "generators-list": Generators,
+    "segment": ("Masks of one frame.", {"picture": str, "masks": int, "objects": int, "rejected": list[RejectedMask]}),
+    "generators-list": ("The generators in their folder.", {"folder": str, "generators": list[Generator]}),
     "generators-check": GeneratorChecked,
-    "models-where": ModelsFolder,
-    "models-list": Models,
-    "models-add": ModelAdded,
+    "models-where": ("Folder of the models.", {"folder": str}),
+    "models-list": ("Networks in the folder of models.", {"folder": str, "models": list[Model]}),
+    "models-add": ("A network that was added.", {"name": str, "file": str, "sha256": str}),
     "models-check": ModelChecked,
     "config-dump": "hickory_stream.settings.Settings",
-    "config-check": ConfigChecked,
-    "cache-show": CacheShown,
-    "cache-clear": CacheCleared,
+    "config-check": ("A valid configuration; an error otherwise.", {"ok": Literal[True]}),
+    "cache-show": ("Cached data by kind.", {"folder": str, "cap_mb": float, "kinds": dict[str, CacheKind]}),
+    "cache-clear": (
+        "Removed kinds of cached data, and their size.",
+        {"folder": str, "cleared": list[str], "bytes": int},
+    ),
 }
-"""The form of each output, by its name; those of other modules by their path, so that they load only when asked for."""
+"""Form of each output: a record, its path (loaded on demand), or a description with the types of its keys."""
 
 
 def output(name: str, data: dict[str, Any], *, indent: int | None = None) -> str:
@@ -777,6 +644,10 @@ def output_schema(name: str) -> dict[str, Any]:
     if isinstance(kind, str):
         module, _, attribute = kind.rpartition(".")
         kind = getattr(import_module(module), attribute)
+    if isinstance(kind, tuple):
+        summary, keys = kind
+        kind = TypedDict(name, keys)  # type: ignore[misc]
+        kind.__doc__ = summary
     schema = schema_of(kind)
     head = {"output": {"const": name}, "version": {"const": VERSION}}
     return {

@@ -48,7 +48,7 @@ def outcomes_on(address: str, tasks: Sequence[LogTask]) -> Iterator[LogOutcome]:
         except Exception as error:
             raise WorkerError(
                 f"the cluster at {address} was lost: {' '.join(str(error).split()) or type(error).__name__}; "
-                "the same command goes on"
+                "continue with the same command"
             ) from error
         finally:
             client.cancel(handed)

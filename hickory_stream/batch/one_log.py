@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Sink
 
 ABANDONED = 75
-"""The status of a process that nobody waits for any more."""
+"""Exit status of a process without a parent."""
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-# Whoever was killed while it wrote the folder is gone soon.
+# A killed writer of the folder ends soon.
 _LOCK_S = 20.0
 
 
@@ -68,7 +68,7 @@ def outcome_of(task: LogTask) -> LogOutcome:
     except HickoryError as error:
         state: State = "disk full" if _is_disk_full(error) else "failed"
         return LogOutcome(name=task.name, state=state, reason=" ".join(str(error).split()), worker=worker)
-    except Exception as error:  # noqa: BLE001 -- the batch says it, and goes on with the other logs
+    except Exception as error:  # noqa: BLE001 -- the batch reports it, and continues
         return LogOutcome(
             name=task.name, state="failed", reason=f"internal failure, {type(error).__name__}: {error}", worker=worker
         )

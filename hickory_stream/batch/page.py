@@ -84,8 +84,8 @@ def _html_row(row: Row) -> str:
     kind = "good" if row.outcome.state == "mapped" else "bad"
     reason = row.outcome.reason
     cells = list(_cells(row))
-    told = f"<tr class={kind}>{_cells_html(cells)}</tr>"
-    return told + (f"<tr class={kind}><td colspan={len(cells)}>{html.escape(reason)}</td></tr>" if reason else "")
+    text = f"<tr class={kind}>{_cells_html(cells)}</tr>"
+    return text + (f"<tr class={kind}><td colspan={len(cells)}>{html.escape(reason)}</td></tr>" if reason else "")
 
 
 def _cells_html(cells: Sequence[str], kind: str = "td") -> str:

@@ -79,7 +79,7 @@ def join_maps(folders: Mapping[str, Path], out: Path, tell: Callable[[str], None
     )
 
 
-_FULL = "the disk is full: free space, then the same command goes on"
+_FULL = "the disk is full: free space, then continue with the same command"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -142,7 +142,7 @@ def _outcomes(
         except (WorkerError, MapFolderError) as error:
             return found, str(error)
         except KeyboardInterrupt:
-            return found, "stopped; the same command goes on"
+            return found, "stopped; continue with the same command"
     return found, ""
 
 

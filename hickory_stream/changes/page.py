@@ -38,9 +38,9 @@ class Footprint:
 
 
 def plan_svg(
-    footprints: Sequence[Footprint], moves: Sequence[tuple[TrackedObject, TrackedObject, str]], told: str
+    footprints: Sequence[Footprint], moves: Sequence[tuple[TrackedObject, TrackedObject, str]], caption: str
 ) -> str:
-    """Return the plan from above, "" without an object; lines join the centres of `moves`, `told` is the caption."""
+    """Return the plan from above, "" without an object; lines join the centres of `moves`, `caption` is the caption."""
     if not footprints:
         return ""
     corners = np.concatenate([one.item.box.corners_world()[:, :2] for one in footprints])
@@ -65,7 +65,7 @@ def plan_svg(
             f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{color}" stroke-width="2"/>'
         )
     height = float(high[1] - low[1]) * scale
-    return f'<svg viewBox="0 0 {_WIDTH_PX} {height:.0f}">{"".join(drawn)}</svg><p class="soft">{told}</p>'
+    return f'<svg viewBox="0 0 {_WIDTH_PX} {height:.0f}">{"".join(drawn)}</svg><p class="soft">{caption}</p>'
 
 
 COLORS = {

@@ -113,8 +113,8 @@ class ChangesConfig(Ranged):
 def count_text(found: MapChanges) -> str:
     """Return the number of objects by verdict, and the quality of the alignment."""
     counts = [(verdict, sum(change.verdict is verdict for change in found.changes)) for verdict in Verdict]
-    told = ", ".join(f"{count} {verdict}" for verdict, count in counts if count) or "no objects"
-    return f"{told}; the maps lie to one another to within {100 * found.sigma_m:.1f} cm"
+    text = ", ".join(f"{count} {verdict}" for verdict, count in counts if count) or "no objects"
+    return f"{text}; the maps are aligned to within {100 * found.sigma_m:.1f} cm"
 
 
 def sentence(change: ObjectChange) -> str:

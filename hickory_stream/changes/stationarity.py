@@ -68,7 +68,7 @@ def after_comparison(before: Mapping[int, StayCount], found: MapChanges) -> dict
             case Verdict.MOVED:
                 counts[change.id_b] = StayCount(stayed=known.stayed, moved=known.moved + change.probability)
             case Verdict.NEW | Verdict.EXCHANGED:
-                # Another object than the one that stood there: what is known of it is that it came.
+                # Another object stands there now: it came.
                 counts[change.id_b] = StayCount(moved=change.probability)
             case _:
                 counts[change.id_b] = known
@@ -87,13 +87,15 @@ def write_stationarity(known: Stationarity) -> bytes:
 def read_stationarity(path: Path, digest: str | None) -> Stationarity:
     """Return the counts in a file of the map with this digest; raises `InputError` for an invalid or other file."""
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-        if told["version"] != _VERSION:
-            raise InputError(f"{path} is of version {told['version']}, expected {_VERSION}; make it again with `diff`")
-        of = str(told["map_digest"])
+        report = json.loads(path.read_text(encoding="utf-8"))
+        if report["version"] != _VERSION:
+            raise InputError(
+                f"{path} is of version {report['version']}, expected {_VERSION}; make it again with `diff`"
+            )
+        of = str(report["map_digest"])
         counts = {
             int(row["id"]): StayCount(stayed=_count(row["stayed"]), moved=_count(row["moved"]))
-            for row in told["objects"]
+            for row in report["objects"]
         }
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}; `diff --stationarity` makes it") from None
@@ -104,8 +106,8 @@ def read_stationarity(path: Path, digest: str | None) -> Stationarity:
     return Stationarity(digest=of, counts=counts)
 
 
-def _count(told: Any) -> float:
-    count = float(told)
+def _count(value: Any) -> float:
+    count = float(value)
     if not (math.isfinite(count) and count >= 0):
         raise ValueError(f"a count of {count}")
     return count

@@ -44,10 +44,10 @@ def changes_within_run(
         if one.id_a in lost | {None} and one.id_b in came | {None}:
             is_unproven = one.id_a in not_seen and not _is_seen_through_since(was, is_now, one.id_a, config)
             said |= {} if is_unproven else _told(one)
-    # Of what was not seen since nothing else is listed: nothing of it changed.
-    told = [said.get(one.object_id, one) if one.kind in ("dropped", "appeared") else one for one in listed]
-    told += [said[i] for i in not_seen & said.keys()]
-    return tuple(sorted((one for one in told if one is not None), key=lambda one: one.object_id))
+    # Unseen objects have no other entry.
+    parts = [said.get(one.object_id, one) if one.kind in ("dropped", "appeared") else one for one in listed]
+    parts += [said[i] for i in not_seen & said.keys()]
+    return tuple(sorted((one for one in parts if one is not None), key=lambda one: one.object_id))
 
 
 def _told(one: ObjectChange) -> dict[int, Change | None]:

@@ -65,8 +65,8 @@ def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_who
 
 def add_at(parser: argparse.ArgumentParser) -> None:
     """Add the option of a time in the run."""
-    told = "the map at this time: seconds from the first keyframe, or a stamp like 17...ns"
-    parser.add_argument("--at", metavar="T", help=told)
+    text = "the map at this time: seconds from the first keyframe, or a stamp like 17...ns"
+    parser.add_argument("--at", metavar="T", help=text)
 
 
 def add_allow_unverified(parser: argparse.ArgumentParser) -> None:
@@ -175,8 +175,8 @@ def add_texture_argument(parser: argparse.ArgumentParser, what: str, default: in
             )
         return int(text)
 
-    told = f"{what} at most, {least} to {most} pixels; 0: vertex colours; default {default}"
-    parser.add_argument("--texture", type=side, default=default, metavar="PX", help=told)
+    message = f"{what} at most, {least} to {most} pixels; 0: vertex colours; default {default}"
+    parser.add_argument("--texture", type=side, default=default, metavar="PX", help=message)
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -18,8 +18,8 @@ def add_source_options(command: argparse.ArgumentParser) -> None:
     """Add the options to a command."""
     topics = command.add_argument_group("options of a log; missing ones are discovered")
     for role in ("color", "depth", "color-info", "depth-info", "pose"):
-        told = "none: ignore the poses of the log" if role == "pose" else None
-        topics.add_argument(f"--{role}-topic", metavar="TOPIC", help=told)
+        text = "none: ignore the poses of the log" if role == "pose" else None
+        topics.add_argument(f"--{role}-topic", metavar="TOPIC", help=text)
     topics.add_argument("--pose-frame", metavar="FRAME", help="frame of the poses in the pose topic")
     topics.add_argument("--poses", type=Path, metavar="FILE", help="poses from a TUM or CSV file instead of a topic")
     topics.add_argument("--sync-tolerance", type=float, metavar="MS", help="between colour and depth (half a period)")

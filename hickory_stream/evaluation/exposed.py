@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _DIRECTIONS = 48
-# So many of them are tried before those that are left.
+# Directions to try before the remaining ones.
 _AT_ONCE = (2, 6, 16)
 
 

@@ -80,9 +80,9 @@ def history_text(map_id: int, evidence: Evidence) -> str:
     first = "at the end" if history.born.frame is None else f"in frame {history.born.frame}"
     with_merged = f", with #{', #'.join(map(str, merged))} merged into it" if merged else ""
     masks = f"masks in {len(history.frames)} keyframe{'' if len(history.frames) == 1 else 's'}"
-    told = f"made {first} ({history.born.text.partition(': ')[0]}) of {masks}{with_merged}"
+    text = f"made {first} ({history.born.text.partition(': ')[0]}) of {masks}{with_merged}"
     shown = shown_text(map_id, evidence)
-    return f"{told}; {shown}" if shown else told
+    return f"{text}; {shown}" if shown else text
 
 
 def shown_text(map_id: int, evidence: Evidence) -> str:
@@ -97,5 +97,5 @@ def shown_text(map_id: int, evidence: Evidence) -> str:
         return ""
     names = {i: "no object" if i is None else evidence.names[i] for i in counts}
     ordered = sorted(counts.items(), key=lambda kv: (-kv[1], names[kv[0]]))
-    told = ", ".join(f"{px / total:.0%} {names[i]}" for i, px in ordered if px >= 0.05 * total)
-    return f"its masks show {told}"
+    text = ", ".join(f"{px / total:.0%} {names[i]}" for i, px in ordered if px >= 0.05 * total)
+    return f"its masks show {text}"

@@ -155,28 +155,28 @@ def why_missed(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> M
         return _has_objects(truth_id, track_ids, evidence)
     smallest = evidence.sightings.smallest_mask_px
     large = [sighting for sighting in seen if sighting.num_px >= smallest]
-    told = tally_text(Counter(state_of(sighting) for sighting in seen), len(seen))
+    message = tally_text(Counter(state_of(sighting) for sighting in seen), len(seen))
     covered = evidence.overlap.covered(truth_id)
     swallower = min(covered, key=lambda i: (-covered[i], i), default=None)
     if swallower is not None and covered[swallower] >= _SWALLOWED:
-        return _swallowed(truth_id, swallower, told, evidence)
+        return _swallowed(truth_id, swallower, message, evidence)
     needed = evidence.fewest_sightings
     if len(large) < needed:
         if len(seen) < needed:
-            text = f"{told}; {evidence.what_confirms}"
+            text = f"{message}; {evidence.what_confirms}"
             return _missed(truth_id, "too few sightings", text, (), evidence)
         most = max(sighting.num_px for sighting in seen)
         often = f"it has that in {len(large)} of {len(seen)} keyframes, at most {most}"
         text = f"98 % of the masks have {smallest:.0f} pixels and more, {often}"
-        return _missed(truth_id, "too small in the image", f"{text}; {told}", (), evidence)
+        return _missed(truth_id, "too small in the image", f"{text}; {message}", (), evidence)
     states = [state_of(sighting) for sighting in large]
     tally = Counter(states)
     common = max(tally, key=lambda state: tally[state])
     if common == "in a mask of its own":
-        return _lost_track(truth_id, large, states, told, evidence)
+        return _lost_track(truth_id, large, states, message, evidence)
     reason = _REASON_OF[common]
     shown = [sighting for sighting, state in zip(large, states, strict=True) if state == common]
-    return _missed(truth_id, reason, f"{told}; {_detail(common, shown, evidence)}", (), evidence)
+    return _missed(truth_id, reason, f"{message}; {_detail(common, shown, evidence)}", (), evidence)
 
 
 def tally_text(tally: Counter[State], count: int) -> str:
@@ -200,16 +200,16 @@ def extents_text(true: OrientedBox, found: OrientedBox) -> str:
         shift = float(low[axis] + high[axis]) / 2
         if abs(shift) > slack:
             off.append(f"{abs(shift):.2f} m in {name}")
-    told = [*differing, *([f"its middle is off by {', '.join(off)}"] if off else [])]
-    return "; ".join(told) or "no extent by more than a tenth: it is turned, or thin"
+    parts = [*differing, *([f"its middle is off by {', '.join(off)}"] if off else [])]
+    return "; ".join(parts) or "no extent by more than a tenth: it is turned, or thin"
 
 
 def lies_on_text(lies_on: LiesOn, names: Mapping[int, str]) -> str:
     """Return which true surfaces the points of an object lie on, the largest shares first."""
     shares = [(share, names.get(i, str(i))) for i, share in lies_on.things.items()]
     shares += [(lies_on.structure, "structure"), (lies_on.nothing, "nothing that the truth has")]
-    told = [f"{share:.0%} {name}" for share, name in sorted(shares, key=lambda p: (-p[0], p[1])) if share >= 0.05]
-    return ", ".join(told)
+    parts = [f"{share:.0%} {name}" for share, name in sorted(shares, key=lambda p: (-p[0], p[1])) if share >= 0.05]
+    return ", ".join(parts)
 
 
 def _is_own(part: Part) -> bool:
@@ -233,8 +233,8 @@ def _has_objects(truth_id: int, track_ids: Sequence[int], evidence: Evidence) ->
     true = evidence.overlap.true_boxes[truth_id]
     covered = evidence.overlap.covered(truth_id)
     if len(track_ids) > 1:
-        told = ", ".join(f"#{i} has {covered.get(i, 0.0):.0%} of what was seen" for i in track_ids)
-        return _missed(truth_id, "in pieces", told, track_ids, evidence)
+        message = ", ".join(f"#{i} has {covered.get(i, 0.0):.0%} of what was seen" for i in track_ids)
+        return _missed(truth_id, "in pieces", message, track_ids, evidence)
     found = evidence.boxes[track_ids[0]]
     iou = box_iou(true, found)
     of = lies_on_text(evidence.overlap.lies_on[track_ids[0]], evidence.names)
@@ -242,11 +242,11 @@ def _has_objects(truth_id: int, track_ids: Sequence[int], evidence: Evidence) ->
     return _missed(truth_id, "box is off", text, track_ids, evidence)
 
 
-def _swallowed(truth_id: int, map_id: int, told: str, evidence: Evidence) -> Missed:
+def _swallowed(truth_id: int, map_id: int, details: str, evidence: Evidence) -> Missed:
     tally = Counter(state_of(sighting) for sighting in evidence.sightings.of_object[truth_id])
     of = lies_on_text(evidence.overlap.lies_on[map_id], evidence.names)
     share = evidence.overlap.covered(truth_id)[map_id]
-    text = f"{share:.0%} of what was seen of it is in #{map_id}, which is {of}; {told}"
+    text = f"{share:.0%} of what was seen of it is in #{map_id}, which is {of}; {details}"
     joined, own = tally["in one mask with another"], tally["in a mask of its own"]
     reason: MissReason = "merged with another" if own > joined else "one mask with another"
     if own > joined:
@@ -258,12 +258,12 @@ def _swallowed(truth_id: int, map_id: int, told: str, evidence: Evidence) -> Mis
 
 def _merge_text(gone: Sequence[int], map_id: int, evidence: Evidence) -> str:
     histories = evidence.sightings.histories.by_id
-    told = []
+    parts = []
     for track_id in gone[:3]:
         ending = histories[track_id].ending
         if ending is not None:
-            told.append(f"its track #{track_id} was merged {when(ending.frame)}: {ending.text}")
-    return "; ".join(told) or f"its masks went to #{map_id} as they were"
+            parts.append(f"its track #{track_id} was merged {when(ending.frame)}: {ending.text}")
+    return "; ".join(parts) or f"its masks went to #{map_id} as they were"
 
 
 def _own_tracks(truth_id: int, evidence: Evidence) -> Counter[int]:
@@ -277,7 +277,7 @@ def _own_tracks(truth_id: int, evidence: Evidence) -> Counter[int]:
 
 
 def _lost_track(
-    truth_id: int, large: Sequence[Sighting], states: Sequence[State], told: str, evidence: Evidence
+    truth_id: int, large: Sequence[Sighting], states: Sequence[State], details: str, evidence: Evidence
 ) -> Missed:
     tracks, histories = _own_tracks(truth_id, evidence), evidence.sightings.histories
     own = sum(tracks.values())
@@ -292,7 +292,7 @@ def _lost_track(
     more = f" and {len(tracks) - 3} more tracks" if len(tracks) > 3 else ""
     needed = f"; {evidence.what_confirms}" if reason == "too few sightings" else ""
     kept = tuple(sorted({i for track_id in tracks if (i := histories.final(track_id)) is not None}))
-    return _missed(truth_id, reason, f"{told}; {where}{more}{needed}", kept, evidence)
+    return _missed(truth_id, reason, f"{details}; {where}{more}{needed}", kept, evidence)
 
 
 def _reason_of_end(ending: Ending | None) -> MissReason:

@@ -100,7 +100,7 @@ def write_page(path: Path, saved: SavedMap, truth: Truth, evaluation: Evaluation
 
 def _reasons(why: Why | NoWhy) -> str:
     if isinstance(why, NoWhy):
-        return f"<div><p class=soft>Why objects are missed cannot be told: {html.escape(why.reason)}</p></div>"
+        return f"<div><p class=soft>No reasons for missed objects: {html.escape(why.reason)}</p></div>"
     return (
         f"<div>{_counted(missed_title(why), why.reasons, len(why.missed), MISS_REASONS)}"
         f"{_counted(false_title(why), why.origins, len(why.false), FALSE_ORIGINS)}</div>"

@@ -86,13 +86,13 @@ def _frames(stretch: Stretch) -> str:
 def _track(track: TrackStory) -> str:
     first = "at the end" if track.first_frame is None else f"in frame {track.first_frame}"
     end, s = track.ending or "in the map", "" if track.num_keyframes == 1 else "s"
-    told = (
+    text = (
         f"#{track.id} made {first}: {track.born}",
         f"seen in {track.num_keyframes} keyframe{s}",
         *track.changes,
         end,
     )
-    return _indented("; ".join(told))
+    return _indented("; ".join(text))
 
 
 def _counted(counts: Sequence[ReasonCount], total: int, meanings: Mapping[Any, str]) -> list[str]:

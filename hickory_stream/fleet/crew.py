@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from multiprocessing.connection import Connection
     from multiprocessing.context import SpawnProcess
-    from types import FrameType, TracebackType
+    from types import FrameType
 
     from hickory_stream.fleet.messages import Message
     from hickory_stream.fleet.robot_process import RobotTask
@@ -135,9 +135,7 @@ class _Signals:
             for number in _SIGNALS:
                 self._before[number] = signal.signal(number, self._handle)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)  # type: ignore[arg-type]
 

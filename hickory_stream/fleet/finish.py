@@ -107,16 +107,16 @@ def finish(
 
 def why_alone(name: str, answers: Mapping[tuple[str, str], Alignment | NoAlignment]) -> str:
     """Return why a robot shares no frame: its alignment with each other robot."""
-    told = []
+    parts = []
     for (a, b), answer in answers.items():
         if name in (a, b):
             other = b if name == a else a
-            told.append(
+            parts.append(
                 f"the other robots' alignments contradict that with {other}"
                 if isinstance(answer, Alignment)
                 else f"{other}: {answer.refusal.value}, {answer.reason}"
             )
-    return "; ".join(told) if told else "no other robot has a map"
+    return "; ".join(parts) if parts else "no other robot has a map"
 
 
 def _opened(folders: Mapping[str, Path]) -> tuple[dict[str, SavedMap], dict[str, str]]:
@@ -158,7 +158,7 @@ def _merged(
         merged,
         inputs,
         overwrite=overwrite,
-        progress=lambda done, total: tell(f"shapes made anew: {done} of {total}"),
+        progress=lambda done, total: tell(f"shapes rebuilt: {done} of {total}"),
     )
     return MergedFrame(
         path=path,

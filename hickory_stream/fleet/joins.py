@@ -124,8 +124,8 @@ class Joins:
 
 def joined_since(events: Sequence[JoinEvent], a: str, b: str) -> int | None:
     """Return the keyframe of the last join of two robots that holds, None without one while they moved."""
-    told = [event for event in events if {event.a, event.b} == {a, b}]
-    return told[-1].keyframe if told and told[-1].kind == "joined" else None
+    parts = [event for event in events if {event.a, event.b} == {a, b}]
+    return parts[-1].keyframe if parts and parts[-1].kind == "joined" else None
 
 
 def _agree(answer: Alignment, before: Alignment) -> bool:

@@ -64,7 +64,7 @@ def main(task: RobotTask, connection: Connection) -> None:
         ended = Ended(is_finished=False, was_stopped=True, reason="cancelled")
     except BrokenPipeError:
         return  # the fleet is gone
-    except Exception as error:  # noqa: BLE001 -- the process's main function: the fleet says it, and goes on
+    except Exception as error:  # noqa: BLE001 -- the process's main function: the fleet reports it, and continues
         if task.debug:
             traceback.print_exc()
         ended = Ended(is_finished=False, reason=f"internal failure, {type(error).__name__}: {error}")

@@ -224,8 +224,7 @@ def _check(plan: FleetPlan) -> None:
     taken = [path for path in (*made, plan.rrd) if path.exists()]
     if taken and not (plan.overwrite or plan.resumes):
         raise InputError(
-            f"{taken[0]} is there already; --overwrite replaces it, --resume goes on with the fleet, or choose "
-            "another -o"
+            f"{taken[0]} exists; replace it with --overwrite, continue with --resume, or choose another -o"
         )
     foreign = [path for path in made if path.exists() and not is_map_folder(path)]
     if foreign:

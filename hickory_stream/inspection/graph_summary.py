@@ -41,7 +41,7 @@ def summary_of(graph: PoseGraphRecord) -> GraphSummary:
     )
 
 
-def told(summary: GraphSummary) -> str:
+def summary_text(summary: GraphSummary) -> str:
     """Return a pose graph as a line for people."""
     counts = {"accepted": summary.num_accepted, "rejected": summary.num_rejected, "withdrawn": summary.num_withdrawn}
     said = ", ".join(f"{count} {status}" for status, count in counts.items() if count)

@@ -10,10 +10,9 @@ from math import hypot
 from typing import TYPE_CHECKING, Any, Literal
 
 from hickory_stream.config import MapperConfig, as_far_as_known
-from hickory_stream.inspection.graph_summary import GraphSummary, summary_of
-from hickory_stream.inspection.graph_summary import told as graph_line
+from hickory_stream.inspection.graph_summary import GraphSummary, summary_of, summary_text
 from hickory_stream.inspection.object_geometry import Place, place_of
-from hickory_stream.inspection.supports import supports_of, told
+from hickory_stream.inspection.supports import support_text, supports_of
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.floor_notes import floor_notes
 from hickory_stream.records import Phase
@@ -182,7 +181,7 @@ def format_table(summary: MapSummary) -> str:
             "",
             _containment_line(summary),
             *summary.notes,
-            *([graph_line(summary.graph)] if summary.graph is not None else []),
+            *([summary_text(summary.graph)] if summary.graph is not None else []),
             f"digest {summary.digest}",
         ]
     )
@@ -279,7 +278,7 @@ def _place_row(row: ObjectSummary) -> tuple[str, ...]:
         str(place.layer),
         f"{1000 * place.volume_m3:.1f}",
         place.color,
-        told(row.supports),
+        support_text(row.supports),
     )
 
 

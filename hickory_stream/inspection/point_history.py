@@ -117,16 +117,16 @@ def _objects_at(final: MapSnapshot, point_map: NDArray[np.float64]) -> tuple[Obj
 
 def _verdict(there: tuple[ObjectThere, ...], sightings: list[PlaceSighting], book: TrackHistories) -> str:
     if not sightings:
-        told = "no keyframe has it in its image"
+        text = "no keyframe has it in its image"
     else:
         counts = Counter(sighting.where for sighting in sightings)
         parts = ", ".join(f"{_IN_WORDS[w]} in {n}" for w, n in sorted(counts.items(), key=lambda kv: (-kv[1], kv[0])))
-        told = f"of {len(sightings)} keyframes that have it in the image: {parts}"
+        text = f"of {len(sightings)} keyframes that have it in the image: {parts}"
     if there:
-        return f"in object #{there[0].id}; {told}"
+        return f"in object #{there[0].id}; {text}"
     tracks = Counter(s.track_id for s in sightings if s.where == "mask" and s.track_id is not None)
     ends = "; ".join(
         f"{count} of its masks went to {ending_text(book, i)}"
         for i, count in sorted(tracks.items(), key=lambda kv: (-kv[1], kv[0]))[:3]
     )
-    return f"in no object; {told}" + (f"; {ends}" if ends else "")
+    return f"in no object; {text}" + (f"; {ends}" if ends else "")

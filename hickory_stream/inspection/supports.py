@@ -71,7 +71,7 @@ def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple
     return found
 
 
-def told(supports: tuple[Support, ...]) -> str:
+def support_text(supports: tuple[Support, ...]) -> str:
     """Return a phrase for the support of an object: on, hanging from, part of, or leaning on."""
     held = {support.relation: support.by for support in reversed(supports)}
     if Relation.RESTS_ON in held:

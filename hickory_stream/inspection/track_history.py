@@ -40,10 +40,10 @@ class Stretch:
 def track_story(history: TrackHistory, map_id: int | None) -> TrackStory:
     """Return a track's history in words."""
     ending = history.ending
-    told = ""
+    text = ""
     if ending is not None:
         at = when(ending.frame)
-        told = (
+        text = (
             f"merged into #{ending.into} {at}: {ending.text}"
             if ending.kind == "merged"
             else f"dropped {at}: {ending.text}"
@@ -55,15 +55,15 @@ def track_story(history: TrackHistory, map_id: int | None) -> TrackStory:
         num_keyframes=len(history.frames),
         turns=tuple(f"{when(t.frame)}: {t.text}" for t in history.turns),
         changes=tuple(f"{when(t.frame)} {t.text}" for t in history.changes),
-        ending=told,
+        ending=text,
         map_id=map_id,
     )
 
 
-def stretches_of(told: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
+def stretches_of(texts: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
     """Return the texts of frames; consecutive frames of equal text are joined."""
     stretches: list[Stretch] = []
-    for frame, text in told:
+    for frame, text in texts:
         if stretches and stretches[-1].text == text:
             last = stretches[-1]
             stretches[-1] = replace(last, last_frame=frame, num_keyframes=last.num_keyframes + 1)

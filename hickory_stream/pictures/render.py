@@ -175,8 +175,8 @@ def _title(saved: SavedMap, storeys: list[Storey], layers: AbstractSet[int]) -> 
     shown = "  ".join(f"{layer}: {counts[layer]}" for layer in sorted(layers))
     num_floors = len(floors_of(saved.snapshot))
     of_all = f" of {num_floors}, --floor draws one" if num_floors > len(storeys) else ""
-    told = f"    {len(storeys)} storeys{of_all}" if len(storeys) > 1 else ""
-    return f"{name}    {len(objects)} objects{told}    layer {shown}"
+    text = f"    {len(storeys)} storeys{of_all}" if len(storeys) > 1 else ""
+    return f"{name}    {len(objects)} objects{text}    layer {shown}"
 
 
 # ---- one panel ------------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.graph.trajectories import ways_of
-from hickory_stream.inspection.graph_summary import summary_of, told
+from hickory_stream.inspection.graph_summary import summary_of, summary_text
 from hickory_stream.pictures.drawing import Drawing, Ellipse, Line, Text
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def render_graph(graph: PoseGraphRecord, ways: Ways, size: tuple[int, int]) -> D
 
 
 def _title(graph: PoseGraphRecord) -> str:
-    text = told(summary_of(graph))
+    text = summary_text(summary_of(graph))
     return text[0].upper() + text[1:]
 
 

@@ -27,7 +27,7 @@ from hickory_stream.query.question import (
     Serves,
     Thing,
     Use,
-    told,
+    phrase_of,
 )
 from hickory_stream.query.relations import distances_to, distances_to_place, related, related_to_place, related_to_room
 from hickory_stream.query.shape_scores import LEVEL_M, NUM_LEVELS, SHAPE_WORDS, ramp
@@ -99,13 +99,13 @@ def ask(index: MapIndex, text: str, viewer: tuple[float, float] | None = None, l
         Answer(
             id=int(index.ids[i]),
             score=round(float(scores[i]), 4),
-            why=tuple((told(condition), round(float(degrees[i]), 4)) for condition, degrees in parts),
+            why=tuple((phrase_of(condition), round(float(degrees[i]), 4)) for condition, degrees in parts),
         )
         for i in order
     ]
     count = int((scores >= ENOUGH).sum())
     return Answers(
-        question=told(question.thing),
+        question=phrase_of(question.thing),
         counts=question.counts,
         found=tuple(ranked[:count]),
         nearly=tuple(answer for answer in ranked[count : count + 3] if answer.score > 0),
@@ -148,7 +148,7 @@ def _degrees(asked: _Asked, condition: Condition) -> NDArray[np.float64]:
     if isinstance(condition, Most):
         return _foremost(asked, condition, np.ones(len(index), bool))
     if isinstance(condition, LooksLike):
-        assert asked.looks is not None, "the grammar lets looks pass only where they can be told"
+        assert asked.looks is not None, "the grammar lets looks pass only where they are allowed"
         return asked.looks(condition.text)
     assert_never(condition)
 
@@ -190,7 +190,7 @@ def _related(asked: _Asked, condition: Related) -> NDArray[np.float64]:
         related_to_place(index, relation, to.x, to.y) if isinstance(to, Place) else related_to_room(index, relation, to)
     )
     if found is None:
-        raise InputError(f'found "{told(condition)}", expected near or beside {told(to)}, or on the floor')
+        raise InputError(f'found "{phrase_of(condition)}", expected near or beside {phrase_of(to)}, or on the floor')
     return found
 
 

@@ -18,7 +18,7 @@ COLOR_NAMES = ("black", "gray", "white", "red", "orange", "brown", "beige", "yel
 # Below this chroma a colour is black, gray or white, by its lightness.
 _GRAY_CHROMA = 10.0
 _BLACK_BELOW, _WHITE_ABOVE = 28.0, 80.0
-# Where a name's hues end, degrees of CIE Lab; purple ends at 345, and red goes on from there past 0.
+# Upper ends of the hues, degrees of CIE Lab; red continues from 345 past 0.
 _HUE_ENDS_DEG = (42.0, 68.0, 105.0, 195.0, 300.0, 345.0)
 _HUE_NAMES = ("red", "orange", "yellow", "green", "blue", "purple", "red")
 # Orange and yellow of little chroma are brown where dark and beige where light; red that is light is pink.

@@ -141,7 +141,7 @@ class Question:
     counts: bool
 
 
-def told(part: Condition | Thing | ObjectOfId | Place | Room) -> str:
+def phrase_of(part: Condition | Thing | ObjectOfId | Place | Room) -> str:
     """Return a condition or a landmark in words."""
     match part:
         case HasColor() | HasShape():
@@ -150,17 +150,17 @@ def told(part: Condition | Thing | ObjectOfId | Place | Room) -> str:
             return part.name
         case Most(nearest_to=landmark):
             assert landmark is not None
-            return f"nearest to {told(landmark)}"
+            return f"nearest to {phrase_of(landmark)}"
         case Serves():
             return str(part.use)
         case Related():
-            return f"{part.relation} {told(part.to)}"
+            return f"{part.relation} {phrase_of(part.to)}"
         case LooksLike():
             return f'looks like "{part.text}"'
         case Not():
-            return f"not {told(part.thing)}"
+            return f"not {phrase_of(part.thing)}"
         case Thing():
-            parts = ", ".join(map(told, part.conditions)) or "any object"
+            parts = ", ".join(map(phrase_of, part.conditions)) or "any object"
             return f"({parts})" if len(part.conditions) > 1 else parts
         case ObjectOfId():
             return f"#{part.id}"

@@ -36,7 +36,7 @@ _SHARP = (0.5, 0.95)
 _ROUND = (0.25, 0.55)
 # The ratio of two semi-axes that are equal, and that are not.
 _EQUAL = (0.85, 0.6)
-# The volume of the primitives over that of the box around them: of one body, and of a frame of bars and boards.
+# Volume of the primitives over the volume of their box: of a solid body, and of a frame of bars and boards.
 _BODY = (0.3, 0.5)
 
 

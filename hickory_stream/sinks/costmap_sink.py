@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 MAP_TOPIC, UPDATES_TOPIC = "/map", "/map_updates"
+_CELL_M = 0.05
 
 
 class CostmapSink:
@@ -40,21 +41,20 @@ class CostmapSink:
         self,
         robot: Robot,
         *,
-        cell_m: float = 0.05,
         path: Path | None = None,
         publish: Callable[[CostmapUpdate], None] | None = None,
         early: bool = False,
     ) -> None:
-        self._robot, self._cell_m, self._path = robot, cell_m, path
+        self._robot, self._path = robot, path
         self._seen = SeenSurface() if early else None
-        self._costmap = Costmap(robot, cell_m=cell_m, seen=self._seen)
+        self._costmap = Costmap(robot, cell_m=_CELL_M, seen=self._seen)
         self._publish = publish
         self._pipe = path if path is not None and path.is_fifo() else None
         self._file = _Messages(_opened(path)) if path is not None and self._pipe is None else None
         if self._pipe is not None:
             self._connect(self._pipe)
             if self._file is None:
-                logger.warning("the costmap waits for a reader of the pipe %s; mapping goes on meanwhile", path)
+                logger.warning("the costmap waits for a reader of the pipe %s; mapping continues", path)
 
     def show(self, report: FrameReport) -> None:
         """Send the changes of the report's snapshot."""
@@ -65,7 +65,7 @@ class CostmapSink:
         if self._pipe is not None and self._file is None:
             self._connect(self._pipe)
         if self._file is None and self._publish is None:
-            return  # a reader who comes gets a whole grid
+            return  # a new reader gets a whole grid
         update = self._costmap.update(report.snapshot)
         if update is None:
             return
@@ -86,14 +86,14 @@ class CostmapSink:
 
     def _cut_off(self, error: OSError) -> OutputError:
         cause = error.strerror or type(error).__name__
-        return OutputError(f"the costmap {self._path} ends before the map does ({cause}); free space, and play again")
+        return OutputError(f"the costmap {self._path} is incomplete ({cause}); free space, and play again")
 
     def _connect(self, pipe: Path) -> None:
         stream = _opened_pipe(pipe)
         if stream is not None:
             self._file = _Messages(stream)
             # A new reader has received nothing yet: the next update is a whole grid.
-            self._costmap = Costmap(self._robot, cell_m=self._cell_m, seen=self._seen)
+            self._costmap = Costmap(self._robot, cell_m=_CELL_M, seen=self._seen)
 
     def _write(self, file: _Messages, update: CostmapUpdate) -> None:
         try:

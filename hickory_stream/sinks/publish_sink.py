@@ -154,12 +154,12 @@ _TOPICS = {
     "plan": ((PLAN_TOPIC, PATH, False),),
 }
 _OBJECTS_EVERY_S = 0.5
-# Who comes late has the last whole grid, and no windows from before: it is never older than this.
+# Maximum age of the whole grid, which a late subscriber gets without earlier windows.
 _WHOLE_EVERY_S = 5.0
-# A goal is planned in the newest map in any case; the less there is to catch up with then, the sooner it is answered.
+# A goal is planned in the newest map; frequent updates shorten the answer.
 _FOLLOWED_EVERY_S = 1.0
 _GOALS = 4
-# As AMCL does it (transform_tolerance): whoever looks the transform up is a little later than the keyframe.
+# As in AMCL (transform_tolerance): look-ups come a little later than the keyframe.
 _TF_AHEAD_NS = 1_000_000_000
 _CELL_M = 0.05
 
@@ -177,7 +177,6 @@ class PublishSink:
         *,
         odom_frame: str,
         parts: Collection[str] = PARTS,
-        cell_m: float = _CELL_M,
     ) -> None:
         unknown = sorted(set(parts) - set(PARTS))
         if unknown:
@@ -185,8 +184,8 @@ class PublishSink:
         self._parts = frozenset(parts)
         self._odom_frame = odom_frame or "odom"
         self._seen = SeenSurface()
-        self._costmap = Costmap(robot, cell_m=cell_m, seen=self._seen)
-        self._space = followed_space(robot, cell_m=cell_m, seen=self._seen)
+        self._costmap = Costmap(robot, cell_m=_CELL_M, seen=self._seen)
+        self._space = followed_space(robot, cell_m=_CELL_M, seen=self._seen)
         self._lock = threading.Lock()
         self._map_from_odom = np.eye(4)
         self._robot_at: NDArray[np.float64] | None = None
@@ -205,7 +204,7 @@ class PublishSink:
         if "plan" in self._parts:
             self._planner = threading.Thread(target=self._answer_goals, name="publish-plan", daemon=True)
             self._planner.start()
-            link.listen(GOAL_TOPIC, self._hear)
+            link.listen(GOAL_TOPIC, self._goals_put)
 
     def show(self, report: FrameReport) -> None:
         """Publish the changes of the report's snapshot."""
@@ -266,11 +265,6 @@ class PublishSink:
         # A window that is missing leaves old cells in the robot's grid.
         if name in (MAP_TOPIC, UPDATES_TOPIC):
             self._costmap.begin_again()
-
-    # ---- goals -------------------------------------------------------------------------------------------------------
-
-    def _hear(self, data: bytes) -> None:
-        self._goals_put(data)
 
     def _goals_put(self, data: bytes | None) -> None:
         # Of too many goals the oldest are dropped.

@@ -59,8 +59,8 @@ def run(options: argparse.Namespace) -> int:
     finally:
         source.close()
     if not poses:
-        told = ", ".join(f"{name} {count}" for name, count in sorted(ledger.items())) or "nothing"
-        raise RecordingError(f"{source.info.uri}: no frame got a pose ({told}); choose another --odometry")
+        text = ", ".join(f"{name} {count}" for name, count in sorted(ledger.items())) or "nothing"
+        raise RecordingError(f"{source.info.uri}: no frame got a pose ({text}); choose another --odometry")
     error = _error(stamps_ns, poses, true) if true is not None else None
     if options.out is not None:
         with disk_refusals(options.out, "poses"):

@@ -60,9 +60,9 @@ def run(options: argparse.Namespace) -> int:
     write_picture(options.out, picture)
     masks = int(perceived.segmentation.instances.max(initial=0))
     if options.json:
-        told: dict[str, Any] = {"picture": str(options.out), "masks": masks, "objects": len(perceived.observations)}
-        told["rejected"] = [{"box_px": r.box_px, "reason": r.reason} for r in perceived.rejected]
-        print(output("segment", told))
+        report: dict[str, Any] = {"picture": str(options.out), "masks": masks, "objects": len(perceived.observations)}
+        report["rejected"] = [{"box_px": r.box_px, "reason": r.reason} for r in perceived.rejected]
+        print(output("segment", report))
     else:
         print(
             f"{options.out}: {masks} masks, {len(perceived.observations)} objects, {len(perceived.rejected)} rejected"

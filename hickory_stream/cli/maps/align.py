@@ -65,7 +65,7 @@ def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
     from hickory_stream.alignment.answer import Alignment
 
     against = answer.contradictions
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "aligned": isinstance(answer, Alignment),
         "notes": list(answer.notes),
         "expected": against.num_expected,
@@ -85,7 +85,7 @@ def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
         ],
     }
     if isinstance(answer, Alignment):
-        return told | {
+        return report | {
             "a_from_b": answer.a_from_b.tolist(),
             "covariance": answer.covariance.tolist(),
             "center_a": answer.center_a.tolist(),
@@ -107,7 +107,7 @@ def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
                 for pair in answer.pairs
             ],
         }
-    return told | {
+    return report | {
         "refusal": answer.refusal.value,
         "reason": answer.reason,
         "hypotheses": [

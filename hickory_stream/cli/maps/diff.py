@@ -137,8 +137,8 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
         with disk_refusals(options.stationarity, "file"):
             write_output(options.stationarity, write_stationarity(known))
     if options.json:
-        told = {"a_from_b": found.a_from_b.tolist(), "sigma_m": found.sigma_m}
-        print(output("diff-days", told | {"objects": [dataclasses.asdict(one) for one in found.changes]}, indent=1))
+        report = {"a_from_b": found.a_from_b.tolist(), "sigma_m": found.sigma_m}
+        print(output("diff-days", report | {"objects": [dataclasses.asdict(one) for one in found.changes]}, indent=1))
     else:
         print(changes_text(found))
         if known is not None:

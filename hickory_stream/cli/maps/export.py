@@ -81,9 +81,9 @@ def run(options: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"cannot write {out}: {error.strerror}; choose another --out") from error
     if options.json:
-        told = {"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}
-        told |= {"unproven": doubt or None}
-        print(output("export", told if len(files) == 1 else told | {"files": len(files)}))
+        report = {"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}
+        report |= {"unproven": doubt or None}
+        print(output("export", report if len(files) == 1 else report | {"files": len(files)}))
     else:
         if doubt:
             sys.stderr.write(f"note: layer 4 is not proven: {doubt}\n")

@@ -28,10 +28,10 @@ def floor_of_option(snapshot: MapSnapshot, floor_m: float | None) -> float:
     from hickory_stream.storeys import floor_of, floors_of
 
     floors_m = floors_of(snapshot)
-    told = " and ".join([", ".join(f"{z_m:.2f}" for z_m in floors_m[:-1]), *(f"{z_m:.2f}" for z_m in floors_m[-1:])])
+    text = " and ".join([", ".join(f"{z_m:.2f}" for z_m in floors_m[:-1]), *(f"{z_m:.2f}" for z_m in floors_m[-1:])])
     if floor_m is None:
         if len(floors_m) > 1:
-            raise InputError(f"the map has {len(floors_m)} floors, at z = {told} m; choose one with --floor")
+            raise InputError(f"the map has {len(floors_m)} floors, at z = {text} m; choose one with --floor")
         return floor_of(snapshot)
     if not abs(floor_m) < float("inf"):
         raise InputError(f"found --floor {floor_m}, expected a height in metres")
@@ -39,6 +39,6 @@ def floor_of_option(snapshot: MapSnapshot, floor_m: float | None) -> float:
         return floor_m
     nearest = min(floors_m, key=lambda z_m: abs(z_m - floor_m))
     if abs(nearest - floor_m) > _REACH_M:
-        there = f"its floors are at z = {told} m" if len(floors_m) > 1 else f"its floor is at z = {floors_m[0]:.2f} m"
+        there = f"its floors are at z = {text} m" if len(floors_m) > 1 else f"its floor is at z = {floors_m[0]:.2f} m"
         raise InputError(f"found --floor {floor_m:g}, but the map has no floor within {_REACH_M:g} m of it: {there}")
     return nearest

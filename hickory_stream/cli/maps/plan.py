@@ -210,7 +210,7 @@ def _beside(
 def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, Any]:
     from hickory_stream.navigation.search import NoPath
 
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "robot": space.robot.name,
         "objects_by_box": proof.boxes,
         "objects_observed_only": proof.observed_only,
@@ -222,8 +222,8 @@ def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, 
     }
     if isinstance(answer, NoPath):
         blockers = [{"object": b.object_id, "distance_m": round(b.distance_m, 4)} for b in answer.blockers]
-        return told | {"found": False, "reason": answer.reason.value, "text": answer.text, "blockers": blockers}
-    return told | {
+        return report | {"found": False, "reason": answer.reason.value, "text": answer.text, "blockers": blockers}
+    return report | {
         "found": True,
         "length_m": answer.length_m,
         "passes_movable": proof.passed,
@@ -239,11 +239,11 @@ def _as_text(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> str:
 
     notes = []
     if proof.boxes:
-        told = f"{len(proof.boxes)} objects have no layer 4, their boxes are avoided"
-        notes.append(f"note: {told}: {_listed(proof.boxes)}")
+        text = f"{len(proof.boxes)} objects have no layer 4, their boxes are avoided"
+        notes.append(f"note: {text}: {_listed(proof.boxes)}")
     if proof.observed_only:
-        told = f"{len(proof.observed_only)} objects have no layer 4 yet, their seen points are avoided"
-        notes.append(f"note: {told}: {_listed(proof.observed_only)}")
+        text = f"{len(proof.observed_only)} objects have no layer 4 yet, their seen points are avoided"
+        notes.append(f"note: {text}: {_listed(proof.observed_only)}")
     if proof.uncertified:
         count = len(proof.uncertified)
         notes.append(f"note: {count} objects have a layer 4 that is not certified: {_listed(proof.uncertified)}")

@@ -86,8 +86,8 @@ def _looks(saved: SavedMap, index: MapIndex, model: str | None, unknown: InputEr
         if done == total or done % _TOLD_EVERY == 0:
             print(f"views processed by {entry.name}: {done} of {total}", file=sys.stderr)
 
-    told = {} if is_quiet else {"progress": progress}
-    return ObjectLooks(saved, index, network, entry.sha256 + preprocessor, **told)
+    text = {} if is_quiet else {"progress": progress}
+    return ObjectLooks(saved, index, network, entry.sha256 + preprocessor, **text)
 
 
 def _as_json(index: MapIndex, answers: Answers, top: int) -> dict[str, Any]:

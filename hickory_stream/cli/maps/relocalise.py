@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
 def _as_json(located: Located) -> dict[str, Any]:
     from hickory_stream.alignment.answer import Alignment
 
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "event": "located" if isinstance(located.answer, Alignment) else "searching",
         "stamp_ns": located.stamp_ns,
         "objects": located.num_objects,
@@ -71,13 +71,13 @@ def _as_json(located: Located) -> dict[str, Any]:
         "jumped": located.has_jumped,
     }
     if isinstance(located.answer, Alignment):
-        return told | {
+        return report | {
             "map_from_log": located.answer.a_from_b.tolist(),
             "pairs": len(located.answer.pairs),
             "translation_sigma_m": located.answer.translation_sigma_m,
             "log10_chance": located.answer.log10_chance,
         }
-    return told | {"refusal": located.answer.refusal.value, "reason": located.answer.reason}
+    return report | {"refusal": located.answer.refusal.value, "reason": located.answer.reason}
 
 
 def _as_text(located: Located, start_ns: int | None) -> str:

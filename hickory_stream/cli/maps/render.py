@@ -47,8 +47,14 @@ def run(options: argparse.Namespace) -> int:
         write_picture(options.out, render_map(saved, layers, (width, height), options.texture, floor_m))
     if options.json:
         shown = [] if options.graph else sorted(layers)
-        told = {"picture": str(options.out), "width": width, "height": height, "layers": shown, "graph": options.graph}
-        print(output("render", told))
+        report = {
+            "picture": str(options.out),
+            "width": width,
+            "height": height,
+            "layers": shown,
+            "graph": options.graph,
+        }
+        print(output("render", report))
     return 0
 
 

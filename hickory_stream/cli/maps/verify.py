@@ -89,6 +89,6 @@ def _as_lines(path: Path, verdict: Verdict) -> list[str]:
         elif finding.state is not State.HOLDS:
             lines.append(f"{finding.check:<8} {finding.state:<8} object {finding.object_id}: {finding.text}")
     failed = sum(finding.state is State.FAILS for finding in verdict.findings)
-    told = "sound" if verdict.is_sound else f"NOT SOUND, {failed} {'finding' if failed == 1 else 'findings'} against it"
+    text = "sound" if verdict.is_sound else f"NOT SOUND, {failed} {'finding' if failed == 1 else 'findings'} against it"
     proven = f"layer 4 of {verdict.num_proven} of {verdict.num_objects} objects proven again"
-    return [*lines, f"{path}: {told}; {proven}"]
+    return [*lines, f"{path}: {text}; {proven}"]

@@ -51,12 +51,12 @@ def run(options: argparse.Namespace) -> int:
         merges=options.merge,
     )
     result = run_batch(plan, lambda text: _tell(text, as_json=options.json))
-    told = result_json(result)
+    report = result_json(result)
     with disk_refusals(options.out / "result.json", "result"):
-        write_output(options.out / "result.json", output("batch", told, indent=1).encode())
+        write_output(options.out / "result.json", output("batch", report, indent=1).encode())
         write_page(options.out / "batch.html", result)
     if options.json:
-        print(output("batch", told, indent=1))
+        print(output("batch", report, indent=1))
     else:
         print(text_of(result))
         print(f"{options.out / 'batch.html'}: the same table as a page")

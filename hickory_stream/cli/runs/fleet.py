@@ -82,11 +82,11 @@ def run(options: argparse.Namespace) -> int:
         result = run_fleet(plan, _Watcher(printer, [robot.name for robot in robots], as_json=options.json))
     finally:
         printer.close()
-    told = result_json(result, options.out)
+    report = result_json(result, options.out)
     with disk_refusals(options.out / "fleet.json", "result"):
-        write_output(options.out / "fleet.json", output("fleet", told, indent=1).encode())
+        write_output(options.out / "fleet.json", output("fleet", report, indent=1).encode())
     if options.json:
-        print(output("fleet", told, indent=1))
+        print(output("fleet", report, indent=1))
     else:
         print(result_text(result))
         for merged in result.merged:
@@ -130,8 +130,8 @@ class _Watcher:
         )
 
     def said(self, text: str) -> None:
-        told = output("fleet-said", {"event": "said", "text": text}) if self._as_json else text
-        sys.stderr.write(f"{told}\n")
+        report = output("fleet-said", {"event": "said", "text": text}) if self._as_json else text
+        sys.stderr.write(f"{report}\n")
 
 
 def result_text(result: FleetResult) -> str:

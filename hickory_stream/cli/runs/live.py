@@ -22,7 +22,6 @@ from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
-    from types import TracebackType
 
     from hickory_stream.cli.commands import Commands
     from hickory_stream.navigation.robot import Robot
@@ -202,8 +201,8 @@ def default_name(uri: str) -> str:
 
 
 def _say(text: str, *, as_json: bool) -> None:
-    told = output("live-waiting", {"event": "waiting", "text": text}) if as_json else text
-    sys.stderr.write(f"{told}\n")
+    report = output("live-waiting", {"event": "waiting", "text": text}) if as_json else text
+    sys.stderr.write(f"{report}\n")
 
 
 class _StatusPrinter:
@@ -219,9 +218,7 @@ class _StatusPrinter:
         if self._every_s > 0:
             self._thread.start()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._is_over.set()
         if self._every_s > 0:
             self._thread.join()

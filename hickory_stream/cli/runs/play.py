@@ -227,8 +227,8 @@ def sinks_beside(options: argparse.Namespace, settings: Settings, *, is_live: bo
 
         metrics = MetricsSink(options.metrics_port, settings.rerun.bind)
         url = f"http://{settings.rerun.bind}:{metrics.port}/metrics"
-        told = output("metrics", {"event": "metrics", "url": url}) if options.json else f"metrics: {url}"
-        sys.stderr.write(f"{told}\n")
+        report = output("metrics", {"event": "metrics", "url": url}) if options.json else f"metrics: {url}"
+        sys.stderr.write(f"{report}\n")
         made.append(metrics)
     if options.costmap is not None:
         from hickory_stream.sinks.costmap_sink import CostmapSink

@@ -41,12 +41,10 @@ def run(options: argparse.Namespace) -> int:
         said = {"event": "replayed", "digest": digest, "recorded_digest": recorded, "saved_digest": saved.digest}
         print(output("replay", {**said, "is_same": is_same, "objects": len(snapshot.objects)}))
     elif recorded is None:
-        print(
-            f"{options.map}: {len(snapshot.objects)} objects; its run did not end, so that no digest is recorded"
-        )
+        print(f"{options.map}: {len(snapshot.objects)} objects; its run did not end, so that no digest is recorded")
     else:
-        told = f"another map: {recorded[:16]} was recorded" if digest != recorded else _told(saved)
-        print(f"{options.map}: {len(snapshot.objects)} objects, digest {digest[:16]}, {told}")
+        text = f"another map: {recorded[:16]} was recorded" if digest != recorded else _told(saved)
+        print(f"{options.map}: {len(snapshot.objects)} objects, digest {digest[:16]}, {text}")
     return 0 if is_same or (recorded is None and not saved.is_altered) else 1
 
 

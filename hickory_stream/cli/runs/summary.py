@@ -23,7 +23,7 @@ _IDS_LISTED = 5
 def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     """Print the summary of a run, and return the exit status."""
     from hickory_stream.engine.shape_jobs.job_folder import failed_shapes
-    from hickory_stream.inspection.graph_summary import summary_of, told
+    from hickory_stream.inspection.graph_summary import summary_of, summary_text
     from hickory_stream.map_folder.history.registration_history import registration_summary
     from hickory_stream.map_folder.manifest import read_json
     from hickory_stream.mapping.floor_notes import floor_notes
@@ -66,7 +66,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
         if registration is not None and registration.text():
             print(registration.text())
         if played.snapshot is not None and played.snapshot.graph is not None:
-            print(told(summary_of(played.snapshot.graph)))
+            print(summary_text(summary_of(played.snapshot.graph)))
         lines = (*notes, _damage(ledger), failures_line(failures, len(objects)), *played.lost_outputs)
         sys.stderr.writelines(f"{line}\n" for line in lines if line)
     if played.was_stopped:

@@ -35,8 +35,8 @@ def _list(options: argparse.Namespace) -> int:
             rows.append({"name": path.stem, "file": str(path), "licence": "", "acceptance": "", "state": str(error)})
             continue
         state = "; ".join(f"lacks {missing}" for missing in missing_of(spec)) or "ok"
-        told = {"licence": spec.licence, "acceptance": spec.acceptance, "state": state}
-        rows.append({"name": path.stem, "file": str(path), **told})
+        report = {"licence": spec.licence, "acceptance": spec.acceptance, "state": state}
+        rows.append({"name": path.stem, "file": str(path), **report})
     if options.json:
         print(output("generators-list", {"folder": str(folder), "generators": rows}))
         return 0
@@ -52,12 +52,12 @@ def _check(options: argparse.Namespace) -> int:
     from hickory_stream.engine.shape_jobs.generators.spec import find_spec, read_spec
 
     path = find_spec(options.name)
-    told, picture = checked(read_spec(path), path)
+    text, picture = checked(read_spec(path), path)
     if options.out is not None and picture is not None:
         write_picture(options.out, picture)
-        told["picture"] = str(options.out)
+        text["picture"] = str(options.out)
     if options.json:
-        print(output("generators-check", told))
+        print(output("generators-check", text))
     else:
-        print("\n".join(f"{key:<12}{value}" for key, value in told.items()))
-    return 0 if told["is_usable"] else 1
+        print("\n".join(f"{key:<12}{value}" for key, value in text.items()))
+    return 0 if text["is_usable"] else 1

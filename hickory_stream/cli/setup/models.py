@@ -150,9 +150,9 @@ def _add_image_text(options: argparse.Namespace) -> int:
 def _tell_added(entry: ModelEntry, as_json: bool) -> int:
     from hickory_stream.perception.models.library import models_folder
 
-    told = {"name": entry.name, "file": str(models_folder() / entry.file), "sha256": entry.sha256}
-    text = f"{told['file']} is the model {entry.name}, sha256 {entry.sha256}"
-    print(output("models-add", told) if as_json else text)
+    report = {"name": entry.name, "file": str(models_folder() / entry.file), "sha256": entry.sha256}
+    text = f"{report['file']} is the model {entry.name}, sha256 {entry.sha256}"
+    print(output("models-add", report) if as_json else text)
     return 0
 
 
@@ -167,23 +167,23 @@ def _check(options: argparse.Namespace) -> int:
     # The search for one that is not there says what to do.
     entry, path = find_model(options.name, entry.kind if entry is not None else _guess(options.name))
     network = Network(path, config.network)
-    told, picture = _tried(entry, network, config)
-    told = {
+    report, picture = _tried(entry, network, config)
+    report = {
         "name": entry.name,
         "kind": entry.kind,
         "provider": network.provider,
         "providers": list(available_providers()),
         "warm_up_ms": None if network.warm_up_s is None else round(1e3 * network.warm_up_s, 1),
         "run_ms": round(1e3 * network.last_s, 1),
-        **told,
+        **report,
     }
     if options.out is not None:
         write_picture(options.out, picture)
-        told["picture"] = str(options.out)
+        report["picture"] = str(options.out)
     if options.json:
-        print(output("models-check", told))
+        print(output("models-check", report))
     else:
-        print("\n".join(f"{key:<12}{value}" for key, value in told.items()))
+        print("\n".join(f"{key:<12}{value}" for key, value in report.items()))
     return 0
 
 
@@ -207,8 +207,8 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
             return {"masks": len(masks), "not_finite": num_not_finite}, masks_picture(rgb, masks)
         case "dinov2":
             patches = DinoExtractor(network, config.dinov2, warm_up=warm_up).extract(rgb)
-            told = {"patches": list(patches.shape[:2]), "dim": patches.shape[2]}
-            return told, features_picture(patches, (rgb.shape[1], rgb.shape[0]))
+            report = {"patches": list(patches.shape[:2]), "dim": patches.shape[2]}
+            return report, features_picture(patches, (rgb.shape[1], rgb.shape[0]))
         case "oneformer" | "semantic":
             model = GraphSemantics(
                 network,

@@ -21,7 +21,6 @@ from hickory_stream.sinks.rerun.viewer import start_viewer
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-    from types import TracebackType
 
     from numpy.typing import NDArray
 
@@ -33,9 +32,9 @@ _CLOSE_TIMEOUT_S = 2.0
 _COLORS = ((58, 140, 226), (238, 138, 48), (72, 186, 106), (222, 84, 120), (160, 120, 226), (214, 196, 64),
            (64, 192, 196), (196, 140, 104))  # fmt: skip
 _SHADES = (1.0, 0.78, 1.35)
-# Frames that stand beside one another do so in steps: a map that grows does not move the others each time.
+# Distance between frames is in steps, so that a growing map rarely moves the others.
 _GAP_M, _STEP_M = 1.0, 2.0
-# What several robots have mapped are surfaces in nearly one place, which otherwise fight for the pixels.
+# Surfaces that several robots mapped nearly coincide.
 _ALPHA = 170
 _PATH_RADIUS, _LABEL_ABOVE_M = -2.0, 0.4
 TEXTS, OBJECTS, FRAMES = "fleet/joins", "plots/objects", "plots/frames"
@@ -92,14 +91,12 @@ class FleetRecording:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             self._file.send_blueprint(_blueprint(self._corners, self._ever))
             self._file.close()
         finally:
-            if error is not None and self._path.is_file():
+            if kind is not None and self._path.is_file():
                 self._path.unlink(missing_ok=True)
             if self._feed is not None:
                 self._feed.close(_CLOSE_TIMEOUT_S)
@@ -165,9 +162,9 @@ class FleetRecording:
         path.extend(robot.world_from_camera[:, :3, 3])
         if path:
             line = rr.LineStrips3D([np.array(path)], colors=color, radii=_PATH_RADIUS)
-            told = f"{robot.name}, alone" if is_alone else robot.name
+            text = f"{robot.name}, alone" if is_alone else robot.name
             above = path[-1] + np.array([0.0, 0.0, _LABEL_ABOVE_M])
-            label = rr.Points3D([above], colors=color, radii=-6.0, labels=[told], show_labels=True)
+            label = rr.Points3D([above], colors=color, radii=-6.0, labels=[text], show_labels=True)
             items.append(LogItem(path=f"{root}/path", archetypes=(line,), span=Span.LASTING))
             items.append(LogItem(path=f"{root}/robot", archetypes=(label,), span=Span.LASTING))
         count = rr.Scalars([float(len(robot.objects))])

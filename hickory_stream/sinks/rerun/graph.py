@@ -130,6 +130,6 @@ def _curves() -> list[LogItem]:
         "residual_rad": "largest residual of a loop [rad]",
     }
     return [
-        LogItem(path=f"{PLOTS}/graph/{name}", archetypes=(rr.SeriesLines(names=told, widths=1.5),), span=Span.STATIC)
-        for name, told in names.items()
+        LogItem(path=f"{PLOTS}/graph/{name}", archetypes=(rr.SeriesLines(names=text, widths=1.5),), span=Span.STATIC)
+        for name, text in names.items()
     ]

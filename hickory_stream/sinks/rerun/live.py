@@ -153,12 +153,12 @@ class LiveFeed:
             self._was_told = True
             try:
                 self._feed()
-            except RuntimeError as error:  # what the SDK raises for a viewer that is lost
+            except RuntimeError as error:  # the SDK lost the viewer
                 logger.warning("the viewer at %s was lost (%s); waiting for it to come back", self._url, error)
 
     def _tell_once(self) -> None:
         if not self._was_told:
-            logger.warning("nobody answers at %s: nothing is shown until a viewer listens there", self._url)
+            logger.warning("no viewer answers at %s: nothing is shown until one listens there", self._url)
             self._was_told = True
 
     def _feed(self) -> None:

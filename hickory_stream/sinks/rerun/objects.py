@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 LAYERS = ("world/layer1", "world/layer2", "world/layer3", "world/layer4")
 POINTS_LAYER, MESH_LAYER, FITTED_LAYER, INFLATED_LAYER = LAYERS
-# The boxes once more, filled: the arrangement hides them, since they veil what is in them, until one is switched on.
+# Filled boxes; the layout hides them, since they veil their content.
 FILLED = "world/filled"
 _INFLATED_ALPHA = 96
-# What is known from points alone is drawn as lightly.
+# Sketches are drawn as lightly.
 _SKETCH_ALPHA = 112
 _FADED = {Phase.TENTATIVE: 0.45, Phase.ACTIVE: 1.0, Phase.DORMANT: 0.75, Phase.ARCHIVED: 0.55}
 

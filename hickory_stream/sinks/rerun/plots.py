@@ -23,7 +23,7 @@ _PER_OBJECT = {"score": "S", "variance": "sigma^2", "area": "R_area", "depth": "
 # What happens in every frame of a healthy run.
 _ROUTINE = ("associate", "view", "reject")
 _JUMPS = ("time_jump", "pose_jump", "keep_out", "floor")
-# The viewer shows one line of a text, cut at the edge of its view: what is longer goes on in a row of its own.
+# The viewer cuts a text at the edge of its view: a longer one is continued in another row.
 _LINE_LENGTH = 160
 
 

@@ -122,8 +122,8 @@ class RerunSink:
         from hickory_stream.sinks.rerun.items import LogItem, Span
 
         self._told_s = time.monotonic()
-        told = f"```\n{self._status()}\n```"
-        document = rr.TextDocument(told, media_type=rr.MediaType.MARKDOWN)
+        text = f"```\n{self._status()}\n```"
+        document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         return [LogItem(path=ROBOT, archetypes=(document,), span=Span.LASTING)]
 
     def _log(self, moment: Moment, items: list[LogItem]) -> None:
