@@ -645,9 +645,8 @@ def output_schema(name: str) -> dict[str, Any]:
         module, _, attribute = kind.rpartition(".")
         kind = getattr(import_module(module), attribute)
     if isinstance(kind, tuple):
-        summary, keys = kind
-        kind = TypedDict(name, keys)  # type: ignore[misc]
-        kind.__doc__ = summary
+        record: Any = TypedDict(name, kind[1])  # type: ignore[misc]
+        record.__doc__, kind = kind[0], record
     schema = schema_of(kind)
     head = {"output": {"const": name}, "version": {"const": VERSION}}
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import ConfigError, InputError
@@ -10,12 +11,15 @@ from hickory_stream.textures import LEAST_TEXTURE_PX, MOST_TEXTURE_PX
 
 if TYPE_CHECKING:
     import argparse
-    from pathlib import Path
 
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.navigation.robot import Robot
     from hickory_stream.progress import Style
+    from hickory_stream.records import MapSnapshot
     from hickory_stream.settings import Settings
+
+# A height farther from all floors is a mistake.
+_REACH_M = 1.0
 
 
 def read_settings(options: argparse.Namespace) -> Settings:
@@ -185,3 +189,49 @@ def parse_size(text: str) -> tuple[int, int]:
     if not (width.isdigit() and height.isdigit() and 480 <= int(width) <= 8192 and 240 <= int(height) <= 8192):
         raise InputError(f"found --size {text}, expected WIDTHxHEIGHT of 480x240 to 8192x8192 pixels, e.g. 1600x800")
     return int(width), int(height)
+
+
+def add_floor_argument(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add --floor: a height near one of the map's floors."""
+    parser.add_argument("--floor", type=float, metavar="Z", help=f"{what}: height of its floor in metres")
+
+
+def floor_of_option(snapshot: MapSnapshot, floor_m: float | None) -> float:
+    """Return the floor that `--floor` selects; without it, the map's only floor.
+
+    Raises `InputError` if the map has several floors and none was given, or none at this height.
+    """
+    from hickory_stream.storeys import floor_of, floors_of
+
+    floors_m = floors_of(snapshot)
+    text = " and ".join([", ".join(f"{z_m:.2f}" for z_m in floors_m[:-1]), *(f"{z_m:.2f}" for z_m in floors_m[-1:])])
+    if floor_m is None:
+        if len(floors_m) > 1:
+            raise InputError(f"the map has {len(floors_m)} floors, at z = {text} m; choose one with --floor")
+        return floor_of(snapshot)
+    if not abs(floor_m) < float("inf"):
+        raise InputError(f"found --floor {floor_m}, expected a height in metres")
+    if not floors_m:
+        return floor_m
+    nearest = min(floors_m, key=lambda z_m: abs(z_m - floor_m))
+    if abs(nearest - floor_m) > _REACH_M:
+        there = f"its floors are at z = {text} m" if len(floors_m) > 1 else f"its floor is at z = {floors_m[0]:.2f} m"
+        raise InputError(f"found --floor {floor_m:g}, but the map has no floor within {_REACH_M:g} m of it: {there}")
+    return nearest
+
+
+def add_stationarity(parser: argparse.ArgumentParser) -> None:
+    """Add the option."""
+    parser.add_argument(
+        "--stationarity",
+        type=Path,
+        metavar="FILE",
+        help="file of `diff --stationarity` for this map: objects that tend to move",
+    )
+
+
+def movable_objects(file: Path | None, saved: SavedMap) -> list[int]:
+    """Return the ids of the objects that tend to move, none without a file; raises `InputError` for another map's."""
+    from hickory_stream.changes.stationarity import read_stationarity
+
+    return [] if file is None else read_stationarity(file, saved.manifest.digest).movable()

@@ -21,24 +21,7 @@ from hickory_stream.navigation.costmap import Costmap, Followed
 from hickory_stream.navigation.free_space import FreeSpace
 from hickory_stream.navigation.search import NoPath, plan
 from hickory_stream.navigation.stand_ins import SeenSurface
-from hickory_stream.sinks.ros_messages import (
-    DETECTIONS,
-    FRAME_ID,
-    GRID,
-    MARKERS,
-    PATH,
-    TRANSFORMS,
-    UPDATE,
-    definition_of,
-    detections_message,
-    goal_of,
-    grid_message,
-    hash_of,
-    markers_message,
-    path_message,
-    transform_message,
-    warm_up,
-)
+from hickory_stream.sinks import ros_messages as ros
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -147,11 +130,11 @@ OBJECTS_TOPIC, MARKERS_TOPIC = "/hickory_stream/objects", "/hickory_stream/marke
 PLAN_TOPIC, GOAL_TOPIC = "/plan", "/goal_pose"
 PARTS = ("costmap", "objects", "markers", "tf", "plan")
 _TOPICS = {
-    "costmap": ((MAP_TOPIC, GRID, True), (UPDATES_TOPIC, UPDATE, False)),
-    "objects": ((OBJECTS_TOPIC, DETECTIONS, False),),
-    "markers": ((MARKERS_TOPIC, MARKERS, True),),
-    "tf": ((TF_TOPIC, TRANSFORMS, False),),
-    "plan": ((PLAN_TOPIC, PATH, False),),
+    "costmap": ((MAP_TOPIC, ros.GRID, True), (UPDATES_TOPIC, ros.UPDATE, False)),
+    "objects": ((OBJECTS_TOPIC, ros.DETECTIONS, False),),
+    "markers": ((MARKERS_TOPIC, ros.MARKERS, True),),
+    "tf": ((TF_TOPIC, ros.TRANSFORMS, False),),
+    "plan": ((PLAN_TOPIC, ros.PATH, False),),
 }
 _OBJECTS_EVERY_S = 0.5
 # Maximum age of the whole grid, which a late subscriber gets without earlier windows.
@@ -194,11 +177,11 @@ class PublishSink:
         self._told_s = self._whole_s = self._followed_s = -np.inf
         self._goals: queue.Queue[bytes | None] = queue.Queue(_GOALS)
         self._goal_fates = {"answered": 0, "no_path": 0, "refused": 0, "dropped": 0}
-        warm_up()
+        ros.warm_up()
         self._outbox = Outbox(link, self._overtaken)
         for part in PARTS:
             for name, type_name, is_latched in _TOPICS[part] if part in self._parts else ():
-                definition, type_hash = definition_of(type_name), hash_of(type_name)
+                definition, type_hash = ros.definition_of(type_name), ros.hash_of(type_name)
                 link.offer(name, type_name, definition=definition, type_hash=type_hash, is_latched=is_latched)
         self._planner: threading.Thread | None = None
         if "plan" in self._parts:
@@ -223,7 +206,7 @@ class PublishSink:
             if "plan" in self._parts and time.monotonic() - self._followed_s >= _FOLLOWED_EVERY_S:
                 self._follow()
         if "tf" in self._parts:
-            data = transform_message(report.stamp_ns + _TF_AHEAD_NS, self._odom_frame, map_from_odom)
+            data = ros.transform_message(report.stamp_ns + _TF_AHEAD_NS, self._odom_frame, map_from_odom)
             self._outbox.put(TF_TOPIC, data)
         if "costmap" in self._parts:
             if time.monotonic() - self._whole_s >= _WHOLE_EVERY_S:
@@ -231,7 +214,7 @@ class PublishSink:
                 self._costmap.begin_again()
             update = self._costmap.update(snapshot)
             if update is not None:
-                self._outbox.put(MAP_TOPIC if update.is_whole else UPDATES_TOPIC, grid_message(update)[1])
+                self._outbox.put(MAP_TOPIC if update.is_whole else UPDATES_TOPIC, ros.grid_message(update)[1])
         is_last = report.frame is None
         if is_last or time.monotonic() - self._told_s >= _OBJECTS_EVERY_S:
             self._told_s = time.monotonic()
@@ -257,9 +240,9 @@ class PublishSink:
 
     def _tell_objects(self, snapshot: MapSnapshot) -> None:
         if "objects" in self._parts:
-            self._outbox.put(OBJECTS_TOPIC, detections_message(snapshot))
+            self._outbox.put(OBJECTS_TOPIC, ros.detections_message(snapshot))
         if "markers" in self._parts:
-            self._outbox.put(MARKERS_TOPIC, markers_message(snapshot))
+            self._outbox.put(MARKERS_TOPIC, ros.markers_message(snapshot))
 
     def _overtaken(self, name: str) -> None:
         # A window that is missing leaves old cells in the robot's grid.
@@ -288,14 +271,14 @@ class PublishSink:
                 logger.warning("a goal was refused: %s", answer)
                 continue
             self._goal_fates["answered" if answer is not None else "no_path"] += 1
-            self._outbox.put(PLAN_TOPIC, path_message(self._stamp_ns, answer), is_urgent=True)
+            self._outbox.put(PLAN_TOPIC, ros.path_message(self._stamp_ns, answer), is_urgent=True)
 
     def _answer(self, data: bytes) -> Path | str | None:
-        goal = goal_of(data)
+        goal = ros.goal_of(data)
         if goal is None:
             return f"{GOAL_TOPIC} was sent {len(data)} bytes that are no PoseStamped with a finite place"
-        if goal.frame not in (FRAME_ID, self._odom_frame):
-            return f"found the frame {goal.frame!r}, expected {FRAME_ID} or {self._odom_frame}"
+        if goal.frame not in (ros.FRAME_ID, self._odom_frame):
+            return f"found the frame {goal.frame!r}, expected {ros.FRAME_ID} or {self._odom_frame}"
         with self._lock:
             self._follow()
             space, start = self._space.grid, self._robot_at
@@ -303,7 +286,7 @@ class PublishSink:
                 return "nothing was mapped yet"
             try:
                 place = goal.place
-                if goal.frame != FRAME_ID:
+                if goal.frame != ros.FRAME_ID:
                     place = (self._map_from_odom @ np.array([*place, 0.0, 1.0]))[:2]
                 found = plan(space, start, place)
             except HickoryError as error:

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.base.atomic_files import write_output
 from hickory_stream.base.json_text import dumps_exactly
-from hickory_stream.cli.maps.floor import add_floor_argument, floor_of_option
 from hickory_stream.cli.option_values import (
     add_allow_unverified,
     add_at,
+    add_floor_argument,
     add_texture_argument,
+    floor_of_option,
     open_verified_map_at,
     robot_of_option,
 )

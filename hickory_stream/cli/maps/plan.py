@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.exit_status import NO_PATH
-from hickory_stream.cli.maps.floor import add_floor_argument, floor_of_option
-from hickory_stream.cli.maps.stationarity import add_stationarity, movable_objects
 from hickory_stream.cli.option_values import (
     add_allow_unverified,
     add_at,
+    add_floor_argument,
+    add_stationarity,
+    floor_of_option,
+    movable_objects,
     open_verified_map_at,
     parse_place,
     robot_of_option,

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.exit_status import NO_ALIGNMENT
-from hickory_stream.cli.maps.stationarity import add_stationarity, movable_objects
-from hickory_stream.cli.option_values import parse_rate, read_settings
+from hickory_stream.cli.option_values import add_stationarity, movable_objects, parse_rate, read_settings
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.outputs import output
 

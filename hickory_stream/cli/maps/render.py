@@ -5,8 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.maps.floor import add_floor_argument, floor_of_option
-from hickory_stream.cli.option_values import add_at, add_texture_argument, open_map_at, parse_layers, parse_size
+from hickory_stream.cli.option_values import (
+    add_at,
+    add_floor_argument,
+    add_texture_argument,
+    floor_of_option,
+    open_map_at,
+    parse_layers,
+    parse_size,
+)
 from hickory_stream.cli.output_files import add_output, write_drawing, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output

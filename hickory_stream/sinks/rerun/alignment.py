@@ -109,23 +109,13 @@ def _log_map(
     matched: set[int],
     alpha: int,
 ) -> None:
-    import rerun as rr
-
-    from hickory_stream.geometry.rigid import quaternion_from_rotation
-    from hickory_stream.sinks.rerun.meshes import superquadric_mesh
+    from hickory_stream.sinks.rerun.meshes import superquadric_mesh, wire_box
 
     r, g, b = (round(c + (205 - c) * _PALE) for c in color)
     for object_id, shape, box in zip(objects.ids.tolist(), objects.shapes, objects.boxes, strict=True):
         own = color if object_id in matched else (r, g, b)
         if shape is None:
-            pose = frame_from_map @ box.world_from_box
-            item: Any = rr.Boxes3D(
-                centers=[pose[:3, 3]],
-                half_sizes=[box.half_extents_m],
-                quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(pose[:3, :3]))],
-                colors=own,
-                fill_mode=rr.components.FillMode.MajorWireframe,
-            )
+            item = wire_box(frame_from_map @ box.world_from_box, box.half_extents_m, own)
         else:
             item = superquadric_mesh(moved(shape, frame_from_map), own, alpha=alpha, is_shaded=False)
         stream.log(f"{path}/{object_id}", item, static=True)

@@ -15,7 +15,7 @@ import numpy as np
 from hickory_stream.geometry.display import shaded
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, quaternion_from_rotation
 from hickory_stream.sinks.rerun.file import RrdFile
-from hickory_stream.sinks.rerun.items import KEYFRAME, LogItem, Moment, Span, Weight
+from hickory_stream.sinks.rerun.items import KEYFRAME, LogItem, Moment, Span, Weight, clear_item
 from hickory_stream.sinks.rerun.viewer import start_viewer
 
 if TYPE_CHECKING:
@@ -171,22 +171,16 @@ class FleetRecording:
         return [*items, LogItem(path=f"{OBJECTS}/{robot.name}", archetypes=(count,))]
 
     def _object_items(self, robot: ShownRobot, root: str, color: tuple[int, int, int]) -> list[LogItem]:
-        import rerun as rr
-
-        def cleared(object_id: int) -> LogItem:
-            path = f"{root}/objects/{object_id}"
-            return LogItem(path=path, archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
-
         shown, items = self._shown[robot.name], []
         for gone in sorted(shown.keys() - {item.id for item in robot.objects}):
             del shown[gone]
-            items.append(cleared(gone))
+            items.append(clear_item(f"{root}/objects/{gone}"))
         for item in robot.objects:
             before = shown.get(item.id)
             if before is not None and _looks_the_same(before, item):
                 continue
             if before is not None and before.superquadrics is None:
-                items.append(cleared(item.id))  # of its box, which the shape does not replace
+                items.append(clear_item(f"{root}/objects/{item.id}"))  # of its box, which the shape does not replace
             drawn = _drawn(item, shaded(color, _SHADES[item.id % 3]))
             items.append(
                 LogItem(path=f"{root}/objects/{item.id}", archetypes=(drawn,), weight=Weight.HEAVY, span=Span.LASTING)
@@ -201,19 +195,11 @@ def color_of_robot(place: int) -> tuple[int, int, int]:
 
 
 def _drawn(item: TrackedObject, color: tuple[int, int, int]) -> Any:
-    import rerun as rr
-
-    from hickory_stream.sinks.rerun.meshes import superquadric_mesh
+    from hickory_stream.sinks.rerun.meshes import superquadric_mesh, wire_box
 
     if item.superquadrics is not None:
         return superquadric_mesh(item.superquadrics, color, alpha=_ALPHA, is_shaded=False)
-    return rr.Boxes3D(
-        centers=[item.box.center],
-        half_sizes=[item.box.half_extents_m],
-        quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(item.box.world_from_box[:3, :3]))],
-        colors=color,
-        fill_mode=rr.components.FillMode.MajorWireframe,
-    )
+    return wire_box(item.box.world_from_box, item.box.half_extents_m, color)
 
 
 def _looks_the_same(a: TrackedObject, b: TrackedObject) -> bool:

@@ -56,6 +56,13 @@ class LogItem:
     is_clear: bool = False
 
 
+def clear_item(path: str) -> LogItem:
+    """Return the item that empties an entity and everything below it."""
+    import rerun as rr
+
+    return LogItem(path=path, archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
+
+
 def moment_of(report: FrameReport) -> Moment:
     """Return the moment of a report."""
     return Moment(stamp_ns=report.stamp_ns, frame=report.index, keyframe=report.keyframe_index)

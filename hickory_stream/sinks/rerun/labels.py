@@ -13,7 +13,7 @@ import rerun as rr
 from hickory_stream.geometry.display import color_of_id, readable_on_dark, rises
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, eye_on
-from hickory_stream.sinks.rerun.items import LogItem, Span
+from hickory_stream.sinks.rerun.items import LogItem, Span, clear_item
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -50,10 +50,7 @@ class ObjectLabels:
         gone = sorted(self._shown.keys() - ids)
         for object_id in gone:
             del self._shown[object_id]
-        items = [
-            LogItem(path=f"{LABELS}/{i}", archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
-            for i in gone
-        ]
+        items = [clear_item(f"{LABELS}/{i}") for i in gone]
         # A log that starts over has stamps before the last one: abs() lets it through.
         if ids == self._shown.keys() and abs(stamp_ns - self._shown_ns) < self._period_ns:
             return items

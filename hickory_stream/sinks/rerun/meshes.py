@@ -10,6 +10,7 @@ import rerun as rr
 from hickory_stream.base.confined import read_within
 from hickory_stream.geometry.codecs.mesh_file import mesh_of_file
 from hickory_stream.geometry.display import shaded
+from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.geometry.superquadric import outward_normals
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.map_folder.layout import SHAPES, VIEWS
@@ -77,6 +78,17 @@ def superquadric_mesh(
         vertex_normals=np.concatenate([np.zeros((0, 3)), *normals]).astype(np.float32),
         vertex_colors=colors if is_shaded else None,
         albedo_factor=(*((255, 255, 255) if is_shaded else color), alpha),
+    )
+
+
+def wire_box(world_from_box: NDArray[np.float64], half_m: NDArray[np.float64], color: tuple[int, int, int]) -> Any:
+    """Return the edges of a box from its pose (4, 4) and half sides (3,)."""
+    return rr.Boxes3D(
+        centers=[world_from_box[:3, 3]],
+        half_sizes=[half_m],
+        quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(world_from_box[:3, :3]))],
+        colors=color,
+        fill_mode=rr.components.FillMode.MajorWireframe,
     )
 
 

@@ -16,7 +16,7 @@ from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.display import color_of_id, shaded
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.records import Phase
-from hickory_stream.sinks.rerun.items import LogItem, Span, Weight
+from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item
 from hickory_stream.sinks.rerun.meshes import placed_mesh, superquadric_mesh, textured_layer2
 
 if TYPE_CHECKING:
@@ -96,11 +96,7 @@ class ObjectLayers:
         gone = sorted(self._shown.keys() - present)
         for object_id in gone:
             del self._shown[object_id]
-        return [
-            LogItem(path=f"{layer}/{i}", archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
-            for i in gone
-            for layer in (*LAYERS, FILLED)
-        ]
+        return [clear_item(f"{layer}/{i}") for i in gone for layer in (*LAYERS, FILLED)]
 
     def _changed_cloud(self, seen: TrackedObject, shown: _Shown | None, stamp_ns: int) -> list[LogItem]:
         # A log that starts over has stamps before the last one: abs() lets it through.

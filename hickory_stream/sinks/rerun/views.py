@@ -13,7 +13,7 @@ import rerun as rr
 
 from hickory_stream.geometry.display import color_of_id, readable_on_dark
 from hickory_stream.sinks.rerun.frame import encoded_jpeg
-from hickory_stream.sinks.rerun.items import LogItem, Span, Weight
+from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -53,10 +53,7 @@ class BestViews:
         gone = sorted(self._tiles.keys() - present)
         for object_id in gone:
             del self._tiles[object_id]
-        items = [
-            LogItem(path=f"{VIEWS}/{i}", archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
-            for i in gone
-        ]
+        items = [clear_item(f"{VIEWS}/{i}") for i in gone]
         seen = [o for o in report.snapshot.objects if o.best_view and o.best_view.frame_index == report.index]
         rgb = _rgb_of(report) if seen else None
         return items if rgb is None else items + [item for o in seen for item in self._tile_items(o, rgb)]
