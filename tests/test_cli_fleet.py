@@ -186,7 +186,7 @@ def test_play_maps_a_fleet_where_robots_are_named_instead_of_a_log(made: Path, t
     assert ended.status == 2
     assert "no robot gave a map: a: " in ended.stderr
     for more, said in (
-        (("--out", tmp_path / "out", "--frames", "3"), "found --frames, which is for a single log"),
+        (("--out", tmp_path / "out", "--frames", "3"), "found --frames, which needs a single log"),
         ((), "found no --out"),
     ):
         refused = look("play", *robots, *more)

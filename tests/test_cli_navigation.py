@@ -111,7 +111,7 @@ def test_a_way_keeps_off_what_tends_to_move_where_it_can_and_says_where_it_canno
     assert main([*knowing, "--goal", "1.5,2.05"]) == 0
     assert told(capsys)["passes_movable"] == [4]
     assert main([*knowing[:-3], "--stationarity", str(tmp_path / "known.json"), "--goal", "1.5,2.05"]) == 0
-    assert "passes objects that tend to move, and may stand in it: 4" in capsys.readouterr().out
+    assert "the path passes near objects that tend to move: 4" in capsys.readouterr().out
     assert main([*knowing, "--goal", "2.4,2.1", "--berth", "-1"]) == 2
     assert "found --berth -1.0, expected 0 to 5 m" in capsys.readouterr().err
 
@@ -220,7 +220,7 @@ def test_no_robot_is_taken_that_nobody_named(
     monkeypatch.chdir(tmp_path)
     name, *arguments = command
     assert main([name, str(demo_log if name == "play" else folder), *arguments]) == 2
-    expected = "the robot that is to drive: b2, jackal, point, or a file FILE.toml"
+    expected = "a robot: b2, jackal, point, or a file FILE.toml"
     assert f"found no {option}, expected {expected}" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
