@@ -631,6 +631,12 @@ OUTPUTS: dict[str, Any] = {
 """Form of each output: a record, its path (loaded on demand), or a description with the types of its keys."""
 
 
+def picked(record: Any, *names: str) -> dict[str, Any]:
+    """Return fields of a record by name, arrays as lists."""
+    fields = {name: getattr(record, name) for name in names}
+    return {name: value.tolist() if hasattr(value, "tolist") else value for name, value in fields.items()}
+
+
 def output(name: str, data: dict[str, Any], *, indent: int | None = None) -> str:
     """Return data as JSON with the name and version of the output."""
     if name not in OUTPUTS:

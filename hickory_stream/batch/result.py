@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.batch.tasks import LogOutcome
+    from hickory_stream.fleet.finish import MergedFrame
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -33,17 +34,6 @@ class Overlap:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MergedMap:
-    """One map of several logs; `num_united` objects are in several of their maps."""
-
-    path: Path
-    names: tuple[str, ...]
-    digest: str | None
-    num_objects: int
-    num_united: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class Joined:
     """Overlaps among `num_pairs` pairs, and the merged maps, the largest first.
 
@@ -52,7 +42,7 @@ class Joined:
 
     num_pairs: int
     overlaps: tuple[Overlap, ...]
-    merged: tuple[MergedMap, ...]
+    merged: tuple[MergedFrame, ...]
     signature_kb: float
     problems: tuple[str, ...] = ()
 

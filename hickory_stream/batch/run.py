@@ -17,7 +17,7 @@ from hickory_stream.base.json_text import dumps
 from hickory_stream.batch.executors import outcomes_here, outcomes_on
 from hickory_stream.batch.folder import BatchFolder
 from hickory_stream.batch.place_signature import candidate_pairs, place_signatures
-from hickory_stream.batch.result import BatchResult, Joined, MergedMap, Overlap, Row
+from hickory_stream.batch.result import BatchResult, Joined, Overlap, Row
 from hickory_stream.batch.tasks import LogOutcome, LogTask, names_of, software
 from hickory_stream.errors import InputError, MapFolderError, WorkerError
 from hickory_stream.fleet.finish import finish
@@ -64,16 +64,7 @@ def join_maps(folders: Mapping[str, Path], out: Path, tell: Callable[[str], None
     return Joined(
         num_pairs=count * (count - 1) // 2,
         overlaps=overlaps,
-        merged=tuple(
-            MergedMap(
-                path=one.path,
-                names=one.names,
-                digest=one.digest,
-                num_objects=one.num_objects,
-                num_united=one.num_united,
-            )
-            for one in finished.merged
-        ),
+        merged=finished.merged,
         signature_kb=float(np.mean(sizes)) if sizes else 0.0,
         problems=tuple(f"{name}: {why}" for name, why in finished.problems.items()),
     )

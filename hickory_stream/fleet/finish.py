@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
@@ -42,6 +42,11 @@ class MergedFrame:
     digest: str | None
     num_objects: int
     num_united: int
+
+    def as_json(self, members: str) -> dict[str, Any]:
+        """Return the map as JSON data; `members` is the key of the names."""
+        named = {"map": str(self.path), members: list(self.names), "digest": self.digest}
+        return named | {"objects": self.num_objects, "united": self.num_united}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -70,15 +70,12 @@ class Watcher(Protocol):
 
     def opened(self, name: str, lines: Sequence[str]) -> None:
         """Receive the streams of a robot's log."""
-        ...
 
     def moved(self, name: str, progress: Progress) -> None:
         """Receive the progress of a robot."""
-        ...
 
     def said(self, text: str) -> None:
         """Receive an event as a line."""
-        ...
 
 
 def run_fleet(plan: FleetPlan, watcher: Watcher) -> FleetResult:

@@ -234,20 +234,8 @@ def _summarize_layer(saved: SavedMap, objects: tuple[ObjectSummary, ...], layer:
 
 # ---- text -----------------------------------------------------------------------------------------------------------
 
-_PLACE_HEADER = (
-    "id",
-    "phase",
-    "submap",
-    "x m",
-    "y m",
-    "z m",
-    "yaw deg",
-    "size m",
-    "of layer",
-    "litres",
-    "color",
-    "held by",
-)
+_PLACE_HEADER = ("id", "phase", "submap", "x m", "y m", "z m", "yaw deg", "size m", "of layer", "litres", "color",
+                 "held by")  # fmt: skip
 _OBJECT_HEADER = ("id", "sightings", "layers", "points", "views", *LAYER_NAMES, "outside")
 _LAYER_HEADER = ("layer", "", "objects", "storage", "mean", "time", "mean")
 
@@ -332,15 +320,9 @@ def _count_objects(summary: MapSummary) -> str:
 
 
 def _ending(summary: MapSummary) -> str:
-    return (
-        "finished cleanly"
-        if summary.finished_cleanly
-        else (
-            "not finished: this is its last complete save"
-            if summary.revision
-            else "not finished: nothing was saved yet"
-        )
-    )
+    if summary.finished_cleanly:
+        return "finished cleanly"
+    return f"not finished: {'this is its last complete save' if summary.revision else 'nothing was saved yet'}"
 
 
 def _containment_line(summary: MapSummary) -> str:

@@ -48,15 +48,12 @@ class RayCaster(Protocol):
 
     def add(self, vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> None:
         """Add a mesh of (V, 3) vertices and (F, 3) faces; all meshes are added before the first ray is cast."""
-        ...
 
     def cast(self, rays: NDArray[np.float32]) -> Crossings:
         """Return the first hits of the rays."""
-        ...
 
     def is_occluded(self, rays: NDArray[np.float32], reach: float = np.inf) -> NDArray[np.bool_]:
         """Return (N,) whether the rays hit anything up to `reach`, in multiples of their direction vectors."""
-        ...
 
 
 def ray_caster(name: CasterName | None = None) -> RayCaster:

@@ -44,15 +44,12 @@ class ReturnLink(Protocol):
 
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
         """Announce a topic, and again after a reconnection; a latched topic keeps its last message."""
-        ...
 
     def send(self, name: str, data: bytes) -> bool:
         """Publish a message of an offered topic; return False without a subscriber."""
-        ...
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
         """Call `hear` with each message of a topic, on a thread of the link."""
-        ...
 
 
 class Outbox:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.cli.exit_status import NO_ALIGNMENT
 from hickory_stream.cli.output_files import add_output, check_ending, disk_refusals, write_picture
-from hickory_stream.outputs import output
+from hickory_stream.outputs import output, picked
 
 if TYPE_CHECKING:
     import argparse
@@ -73,37 +73,17 @@ def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
         "missing_in_b": list(against.ids_a),
         "missing_in_a": list(against.ids_b),
         "rivals": [
-            {
-                "a_from_b": rival.a_from_b.tolist(),
-                "covariance": rival.covariance.tolist(),
-                "center_a": rival.center_a.tolist(),
-                "num_pairs": rival.num_pairs,
-                "log10_chance": rival.log10_chance,
-                "margin": rival.margin,
-            }
+            picked(rival, "a_from_b", "covariance", "center_a", "num_pairs", "log10_chance", "margin")
             for rival in answer.rivals
         ],
     }
     if isinstance(answer, Alignment):
         return report | {
-            "a_from_b": answer.a_from_b.tolist(),
-            "covariance": answer.covariance.tolist(),
-            "center_a": answer.center_a.tolist(),
-            "translation_sigma_m": answer.translation_sigma_m,
+            **picked(answer, "a_from_b", "covariance", "center_a", "translation_sigma_m"),
             "rotation_sigma_deg": float(np.degrees(answer.rotation_sigma_rad)),
-            "log10_chance": answer.log10_chance,
-            "margin": answer.margin,
-            "is_level": answer.is_level,
-            "is_refined": answer.is_refined,
+            **picked(answer, "log10_chance", "margin", "is_level", "is_refined"),
             "pairs": [
-                {
-                    "a": pair.id_a,
-                    "b": pair.id_b,
-                    "semantic": pair.semantic,
-                    "geometric": pair.geometric,
-                    "rank": pair.rank,
-                    "residual_m": pair.residual_m,
-                }
+                {"a": pair.id_a, "b": pair.id_b, **picked(pair, "semantic", "geometric", "rank", "residual_m")}
                 for pair in answer.pairs
             ],
         }

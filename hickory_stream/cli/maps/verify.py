@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.base.terminal import clear_line
 from hickory_stream.cli.exit_status import NOT_SOUND
-from hickory_stream.outputs import output
+from hickory_stream.outputs import output, picked
 
 if TYPE_CHECKING:
     import argparse
@@ -71,10 +71,7 @@ def _as_json(path: Path, verdict: Verdict, *, is_mended: bool) -> dict[str, Any]
         "map": str(path),
         "is_sound": verdict.is_sound,
         "is_mended": is_mended,
-        "digest": verdict.digest,
-        "recorded_digest": verdict.recorded_digest,
-        "num_objects": verdict.num_objects,
-        "num_proven": verdict.num_proven,
+        **picked(verdict, "digest", "recorded_digest", "num_objects", "num_proven"),
         "findings": [asdict(finding) for finding in verdict.findings],
     }
 

@@ -87,16 +87,7 @@ def result_json(result: BatchResult) -> dict[str, Any]:
         else {
             "pairs": joined.num_pairs,
             "aligned": [asdict(overlap) for overlap in joined.overlaps],
-            "merged": [
-                {
-                    "map": str(one.path),
-                    "logs": list(one.names),
-                    "digest": one.digest,
-                    "objects": one.num_objects,
-                    "united": one.num_united,
-                }
-                for one in joined.merged
-            ],
+            "merged": [one.as_json("logs") for one in joined.merged],
             "signature_kb": joined.signature_kb,
             "problems": list(joined.problems),
         },

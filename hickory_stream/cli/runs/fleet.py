@@ -10,7 +10,7 @@ from hickory_stream.cli.exit_status import INCOMPLETE, STOPPED
 from hickory_stream.cli.option_values import make_style, read_settings
 from hickory_stream.cli.output_files import disk_refusals
 from hickory_stream.errors import InputError
-from hickory_stream.outputs import output
+from hickory_stream.outputs import output, picked
 
 if TYPE_CHECKING:
     import argparse
@@ -170,26 +170,9 @@ def result_json(result: FleetResult, out: Path) -> dict[str, Any]:
         "out": str(out),
         "joined": result.is_whole,
         "robots": [_robot_json(robot) for robot in result.robots],
-        "merged": [
-            {
-                "map": str(merged.path),
-                "robots": list(merged.names),
-                "digest": merged.digest,
-                "objects": merged.num_objects,
-                "united": merged.num_united,
-            }
-            for merged in result.merged
-        ],
+        "merged": [merged.as_json("robots") for merged in result.merged],
         "joins": [
-            {
-                "keyframe": event.keyframe,
-                "kind": event.kind,
-                "a": event.a,
-                "b": event.b,
-                "a_from_b": event.a_from_b.tolist(),
-                "pairs": event.num_pairs,
-                "sigma_m": event.sigma_m,
-            }
+            {**picked(event, "keyframe", "kind", "a", "b", "a_from_b", "sigma_m"), "pairs": event.num_pairs}
             for event in result.events
         ],
         "notes": list(result.notes),

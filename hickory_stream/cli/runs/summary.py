@@ -45,7 +45,10 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
             "digest": played.digest,
             "objects": len(objects),
             "objects_with_shape": num_shaped,
-            "failed_shapes": [_as_dict(failure) for failure in failures],
+            "failed_shapes": [
+                {"reason": one.reason, "objects": list(one.object_ids), "inputs": list(map(str, one.folders))}
+                for one in failures
+            ],
             "lost_outputs": list(played.lost_outputs),
             "damage": _damage(ledger),
             "notes": list(notes),
@@ -92,14 +95,6 @@ def _ids(failure: FailedShapes) -> str:
     more = len(failure.object_ids) - _IDS_LISTED
     noun = "object" if len(failure.object_ids) == 1 else "objects"
     return f"{noun} {ids}" + (f" and {more} more" if more > 0 else "")
-
-
-def _as_dict(failure: FailedShapes) -> dict[str, Any]:
-    return {
-        "reason": failure.reason,
-        "objects": list(failure.object_ids),
-        "inputs": [str(folder) for folder in failure.folders],
-    }
 
 
 def _damage(ledger: dict[str, Any]) -> str:

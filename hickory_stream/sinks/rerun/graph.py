@@ -18,13 +18,8 @@ if TYPE_CHECKING:
     from hickory_stream.records import EdgeStatus, FrameReport, GraphEdge, PoseGraphRecord
 
 GRAPH = "world/graph"
-_BEFORE, _AFTER, _LOOP, _REFUSED, _NODE = (
-    (232, 150, 60),
-    (90, 170, 255),
-    (70, 210, 120),
-    (150, 150, 150),
-    (176, 200, 236),
-)
+_BEFORE, _AFTER, _LOOP = (232, 150, 60), (90, 170, 255), (70, 210, 120)
+_REFUSED, _NODE = (150, 150, 150), (176, 200, 236)
 _WIDTH, _NODE_PX = -1.5, -4.0
 # Lines have no dashes in Rerun: a loop that is not believed is drawn as so many pieces with gaps.
 _DASHES = 12
