@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.base.compiling import tell_when_compiling
 from hickory_stream.base.terminal import shown_safely
-from hickory_stream.cli.exit_status import STOPPED
+from hickory_stream.cli.commands import STOPPED
 from hickory_stream.cli.output_files import outputs_of, refuse_taken, written_text
 from hickory_stream.cli.parser import make_parser
 from hickory_stream.errors import HickoryError

@@ -1,4 +1,4 @@
-"""The commands of a parser, and a walk over them."""
+"""The commands of a parser, a walk over them, and their exit statuses."""
 
 from __future__ import annotations
 
@@ -11,6 +11,14 @@ from hickory_stream.cli.examples import TEXTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+# Exit statuses.
+STOPPED = 130
+NO_ALIGNMENT = 3
+NO_PATH = 3
+NO_ANSWER = 3
+NOT_SOUND = 1
+INCOMPLETE = 3
 
 
 class Commands:

@@ -1,12 +1,13 @@
-"""Options that several commands share, and checks of option values."""
+"""Options that several commands share, checks of option values, and the map that they name."""
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.errors import ConfigError, InputError
+from hickory_stream.errors import ConfigError, InputError, MapFolderError
 from hickory_stream.textures import LEAST_TEXTURE_PX, MOST_TEXTURE_PX
 
 if TYPE_CHECKING:
@@ -52,7 +53,6 @@ def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_who
     """
     from dataclasses import replace
 
-    from hickory_stream.cli.unfinished import unfinished_note
     from hickory_stream.map_folder.saved_map import open_map
 
     saved = open_map(path, warns=warns, is_whole=is_whole)
@@ -65,6 +65,39 @@ def open_map_at(path: Path, at: str | None = None, *, warns: bool = True, is_who
     from hickory_stream.map_folder.history.time_travel import stamp_of
 
     return replace(saved, snapshot=saved.as_known_at(stamp_of(path, at)))
+
+
+def resume_command(folder: Path) -> str:
+    """Return the command line that resumes the run of a map."""
+    return f"hickory-stream resume {shlex.quote(str(folder))}"
+
+
+def unfinished_note(saved: SavedMap) -> str | None:
+    """Return the notice of a map's run, None if it has ended or cannot be resumed."""
+    mode = saved.manifest.run.get("mode")
+    if saved.manifest.finished_cleanly or mode is None:
+        return None
+    from hickory_stream.journal.reader import Journal
+    from hickory_stream.map_folder.layout import check_unlocked
+
+    try:
+        with Journal(saved.folder) as journal:
+            steps = len(journal)
+    except MapFolderError:
+        return None
+    objects = len(saved.snapshot.objects)
+    # Saved snapshots have a revision of 1 or more.
+    known = f"{objects} objects as of its last save" if saved.snapshot.revision else "nothing was saved yet"
+    journal_text = f"its journal holds {steps} keyframe{'' if steps == 1 else 's'}"
+    try:
+        check_unlocked(saved.folder)
+    except MapFolderError:
+        return f"{saved.folder} is being written: {known}, {journal_text}"
+    action = "save it with" if mode == "live" else "continue with"
+    look = " (`inspect --at` shows any time of it)" if steps else ""
+    return f"the run of {saved.folder} did not end: {known}, {journal_text}{look}; {action}: " + resume_command(
+        saved.folder
+    )
 
 
 def add_at(parser: argparse.ArgumentParser) -> None:

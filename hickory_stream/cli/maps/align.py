@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import NO_ALIGNMENT
+from hickory_stream.cli.commands import NO_ALIGNMENT, Commands
 from hickory_stream.cli.output_files import add_output, check_ending, disk_refusals, write_picture
 from hickory_stream.outputs import output, picked
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.alignment.answer import Alignment, NoAlignment, Rival
     from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.saved_map import SavedMap
 
 METHODS = ("sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic", "ransac")

@@ -9,7 +9,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.exit_status import NO_ALIGNMENT
+from hickory_stream.cli.commands import NO_ALIGNMENT, Commands
 from hickory_stream.cli.output_files import add_output, check_ending, disk_refusals
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from hickory_stream.changes.stationarity import StayCount
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.saved_map import SavedMap
 
 

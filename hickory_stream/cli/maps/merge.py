@@ -6,14 +6,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.exit_status import NO_ALIGNMENT
+from hickory_stream.cli.commands import NO_ALIGNMENT, Commands
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
-
-    from hickory_stream.cli.commands import Commands
 
 
 def add(commands: Commands) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import NO_PATH
+from hickory_stream.cli.commands import NO_PATH, Commands
 from hickory_stream.cli.option_values import (
     add_allow_unverified,
     add_at,
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.navigation.free_space import FreeSpace
     from hickory_stream.navigation.search import NoPath

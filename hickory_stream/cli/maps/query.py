@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import NO_ANSWER
+from hickory_stream.cli.commands import NO_ANSWER, Commands
 from hickory_stream.cli.option_values import add_at, open_map_at, parse_place, positive
 from hickory_stream.cli.output_files import add_output, check_ending, write_picture
 from hickory_stream.errors import InputError
@@ -15,7 +15,6 @@ from hickory_stream.outputs import output
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.query.answers import Answer, Answers
     from hickory_stream.query.looks import ObjectLooks

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import NO_ALIGNMENT
+from hickory_stream.cli.commands import NO_ALIGNMENT, Commands
 from hickory_stream.cli.option_values import add_stationarity, movable_objects, parse_rate, read_settings
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.outputs import output
@@ -14,7 +14,6 @@ from hickory_stream.outputs import output
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.engine.relocalise import Located
 
 

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.base.terminal import clear_line
-from hickory_stream.cli.exit_status import NOT_SOUND
+from hickory_stream.cli.commands import NOT_SOUND, Commands
 from hickory_stream.outputs import output, picked
 
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.verify import Verdict
 
 

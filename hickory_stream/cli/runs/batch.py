@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import INCOMPLETE
+from hickory_stream.cli.commands import INCOMPLETE, Commands
 from hickory_stream.cli.option_values import parse_workers, read_settings
 from hickory_stream.cli.output_files import disk_refusals
 from hickory_stream.cli.source_options import add_source_options, source_options
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.batch.result import BatchResult
-    from hickory_stream.cli.commands import Commands
 
 
 def add(commands: Commands) -> None:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import INCOMPLETE, STOPPED
+from hickory_stream.cli.commands import INCOMPLETE, STOPPED, Commands
 from hickory_stream.cli.option_values import make_style, read_settings
 from hickory_stream.cli.output_files import disk_refusals
 from hickory_stream.errors import InputError
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.engine.modes import Progress
     from hickory_stream.fleet.result import FleetResult, RobotResult
     from hickory_stream.progress import ProgressPrinter

@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.base.terminal import clear_line
-from hickory_stream.cli.option_values import make_style, read_settings, robot_of_option, seconds
+from hickory_stream.cli.option_values import make_style, read_settings, resume_command, robot_of_option, seconds
 from hickory_stream.cli.output_files import add_output
 from hickory_stream.cli.runs.play import add_run_options, all_sinks, sinks_beside
 from hickory_stream.cli.runs.summary import finish
 from hickory_stream.cli.source_options import add_source_options, source_options
-from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 

@@ -7,11 +7,17 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from hickory_stream.cli.option_values import make_style, parse_rate, positive, read_settings, robot_of_option
+from hickory_stream.cli.option_values import (
+    make_style,
+    parse_rate,
+    positive,
+    read_settings,
+    resume_command,
+    robot_of_option,
+)
 from hickory_stream.cli.output_files import add_output
 from hickory_stream.cli.runs.summary import finish
 from hickory_stream.cli.source_options import add_source_options, source_options
-from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 

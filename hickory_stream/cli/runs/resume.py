@@ -6,10 +6,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.option_values import make_style, read_settings
+from hickory_stream.cli.option_values import make_style, read_settings, resume_command
 from hickory_stream.cli.runs.play import make_sinks
 from hickory_stream.cli.runs.summary import finish
-from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.errors import MapFolderError
 from hickory_stream.outputs import output
 

@@ -6,8 +6,8 @@ import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import INCOMPLETE, STOPPED
-from hickory_stream.cli.unfinished import resume_command
+from hickory_stream.cli.commands import INCOMPLETE, STOPPED
+from hickory_stream.cli.option_values import resume_command
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
