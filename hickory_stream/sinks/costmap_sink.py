@@ -86,7 +86,7 @@ class CostmapSink:
 
     def _cut_off(self, error: OSError) -> OutputError:
         cause = error.strerror or type(error).__name__
-        return OutputError(f"the costmap {self._path} is incomplete ({cause}); free space, and play again")
+        return OutputError(f"the costmap {self._path} ends before the map does ({cause}); free space, and play again")
 
     def _connect(self, pipe: Path) -> None:
         stream = _opened_pipe(pipe)
