@@ -148,9 +148,7 @@ def result_text(result: FleetResult) -> str:
             rows.append((*(first if i == 0 else ("", "", "")), one.name, str(one.num_pairs), sigma, since))
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    lines += [
-        f"{robot.name} shares no frame with another robot: {robot.reason}" for robot in result.robots if robot.reason
-    ]
+    lines += [f"{robot.name} is in no other robot's frame: {robot.reason}" for robot in result.robots if robot.reason]
     return "\n".join(lines)
 
 
