@@ -1,7 +1,7 @@
-"""What the commands print with `--json`: named, with a version, and of a form that is declared here.
+"""Forms of the `--json` outputs of commands, each with a name and a version.
 
-Each output is one object with the keys `output`, its name, and `version`; `hickory-stream schema NAME` prints the form
-as JSON Schema. A key that goes, or means something else, makes a new version; one that is added does not.
+`hickory-stream schema NAME` prints a form as JSON Schema. A removed key, or a key with a new meaning, makes a new
+version; an added one does not.
 """
 
 from __future__ import annotations
@@ -27,15 +27,8 @@ VERSION = 1
 Matrix = list[list[float]]
 
 
-class Error(TypedDict):
-    """Why a command failed; on standard output, beside the line on standard error."""
-
-    event: Literal["error"]
-    message: str
-
-
 class Progress(TypedDict):
-    """How far a run is; on standard error, twice a second. `part` is which one of several."""
+    """Progress of a run; on standard error, twice a second. `part` names one of several runs."""
 
     event: Literal["progress"]
     part: NotRequired[str]
@@ -49,30 +42,8 @@ class Progress(TypedDict):
     num_kernels: int
 
 
-class Compiling(TypedDict):
-    """How many kernels were compiled, by a command that shows no other progress; on standard error."""
-
-    event: Literal["progress"]
-    phase: Literal["compiling"]
-    num_compiled: int
-
-
-class Metrics(TypedDict):
-    """Where `--metrics-port` answers; on standard error."""
-
-    event: Literal["metrics"]
-    url: str
-
-
-class LiveWaiting(TypedDict):
-    """What `live` waits for before it can map; on standard error, whenever that changes."""
-
-    event: Literal["waiting"]
-    text: str
-
-
 class LiveGoals(TypedDict):
-    """What became of the goals that a robot sent; `dropped`: newer ones came before they were answered."""
+    """Goals of a robot by outcome; `dropped`: newer ones came first."""
 
     answered: int
     no_path: int
@@ -80,16 +51,8 @@ class LiveGoals(TypedDict):
     dropped: int
 
 
-class LivePublished(TypedDict):
-    """What `live --publish` has sent: by topic the messages `sent`, `unheard` (nobody there) and `dropped`."""
-
-    event: Literal["published"]
-    topics: dict[str, dict[str, int]]
-    goals: LiveGoals
-
-
 class LiveStatus(TypedDict):
-    """How a live route is, by topic; `clock_offset_s` is our clock less the robot's. On standard error."""
+    """State of a live route by topic; `clock_offset_s` is our clock less the robot's. On standard error."""
 
     event: Literal["status"]
     uri: str
@@ -103,7 +66,7 @@ class LiveStatus(TypedDict):
 
 
 class FailedShapes(TypedDict):
-    """Objects without a shape because their jobs failed for one reason; where the inputs of those jobs lie."""
+    """Objects without a shape because their jobs failed for one reason, and the inputs of those jobs."""
 
     reason: str
     objects: list[int]
@@ -111,11 +74,11 @@ class FailedShapes(TypedDict):
 
 
 class Finished(TypedDict):
-    """What `play` and `resume` have made; `ledger` says what became of every message and frame.
+    """Result of `play` and `resume`; `ledger` counts every message and frame by outcome.
 
-    `registration` says how keyframes were fitted to the map, None where they were not.
-    `lost_outputs` says why a recording or costmap is not there to its end, `damage` where the log is damaged ("" where
-    it is sound), `notes` what the map cannot know of floor and gravity, `resume` how a run goes on that was stopped.
+    `registration` says how keyframes were fitted to the map, None if they were not. `lost_outputs` are incomplete
+    recordings and costmaps, `damage` is of the log ("" for a sound one), `notes` are about floor and gravity, `resume`
+    is the command that continues a stopped run.
     """
 
     event: Literal["finished"]
@@ -135,17 +98,8 @@ class Finished(TypedDict):
     ledger: dict[str, Any]
 
 
-class Saved(TypedDict):
-    """`resume` of a run that cannot be continued: it is saved as of its last step."""
-
-    event: Literal["saved"]
-    map: str
-    finished_cleanly: Literal[False]
-    digest: str | None
-
-
 class Replayed(TypedDict):
-    """What the journal gives; `recorded_digest` is null where the run never ended, `saved_digest` the folder's."""
+    """Result of a journal; `recorded_digest` is null if the run never ended, `saved_digest` is the folder's."""
 
     event: Literal["replayed"]
     digest: str
@@ -156,7 +110,7 @@ class Replayed(TypedDict):
 
 
 class Verified(TypedDict):
-    """What holds of a map; `num_proven` objects have a layer 4 that was proven anew from their meshes."""
+    """Checks of a map; `num_proven` objects have a layer 4 that was proven again from their meshes."""
 
     event: Literal["verified"]
     map: str
@@ -170,7 +124,7 @@ class Verified(TypedDict):
 
 
 class Diagnosis(TypedDict):
-    """What `doctor` found; `status` is its exit status. The parts have the keys that the log gives cause for."""
+    """Findings of `doctor`; `status` is its exit status. The parts have only the keys that the log supports."""
 
     verdict: Literal["sound", "usable with losses", "unusable"]
     status: int
@@ -194,74 +148,30 @@ class Diagnosis(TypedDict):
     refusal: str | None
 
 
-class Demonstrated(TypedDict):
-    """What `demo` has made, after the outputs of `play` and `render`."""
-
-    log: str
-    map: str
-    pictures: list[str]
-
-
-class Rendered(TypedDict):
-    """A picture of a map, in pixels; `graph`: of its pose graph, and of no layers."""
-
-    picture: str
-    width: int
-    height: int
-    layers: list[int]
-    graph: bool
-
-
-class Exported(TypedDict):
-    """The file that was written, or the first of several `files`; `unproven` is why layer 4 is not, or null."""
-
-    file: str
-    format: str
-    objects: int
-    unproven: str | None
-    files: NotRequired[int]
-
-
 class Differences(TypedDict):
-    """What became of the objects between two moments."""
+    """Changes of objects between two moments."""
 
     changes: list[Change]
 
 
 class SameObject(TypedDict):
-    """An object that is in two maps: its ids, and how much its boxes overlap."""
+    """An object in two maps: its ids, and the overlap of its boxes."""
 
     a: int
     b: int
     iou: float
 
 
-class MapDifferences(TypedDict):
-    """How the ends of two maps differ: objects in both, and the ids of those in one alone."""
-
-    both: list[SameObject]
-    only_in_a: list[int]
-    only_in_b: list[int]
-
-
 class DaysDiffer(TypedDict):
-    """What became of all objects from one map of a place to a later one, which lies at `a_from_b` in it."""
+    """Changes of all objects from one map of a place to a later one at `a_from_b`."""
 
     a_from_b: Matrix
     sigma_m: float
     objects: list[ObjectChange]
 
 
-class NotCompared(TypedDict):
-    """Two maps that do not align, and why."""
-
-    aligned: Literal[False]
-    refusal: str
-    reason: str
-
-
 class Blocker(TypedDict):
-    """An object that the robot would touch, or null for a wall, and how far it is."""
+    """An object that the robot would touch, or null for a wall, and its distance."""
 
     object: int | None
     distance_m: float
@@ -270,9 +180,9 @@ class Blocker(TypedDict):
 class Planned(TypedDict):
     """A path (points in metres, one posture and heading a leg), or the reason why there is none.
 
-    It rests on layer 4 of the objects, but on boxes of `objects_by_box`, and in a live run that goes on on what was
-    seen of `objects_observed_only`; `unproven` is why layer 4 is not, or null. A path keeps off `objects_movable` where
-    it can; `passes_movable` are those that it passes nearer. `floor_m` is the height of the floor that it lies on.
+    The plan rests on layer 4 of the objects, but on boxes of `objects_by_box`, and in a live run on the seen points of
+    `objects_observed_only`; `unproven` is why layer 4 is not proven, or null. A path avoids `objects_movable` or
+    lists them in `passes_movable`. `floor_m` is the height of its floor.
     """
 
     robot: str
@@ -310,9 +220,9 @@ class QueryAnswer(TypedDict):
 
 
 class Queried(TypedDict):
-    """What answers a question, best first: `count` objects, the first of them in `answers`.
+    """Answers to a question, best first: `count` objects, the first of them in `answers`.
 
-    `counts`: the question was how many there are. `nearly` are the best of those that do not answer.
+    `counts`: the question asked for a number. `nearly` are the best of the other objects.
     """
 
     question: str
@@ -334,7 +244,7 @@ class Pair(TypedDict):
 
 
 class Hypothesis(TypedDict):
-    """A transform that was not believed."""
+    """A transform that was rejected."""
 
     a_from_b: Matrix
     num_pairs: int
@@ -353,7 +263,7 @@ class Rival(TypedDict):
 
 
 class Aligned(TypedDict):
-    """Where map b lies in map a, or why that cannot be told."""
+    """Transform of map b to map a, or why none was found."""
 
     aligned: bool
     notes: list[str]
@@ -378,7 +288,7 @@ class Aligned(TypedDict):
 
 
 class MergedPair(TypedDict):
-    """What became of two of the maps."""
+    """Outcome of two of the maps."""
 
     a: str
     b: str
@@ -398,15 +308,8 @@ class Merged(TypedDict):
     digest: NotRequired[str | None]
 
 
-class FleetSaid(TypedDict):
-    """What happens in a fleet, such as a join, in a sentence; on standard error."""
-
-    event: Literal["said"]
-    text: str
-
-
 class FleetJoined(TypedDict):
-    """Another robot with which an alignment holds; `since_keyframe` is null where only the finished maps are joined."""
+    """Alignment with another robot; `since_keyframe` is null if only the finished maps are joined."""
 
     name: str
     pairs: int
@@ -416,9 +319,9 @@ class FleetJoined(TypedDict):
 
 
 class FleetRobot(TypedDict):
-    """One robot: `frame` is the robot in whose frame it is, itself where it is alone, and `reason` then says why.
+    """One robot: `frame` names the robot that defines its frame, itself if alone, for the `reason`.
 
-    `map`, `digest` and `frame_from_robot` are null where there is none. `notes` say what was lost of its log.
+    `map`, `digest` and `frame_from_robot` are null without a map. `notes` are losses of its log.
     """
 
     name: str
@@ -445,7 +348,7 @@ class FleetMerged(TypedDict):
 
 
 class FleetJoin(TypedDict):
-    """Two robots that were joined while their maps grew, or are no longer, after so many keyframes."""
+    """A join of two robots while their maps grew, or its withdrawal, after `keyframe` keyframes."""
 
     keyframe: int
     kind: Literal["joined", "withdrawn"]
@@ -457,7 +360,7 @@ class FleetJoin(TypedDict):
 
 
 class Fleet(TypedDict):
-    """What `fleet` has made; `joined`: every robot's map is finished, and all are in one; also in OUT/fleet.json."""
+    """Result of `fleet`, also in OUT/fleet.json; `joined`: every robot's map is finished, and all are in one."""
 
     event: Literal["finished"]
     out: str
@@ -469,7 +372,7 @@ class Fleet(TypedDict):
 
 
 class Located(TypedDict):
-    """Where a log is in a map, as known at a stamp; one line an answer."""
+    """Position of a log in a map at a stamp; one line an answer."""
 
     event: Literal["located", "searching"]
     stamp_ns: int
@@ -493,12 +396,6 @@ class Reconstructed(TypedDict):
     seconds: NotRequired[dict[str, float]]
 
 
-class Definitions(TypedDict):
-    """What the figures of `evaluate` mean."""
-
-    definitions: str
-
-
 class RejectedMask(TypedDict):
     """A mask that is no object: its box in pixels and the reason."""
 
@@ -506,17 +403,8 @@ class RejectedMask(TypedDict):
     reason: str
 
 
-class Segmented(TypedDict):
-    """What was found in one frame."""
-
-    picture: str
-    masks: int
-    objects: int
-    rejected: list[RejectedMask]
-
-
 class Generator(TypedDict):
-    """One program that makes shapes; `state` is "ok", or what is wrong with it."""
+    """A shape generator; `state` is "ok" or the problem."""
 
     name: str
     file: str
@@ -525,17 +413,10 @@ class Generator(TypedDict):
     state: str
 
 
-class Generators(TypedDict):
-    """The programs in the folder of generators."""
-
-    folder: str
-    generators: list[Generator]
-
-
 class GeneratorChecked(TypedDict):
-    """What a generator made of the built-in object; what comes after `state` is absent where it did not get so far.
+    """Check of a generator on the built-in object; keys after `state` are absent if it failed before.
 
-    `said` is what it told of itself when it was ready; `cost` is what contradicts the placed mesh.
+    `said` is its own description when ready; `cost` is the contradiction of the placed mesh by the views.
     """
 
     name: str
@@ -558,14 +439,8 @@ class GeneratorChecked(TypedDict):
     picture: NotRequired[str]
 
 
-class ModelsFolder(TypedDict):
-    """Where models are looked for."""
-
-    folder: str
-
-
 class Model(TypedDict):
-    """One network; `state` is "ok", or what is wrong with it. `input_px` is 0 for any."""
+    """One network; `state` is "ok" or the problem. `input_px` is 0 for any."""
 
     name: str
     kind: str
@@ -579,23 +454,8 @@ class Model(TypedDict):
     state: str
 
 
-class Models(TypedDict):
-    """The networks that are there."""
-
-    folder: str
-    models: list[Model]
-
-
-class ModelAdded(TypedDict):
-    """A network that was added."""
-
-    name: str
-    file: str
-    sha256: str
-
-
 class ModelChecked(TypedDict):
-    """A network that was run on the built-in picture; what it gives depends on its kind."""
+    """Check of a network on the built-in picture; the results depend on its kind."""
 
     name: str
     kind: str
@@ -613,36 +473,14 @@ class ModelChecked(TypedDict):
 
 
 class CacheKind(TypedDict):
-    """How much of one kind is kept."""
+    """Size of one kind of cached data."""
 
     entries: int
     bytes: int
 
 
-class CacheShown(TypedDict):
-    """What is kept to save time, by kind."""
-
-    folder: str
-    cap_mb: float
-    kinds: dict[str, CacheKind]
-
-
-class CacheCleared(TypedDict):
-    """Which kinds were removed, and how much that was."""
-
-    folder: str
-    cleared: list[str]
-    bytes: int
-
-
-class ConfigChecked(TypedDict):
-    """A configuration that is sound; an error otherwise."""
-
-    ok: Literal[True]
-
-
 class Estimated(TypedDict):
-    """What `odometry` found: frames with a pose and `lost` ones, scans, those `degenerate`, and processor time."""
+    """Result of `odometry`: frames with a pose and `lost` ones, scans, `degenerate` ones, and processor time."""
 
     poses: int
     pose: str
@@ -653,15 +491,8 @@ class Estimated(TypedDict):
     error: TrajectoryError | None
 
 
-class BatchSaid(TypedDict):
-    """What happens in a batch, in a sentence; on standard error."""
-
-    event: Literal["said"]
-    text: str
-
-
 class BatchLog(TypedDict):
-    """What came of a log; `resumed`: it went on with a map that was begun, `was_there`: it was finished before."""
+    """Outcome of a log; `resumed`: it continued an existing map, `was_there`: an earlier run finished it."""
 
     log: str
     map: str
@@ -681,7 +512,7 @@ class BatchLog(TypedDict):
 
 
 class BatchMerged(TypedDict):
-    """One map of several logs; `united` of its objects are in several of their maps."""
+    """One map of several logs; `united` objects are in several of their maps."""
 
     map: str
     logs: list[str]
@@ -691,7 +522,7 @@ class BatchMerged(TypedDict):
 
 
 class BatchJoined(TypedDict):
-    """Where the maps overlap: of all `pairs` those that were `aligned`; `signature_kb` is a place signature's size."""
+    """Overlaps of the maps: of all `pairs` the `aligned` ones; `signature_kb` is the mean size of a place signature."""
 
     pairs: int
     aligned: list[Overlap]
@@ -701,7 +532,7 @@ class BatchJoined(TypedDict):
 
 
 class Batch(TypedDict):
-    """What `batch` has made, also in OUT/result.json; `stopped` says why it ended early, "" where it did not."""
+    """Result of `batch`, also in OUT/result.json; `stopped` is the reason of an early end, "" otherwise."""
 
     event: Literal["finished"]
     out: str
@@ -714,30 +545,63 @@ class Batch(TypedDict):
 
 OUTPUTS: dict[str, Any] = {
     "batch": Batch,
-    "batch-said": BatchSaid,
+    "batch-said": ("An event of a batch in a sentence; on standard error.", {"event": Literal["said"], "text": str}),
     "odometry": Estimated,
-    "demo": Demonstrated,
-    "error": Error,
+    "demo": (
+        "Files of `demo`, after the outputs of `play` and `render`.",
+        {"log": str, "map": str, "pictures": list[str]},
+    ),
+    "error": (
+        "Why a command failed; on standard output, beside the line on standard error.",
+        {"event": Literal["error"], "message": str},
+    ),
     "progress": Progress,
-    "compiling": Compiling,
-    "metrics": Metrics,
-    "live-waiting": LiveWaiting,
+    "compiling": (
+        "Number of compiled kernels, by a command that shows no other progress; on standard error.",
+        {"event": Literal["progress"], "phase": Literal["compiling"], "num_compiled": int},
+    ),
+    "metrics": ("Address of `--metrics-port`; on standard error.", {"event": Literal["metrics"], "url": str}),
+    "live-waiting": (
+        "The event that `live` waits for before it maps; on standard error, at each change.",
+        {"event": Literal["waiting"], "text": str},
+    ),
     "live-status": LiveStatus,
-    "live-published": LivePublished,
+    "live-published": (
+        "Messages of `live --publish` by topic: `sent`, `unheard` (no subscriber) and `dropped`.",
+        {"event": Literal["published"], "topics": dict[str, dict[str, int]], "goals": LiveGoals},
+    ),
     "play": Finished,
     "fleet": Fleet,
-    "fleet-said": FleetSaid,
-    "resume-saved": Saved,
+    "fleet-said": (
+        "An event of a fleet, such as a join, in a sentence; on standard error.",
+        {"event": Literal["said"], "text": str},
+    ),
+    "resume-saved": (
+        "`resume` of a run that cannot be continued: its map is saved as of its last step.",
+        {"event": Literal["saved"], "map": str, "finished_cleanly": Literal[False], "digest": str | None},
+    ),
     "replay": Replayed,
     "doctor": Diagnosis,
     "inspect": "hickory_stream.inspection.inspect.MapSummary",
     "verify": Verified,
-    "render": Rendered,
-    "export": Exported,
+    "render": (
+        "A picture of a map, in pixels; `graph`: of its pose graph, without layers.",
+        {"picture": str, "width": int, "height": int, "layers": list[int], "graph": bool},
+    ),
+    "export": (
+        "The written file, or the first of several `files`; `unproven` is why layer 4 is not proven, or null.",
+        {"file": str, "format": str, "objects": int, "unproven": str | None, "files": NotRequired[int]},
+    ),
     "diff": Differences,
-    "diff-maps": MapDifferences,
+    "diff-maps": (
+        "Differences of the ends of two maps: objects in both, and ids in one only.",
+        {"both": list[SameObject], "only_in_a": list[int], "only_in_b": list[int]},
+    ),
     "diff-days": DaysDiffer,
-    "diff-refused": NotCompared,
+    "diff-refused": (
+        "Two maps that do not align, and the reason.",
+        {"aligned": Literal[False], "refusal": str, "reason": str},
+    ),
     "query": Queried,
     "plan": Planned,
     "align": Aligned,
@@ -745,27 +609,36 @@ OUTPUTS: dict[str, Any] = {
     "relocalise": Located,
     "reconstruct": Reconstructed,
     "evaluate": "hickory_stream.evaluation.evaluate.Evaluation",
-    "evaluate-explain": Definitions,
+    "evaluate-explain": ("What the figures of `evaluate` mean.", {"definitions": str}),
     "explain": "hickory_stream.inspection.point_history.PlaceStory",
     "explain-object": "hickory_stream.evaluation.why.ObjectStory",
     "explain-truth": "hickory_stream.evaluation.why.Why",
-    "segment": Segmented,
-    "generators-list": Generators,
+    "segment": ("Masks of one frame.", {"picture": str, "masks": int, "objects": int, "rejected": list[RejectedMask]}),
+    "generators-list": ("The generators in their folder.", {"folder": str, "generators": list[Generator]}),
     "generators-check": GeneratorChecked,
-    "models-where": ModelsFolder,
-    "models-list": Models,
-    "models-add": ModelAdded,
+    "models-where": ("Folder of the models.", {"folder": str}),
+    "models-list": ("Networks in the folder of models.", {"folder": str, "models": list[Model]}),
+    "models-add": ("A network that was added.", {"name": str, "file": str, "sha256": str}),
     "models-check": ModelChecked,
     "config-dump": "hickory_stream.settings.Settings",
-    "config-check": ConfigChecked,
-    "cache-show": CacheShown,
-    "cache-clear": CacheCleared,
+    "config-check": ("A valid configuration; an error otherwise.", {"ok": Literal[True]}),
+    "cache-show": ("Cached data by kind.", {"folder": str, "cap_mb": float, "kinds": dict[str, CacheKind]}),
+    "cache-clear": (
+        "Removed kinds of cached data, and their size.",
+        {"folder": str, "cleared": list[str], "bytes": int},
+    ),
 }
-"""The form of each output, by its name; those of other modules by their path, so that they load only when asked for."""
+"""Form of each output: a record, its path (loaded on demand), or a description with the types of its keys."""
+
+
+def picked(record: Any, *names: str) -> dict[str, Any]:
+    """Return fields of a record by name, arrays as lists."""
+    fields = {name: getattr(record, name) for name in names}
+    return {name: value.tolist() if hasattr(value, "tolist") else value for name, value in fields.items()}
 
 
 def output(name: str, data: dict[str, Any], *, indent: int | None = None) -> str:
-    """Return what a command prints: its data as JSON, with the name of the output and its version."""
+    """Return data as JSON with the name and version of the output."""
     if name not in OUTPUTS:
         raise KeyError(f"{name} is no output: declare it in OUTPUTS")
     return dumps({"output": name, "version": VERSION, **data}, indent=indent)
@@ -777,6 +650,9 @@ def output_schema(name: str) -> dict[str, Any]:
     if isinstance(kind, str):
         module, _, attribute = kind.rpartition(".")
         kind = getattr(import_module(module), attribute)
+    if isinstance(kind, tuple):
+        record: Any = TypedDict(name, kind[1])  # type: ignore[misc]
+        record.__doc__, kind = kind[0], record
     schema = schema_of(kind)
     head = {"output": {"const": name}, "version": {"const": VERSION}}
     return {

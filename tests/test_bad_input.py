@@ -355,7 +355,7 @@ def test_a_map_larger_than_memory_is_said_to_be(
     ended = run("inspect", tmp_path)
     assert ended.status == 2
     assert ended.errors == [
-        "hickory-stream: found too little memory: Unable to allocate 446. GiB; expected a machine with more, or a "
+        "hickory-stream: found too little memory: Unable to allocate 446. GiB; use a machine with more, or a "
         "smaller map or log"
     ]
 

@@ -235,7 +235,7 @@ def test_a_signal_ends_in_order_with_status_130_and_a_map_that_opens(
     assert ended.json()["resume"] == command
     small = ("render", "-o", tmp_path / "map.png", "--size", "480x240")
     for looking in (("inspect",), small, ("export", "-o", tmp_path / "map.json")):
-        assert f"go on with: {command}" in look(*looking[:1], tmp_path / "map", *looking[1:]).stderr
+        assert f"continue with: {command}" in look(*looking[:1], tmp_path / "map", *looking[1:]).stderr
     assert saved.manifest.digest == map_digest(saved.snapshot) == ended.json()["digest"]
     assert not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children)
 
@@ -255,7 +255,7 @@ def test_a_second_signal_cancels_at_once_and_leaves_no_child(
     ended = playing.end()
     assert ended.status == 130
     assert "cancelled" in ended.json()["message"]
-    assert f"go on with: hickory-stream resume {tmp_path / 'map'}" in ended.json()["message"]
+    assert f"continue with: hickory-stream resume {tmp_path / 'map'}" in ended.json()["message"]
     assert not open_map(tmp_path / "map").manifest.finished_cleanly
     assert not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children)
 
@@ -333,7 +333,7 @@ def test_what_is_written_is_told_and_is_replaced_only_when_asked_to(made: Made, 
         written = out.read_bytes()
         refused = look(*command, option, out)
         assert (refused.status, refused.stdout) == (2, "")
-        assert f"{out} is there already; --overwrite replaces it" in refused.stderr
+        assert f"{out} exists; replace it with --overwrite" in refused.stderr
         assert out.read_bytes() == written
     out = tmp_path / "map.png"
     assert look("render", made.by_one, "--size", "640x320", "-o", out, "--overwrite").status == 0

@@ -12,7 +12,7 @@ import numpy as np
 
 from hickory_stream.cli import main
 from hickory_stream.cli.maps.align import objects_of
-from hickory_stream.cli.maps.stationarity import movable_objects
+from hickory_stream.cli.option_values import movable_objects
 from hickory_stream.engine.relocalise import without
 from hickory_stream.map_folder.saved_map import open_map
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of

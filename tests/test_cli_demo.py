@@ -16,7 +16,7 @@ def test_a_demo_replaces_what_an_earlier_one_left_when_asked_to_and_nothing_else
     own = folder / "notes.txt"
     own.write_text("mine")
     assert main(["demo", "--out", str(folder), "--seconds", "2"]) == 2
-    assert "room.mcap is there; add --overwrite" in capsys.readouterr().err
+    assert "room.mcap exists; replace it with --overwrite" in capsys.readouterr().err
     assert main(["demo", "--out", str(folder), "--overwrite", "--seconds", "0"]) == 2
     assert own.read_text() == "mine"
     assert not (folder / "map").exists()

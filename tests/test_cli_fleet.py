@@ -197,7 +197,7 @@ def test_play_maps_a_fleet_where_robots_are_named_instead_of_a_log(made: Path, t
     robots = ("--robot", f"a={made / 'broken.mcap'}", "--robot", f"a={made / 'broken.mcap'}")
     for more, said in (
         (("--out", tmp_path / "out"), "two robots are called a"),
-        (("--out", tmp_path / "out", "--frames", "3"), "found --frames, which is for a single log"),
+        (("--out", tmp_path / "out", "--frames", "3"), "found --frames, which needs a single log"),
         ((), "found no --out"),
     ):
         refused = look("play", *robots, *more)
@@ -209,7 +209,7 @@ def test_play_maps_a_fleet_where_robots_are_named_instead_of_a_log(made: Path, t
 def test_what_is_there_is_not_replaced_unless_asked(made: Path, by_two: Run, tmp_path: Path) -> None:
     ended = look("fleet", made / "f.toml", "-o", by_two.out)
     assert ended.status == 2
-    assert "robot-1.map is there already; --overwrite replaces it, --resume goes on" in ended.stderr
+    assert "robot-1.map exists; replace it with --overwrite, continue with --resume" in ended.stderr
     (tmp_path / "robot-1.map").mkdir()
     (tmp_path / "robot-1.map" / "photos").touch()
     assert look("fleet", made / "f.toml", "-o", tmp_path, "--overwrite").status == 2

@@ -41,7 +41,7 @@ def test_a_killed_run_resumes_to_the_map_of_an_undisturbed_one(
     assert alive == []
     looked = look("inspect", tmp_path / "map")
     assert looked.status == 0
-    assert f"go on with: hickory-stream resume {tmp_path / 'map'}" in looked.stderr
+    assert f"continue with: hickory-stream resume {tmp_path / 'map'}" in looked.stderr
     assert "not finished: nothing was saved yet" in looked.stdout
     assert re.search(r"its journal holds [1-9]\d* keyframe", looked.stderr)
     # A log that was moved is missed, and can be named.
@@ -116,14 +116,14 @@ def test_diff_tells_what_is_in_one_of_two_maps_alone(short_map: Path) -> None:
     assert found["only_in_a"] == found["only_in_b"] == []
     lines = look("diff", short_map, "--other", short_map).stdout.splitlines()
     assert lines == [
-        f"{len(found['both'])} objects are in both (boxes overlap by 0.5 and more)",
+        f"{len(found['both'])} objects are in both (box overlap 0.5 and more)",
         f"0 only in {short_map}",
         f"0 only in {short_map}",
     ]
     for wrong in ((), ("1",), ("1", "2", "--other", short_map), ("1", "--other", short_map)):
         refused = look("diff", short_map, *wrong)
         assert refused.status == 2
-        assert "found neither T1 and T2 nor --other MAP, or both; expected one of them" in refused.stderr
+        assert "expected either T1 and T2, or --other MAP" in refused.stderr
 
 
 @pytest.mark.parametrize(("kind", "first"), [("json", b"{"), ("ply", b"ply\n"), ("glb", b"glTF")])

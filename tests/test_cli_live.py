@@ -85,7 +85,7 @@ def test_what_is_missing_and_what_cannot_be_is_said_in_one_line(
         ),
         (
             (uri, "--publish", "--publish-robot", "b2"),
-            "has no way back to a robot; --publish needs zenoh://, foxglove:// or dds://",
+            "cannot publish; --publish needs zenoh://, foxglove:// or dds://",
         ),
         ((uri, "--pose-topic", "/none", "--wait", "0"), "has no topic /none for --pose-topic"),
     ):

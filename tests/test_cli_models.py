@@ -141,7 +141,7 @@ def test_images_that_do_not_fit_are_refused(tmp_path, capsys, changes, expected)
         (["--intrinsics=-1,2,3,4"], "focal lengths must be positive"),
         (["--down", "0,0,0"], "expected a direction"),
         (["--depth-units", "0"], "expected a number above 0"),
-        (["--profile", "seven_scenes"], "give that one's --intrinsics"),
+        (["--profile", "seven_scenes"], "give --intrinsics of depth"),
         (["--set", "mapper.perception.network.provider=cuda", "--set", "mapper.perception.segmenter=fastsam"], "cuda"),
     ],
 )

@@ -111,7 +111,7 @@ def test_a_way_keeps_off_what_tends_to_move_where_it_can_and_says_where_it_canno
     assert main([*knowing, "--goal", "1.5,2.05"]) == 0
     assert told(capsys)["passes_movable"] == [4]
     assert main([*knowing[:-3], "--stationarity", str(tmp_path / "known.json"), "--goal", "1.5,2.05"]) == 0
-    assert "passes objects that tend to move, and may stand in it: 4" in capsys.readouterr().out
+    assert "the path passes near objects that tend to move: 4" in capsys.readouterr().out
     assert main([*knowing, "--goal", "2.4,2.1", "--berth", "-1"]) == 2
     assert "found --berth -1.0, expected 0 to 5 m" in capsys.readouterr().err
 
@@ -146,7 +146,7 @@ def test_what_is_in_the_way_of_start_or_goal_is_named_with_its_distance(
 def test_objects_without_layer_4_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bare = saved(tmp_path / "bare.map", tracked(7, table(), with_shape=False))
     assert main(["plan", str(bare), "--start", "0.7,0.6", "--goal", "5.3,3.4", "--robot", "point"]) == 0
-    assert "1 objects have no layer 4 of their own, their box is avoided: 7" in capsys.readouterr().out
+    assert "1 objects have no layer 4, their boxes are avoided: 7" in capsys.readouterr().out
 
 
 def two_storeys(folder: Path) -> Path:
@@ -171,7 +171,7 @@ def test_a_map_of_two_storeys_is_planned_on_the_one_that_is_named_or_has_the_goa
     assert main(to_crate) == 0
     assert told(capsys)["floor_m"] == 3.0
     assert main([*to_crate, "--floor", "0"]) == 2
-    assert "object 2 is on the floor at z = 3.00 m; a path lies on one floor" in capsys.readouterr().err
+    assert "object 2 is on the floor at z = 3.00 m; choose that floor" in capsys.readouterr().err
     assert main([*across, "--floor", "1.5"]) == 2
     assert "no floor within 1 m of it: its floors are at z = 0.00 and 3.00 m" in capsys.readouterr().err
 
@@ -220,7 +220,7 @@ def test_no_robot_is_taken_that_nobody_named(
     monkeypatch.chdir(tmp_path)
     name, *arguments = command
     assert main([name, str(demo_log if name == "play" else folder), *arguments]) == 2
-    expected = "the robot that is to drive: b2, jackal, point, or a file FILE.toml"
+    expected = "a robot: b2, jackal, point, or a file FILE.toml"
     assert f"found no {option}, expected {expected}" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 

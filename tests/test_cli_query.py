@@ -114,11 +114,11 @@ def test_an_image_text_network_tells_what_words_look_like(
     assert main(["query", str(made.path), "a mug"]) == 0
     told, progress = capsys.readouterr()
     assert 'looks like "mug" 1.00' in told
-    assert "views looked at by colours: 2 of 2" in progress
+    assert "views processed by colours: 2 of 2" in progress
 
     assert main(["models", "add", str(pair), "--kind", "image-text", "--name", "other"]) == 0
     assert main([*query, "a mug"]) == 2
-    assert "several image-text networks are there (colours, other)" in capsys.readouterr().err
+    assert "there are several image-text networks (colours, other)" in capsys.readouterr().err
     assert main([*query, "a mug", "--model", "other"]) == 0
     (tmp_path / "models" / "other.tokenizer.json").unlink()
     assert main([*query, "a mug", "--model", "other"]) == 2

@@ -1,4 +1,4 @@
-"""A task in a process of its own, from whatever thread of whatever worker: a crash costs one attempt."""
+"""A task in its own process, started from any thread of any worker: a crash costs one attempt."""
 
 from __future__ import annotations
 
@@ -24,10 +24,9 @@ COMMAND = (sys.executable, "-m", "hickory_stream.batch.one_log")
 
 
 def run_task(task: LogTask, is_stopped: Callable[[], bool] = lambda: False) -> LogOutcome:
-    """Map a log and return what came of it.
+    """Map a log and return the outcome.
 
-    A process that is killed is started again, and goes on where it was; unless `is_stopped`, after which the log is
-    left as it is.
+    A killed process is started again and resumes, unless `is_stopped`.
     """
     status = 0
     for _ in range(_ATTEMPTS):
@@ -41,24 +40,24 @@ def run_task(task: LogTask, is_stopped: Callable[[], bool] = lambda: False) -> L
 
 
 class Children:
-    """The processes that run now, so that they can be ended together."""
+    """Running processes, to end them together."""
 
     def __init__(self) -> None:
         self._running: set[subprocess.Popen[bytes]] = set()
         self._lock = threading.Lock()
 
     def add(self, process: subprocess.Popen[bytes]) -> None:
-        """Remember a process that was started."""
+        """Add a started process."""
         with self._lock:
             self._running.add(process)
 
     def remove(self, process: subprocess.Popen[bytes]) -> None:
-        """Forget a process that has ended."""
+        """Remove an ended process."""
         with self._lock:
             self._running.discard(process)
 
     def kill(self) -> None:
-        """End all of them at once: their maps can be gone on with."""
+        """Kill all of them; their maps can be resumed."""
         with self._lock:
             for process in self._running:
                 process.kill()
@@ -68,7 +67,6 @@ CHILDREN = Children()
 
 
 def _attempt(task: LogTask) -> tuple[LogOutcome | None, int]:
-    """Return what a process says came of the task, None where it died, and its exit status."""
     environment = dict(os.environ)
     if task.cores:
         # Pools of threads are made for as many processors as the process may use.
@@ -106,6 +104,6 @@ def _status_text(status: int) -> str:
 
 
 def with_cores(task: LogTask, cores: tuple[int, ...]) -> LogTask:
-    """Return a task for some processors: with no more processes that build shapes than these."""
+    """Return a task for some processors, with as many shape workers at most."""
     mapper = task.mapper
     return replace(task, cores=cores, mapper=replace(mapper, run=replace(mapper.run, workers=max(1, len(cores)))))

@@ -1,9 +1,7 @@
-"""The tasks of a batch on a Dask cluster that is there already.
+"""The tasks of a batch on this machine, or on an existing Dask cluster.
 
-Its workers read the logs and write the maps at the paths that they have here: on disks that all machines share. Dask
-gives the task of a worker that was lost to another one, which goes on with the map that was begun.
-
-The tasks of a batch on this machine: so many at a time, each with its share of the processors.
+Workers of a cluster read logs and write maps at the same paths, on shared disks. Dask repeats a lost worker's task on
+another one, which resumes the map.
 """
 
 from __future__ import annotations
@@ -27,11 +25,9 @@ _CONNECT_S = 10.0
 
 
 def outcomes_on(address: str, tasks: Sequence[LogTask]) -> Iterator[LogOutcome]:
-    """Yield what comes of the tasks, as they end.
+    """Yield the outcomes of the tasks as they end.
 
-    Raises:
-        ConfigError: Dask is not installed, nobody answers, there is no worker, or one has another version.
-        WorkerError: the cluster was lost; what was mapped is there.
+    Raises `ConfigError` without Dask, a cluster or a worker of this version, `WorkerError` for a lost cluster.
     """
     try:
         from distributed import Client, as_completed
@@ -52,7 +48,7 @@ def outcomes_on(address: str, tasks: Sequence[LogTask]) -> Iterator[LogOutcome]:
         except Exception as error:
             raise WorkerError(
                 f"the cluster at {address} was lost: {' '.join(str(error).split()) or type(error).__name__}; "
-                "the same command goes on"
+                "continue with the same command"
             ) from error
         finally:
             client.cancel(handed)
@@ -76,7 +72,7 @@ def _check_workers(client: Any, address: str) -> None:
 
 
 def outcomes_here(tasks: Sequence[LogTask], workers: int) -> Iterator[LogOutcome]:
-    """Yield what comes of the tasks, as they end. Whoever closes the iterator before its end ends what runs."""
+    """Yield the outcomes of the tasks as they end; closing the iterator early ends the running ones."""
     is_stopped = False
     shares: SimpleQueue[tuple[int, ...]] = SimpleQueue()
     for share in _shares(workers):
@@ -104,7 +100,7 @@ def outcomes_here(tasks: Sequence[LogTask], workers: int) -> Iterator[LogOutcome
 
 
 def _shares(workers: int) -> list[tuple[int, ...]]:
-    """Return the processors of each worker; () for all, where there are fewer processors than workers."""
+    # Processors of each worker; () for all, if there are fewer processors than workers.
     if not hasattr(os, "sched_getaffinity"):
         return [()] * workers
     cores = sorted(os.sched_getaffinity(0))

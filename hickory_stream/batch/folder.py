@@ -1,6 +1,6 @@
-"""The folder of a batch: which logs it maps and how, and what came of each, so that it can be gone on with.
+"""The folder of a batch: its logs, options and outcomes, for resumption.
 
-`batch.json` is written first, `outcomes/NAME.json` when a log is mapped, each whole or not at all.
+`batch.json` is written first, `outcomes/NAME.json` after each log, atomically.
 """
 
 from __future__ import annotations
@@ -26,9 +26,7 @@ _PLAN = "batch.json"
 class BatchFolder:
     """Holds a batch's folder until `release`, or the end of the process.
 
-    Raises:
-        MapFolderError: another process writes it, it is no folder of a batch, or the disk refuses.
-        InputError: it holds a batch of other logs, or made otherwise.
+    Raises `MapFolderError` for a folder in use, another folder or a disk error, `InputError` for another batch.
     """
 
     def __init__(self, path: Path, plan: Mapping[str, Any]) -> None:
@@ -46,7 +44,7 @@ class BatchFolder:
             raise
 
     def release(self) -> None:
-        """Let others write the folder."""
+        """Release the lock of the folder."""
         self._lock.release()
 
     def map_path(self, name: str) -> Path:
@@ -54,7 +52,7 @@ class BatchFolder:
         return self.path / "maps" / f"{name}.map"
 
     def outcome(self, name: str) -> LogOutcome | None:
-        """Return what came of a log that was mapped before; None where it is to be mapped."""
+        """Return the outcome of a log that is mapped; None otherwise."""
         try:
             outcome = LogOutcome(**json.loads((self.path / "outcomes" / f"{name}.json").read_bytes()))
         except (OSError, ValueError, TypeError):
@@ -62,13 +60,12 @@ class BatchFolder:
         return outcome if self.map_path(name).is_dir() else None
 
     def keep(self, outcome: LogOutcome) -> None:
-        """Remember what came of a log; raises `MapFolderError` where the disk refuses."""
+        """Store an outcome; raises `MapFolderError` on a disk error."""
         path = self.path / "outcomes" / f"{outcome.name}.json"
         with disk_errors(path):
             write_atomically(path, dumps(asdict(outcome), indent=1).encode())
 
     def _agree(self, plan: Mapping[str, Any]) -> None:
-        """Compare what is asked for with what the folder holds; more logs may be added."""
         path = self.path / _PLAN
         asked = {"kind": _KIND, **plan}
         if path.is_file():

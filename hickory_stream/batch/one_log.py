@@ -1,8 +1,7 @@
 """The process that maps one log of a batch: `python -m hickory_stream.batch.one_log`.
 
-Its task comes on standard input, as a pickle that its own parent wrote; the last line of standard output is what came
-of it. The input stays open as long as anybody waits for the answer: when it ends, so does this process. A map folder
-that is there is gone on with where its run did not end.
+Standard input brings its task, a pickle of its own parent; the last line of standard output is the outcome. The
+process ends when the input is closed. It resumes a map folder whose run did not end.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Sink
 
 ABANDONED = 75
-"""The status of a process that nobody waits for any more."""
+"""Exit status of a process without a parent."""
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-# Whoever was killed while it wrote the folder is gone soon.
+# A killed writer of the folder ends soon.
 _LOCK_S = 20.0
 
 
 def main() -> int:
-    """Do the task and return the exit status: 0 where there is an answer, whatever it says."""
+    """Do the task and return the exit status: 0 if there is an outcome, good or bad."""
     task = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_watch_parent, daemon=True).start()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
@@ -53,7 +52,7 @@ def _watch_parent() -> None:
 
 
 def outcome_of(task: LogTask) -> LogOutcome:
-    """Map a log, and return what came of it; nothing is raised."""
+    """Map a log, and return the outcome; never raises."""
     worker = f"{socket.gethostname()}:{os.getpid()}"
     if software() != task.software:
         reason = f"this worker has {software()}, the batch {task.software}; install the same version on all workers"
@@ -69,7 +68,7 @@ def outcome_of(task: LogTask) -> LogOutcome:
     except HickoryError as error:
         state: State = "disk full" if _is_disk_full(error) else "failed"
         return LogOutcome(name=task.name, state=state, reason=" ".join(str(error).split()), worker=worker)
-    except Exception as error:  # noqa: BLE001 -- the batch says it, and goes on with the other logs
+    except Exception as error:  # noqa: BLE001 -- the batch reports it, and continues
         return LogOutcome(
             name=task.name, state="failed", reason=f"internal failure, {type(error).__name__}: {error}", worker=worker
         )
@@ -79,7 +78,7 @@ def outcome_of(task: LogTask) -> LogOutcome:
 
 
 def _is_begun(task: LogTask) -> bool:
-    """Return whether the task's map was begun and can be gone on with; what was not, is removed."""
+    # A map that cannot be resumed is removed.
     from hickory_stream.map_folder.manifest import MANIFEST, read_manifest
 
     if not (task.out / MANIFEST).is_file():

@@ -1,4 +1,4 @@
-"""The table of a batch, as text and as one HTML page without network access."""
+"""The table of a batch, as text and as one HTML page."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _DIGITS = 12
 
 
 def table_of(result: BatchResult) -> list[tuple[str, ...]]:
-    """Return the cells of the table, the names of the columns first."""
+    """Return the cells of the table, column names first."""
     return [_HEAD, *(_cells(row) for row in result.rows)]
 
 
 def text_of(result: BatchResult) -> str:
-    """Return the table and what is said of overlaps, for people."""
+    """Return the table and the overlaps as text."""
     rows = table_of(result)
     widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
@@ -44,11 +44,7 @@ def text_of(result: BatchResult) -> str:
 
 
 def write_page(path: Path, result: BatchResult) -> None:
-    """Write the page.
-
-    Raises:
-        OSError: the disk refused.
-    """
+    """Write the page; raises `OSError` when the disk refused."""
     rows = "".join(_html_row(row) for row in result.rows)
     mapped = sum(row.outcome.state == "mapped" for row in result.rows)
     parts = [
@@ -88,8 +84,8 @@ def _html_row(row: Row) -> str:
     kind = "good" if row.outcome.state == "mapped" else "bad"
     reason = row.outcome.reason
     cells = list(_cells(row))
-    told = f"<tr class={kind}>{_cells_html(cells)}</tr>"
-    return told + (f"<tr class={kind}><td colspan={len(cells)}>{html.escape(reason)}</td></tr>" if reason else "")
+    text = f"<tr class={kind}>{_cells_html(cells)}</tr>"
+    return text + (f"<tr class={kind}><td colspan={len(cells)}>{html.escape(reason)}</td></tr>" if reason else "")
 
 
 def _cells_html(cells: Sequence[str], kind: str = "td") -> str:

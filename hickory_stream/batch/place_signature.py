@@ -1,12 +1,9 @@
-"""Which of many maps may show the same place, without aligning them: by what stands how far from what.
+"""Pairs of many maps that may show the same place, from the arrangement of their objects, without alignment.
 
-The signature of a map has one line for each two objects that are near each other: a word of what both look like, how
-large they are, and how far apart and how much higher one is than the other; and where the two stand. Words are the same
-in any frame with a vertical z axis. Two maps that have words in common could be laid over each other in as many ways;
-where maps overlap, many of these ways are the same one. So the score of two maps is how many words agree on one way.
-
-Words are looked up in an index of all maps, so that what is computed grows with the words that maps share; what is
-*aligned*, which costs a thousand times as much, are the pairs with a score.
+A word of a map's signature describes two near objects: their looks, sizes, distance and difference of heights; it is
+the same in any frame with a vertical z axis. Each common word of two maps votes for one transform between them; the
+score of two maps is the largest number of agreeing votes. An index of all words makes the cost grow with common words;
+pairs with a score are then aligned, at a thousand times the cost.
 """
 
 from __future__ import annotations
@@ -42,10 +39,9 @@ _CHANCE = 1e-4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlaceSignature:
-    """P pairs of objects: `words` (P,), `yaw_rad` (P,) of the way from one to the other, `places` (P, 3) of the first.
+    """P pairs of objects: `words` (P,), `yaw_rad` (P,) of the direction between them, `places` (P, 3) of the first.
 
-    `bins` (P, 2) are the distance and the difference of heights in bins, with fractions: noise may move a pair into
-    the next one.
+    `bins` (P, 2) are distance and difference of heights in bins, with fractions: noise may change the bin.
     """
 
     words: NDArray[np.int64]
@@ -62,12 +58,12 @@ class PlaceSignature:
 
     @property
     def num_bytes(self) -> int:
-        """What it takes to keep or to send."""
+        """Size of the signature."""
         return self.words.nbytes + self.bins.nbytes + self.yaw_rad.nbytes + self.places.nbytes
 
 
 def place_signatures(maps: Sequence[ObjectMap]) -> tuple[PlaceSignature, ...]:
-    """Return the signatures of maps that are to be compared with one another, each map in its own frame."""
+    """Return comparable signatures of maps, each in its own frame."""
     looks = _looks(maps)
     return tuple(_signature(one, look) for one, look in zip(maps, looks, strict=True))
 
@@ -89,7 +85,6 @@ def candidate_pairs(signatures: Sequence[PlaceSignature], chance: float = _CHANC
 
 
 def _num_ways(a: PlaceSignature, b: PlaceSignature) -> float:
-    """Return in how many bins two maps may be laid over each other so that they touch."""
     reach = sum(float(np.ptp(one.places[:, :2], axis=0).max()) if len(one.places) else 0.0 for one in (a, b))
     height = sum(float(np.ptp(one.places[:, 2])) if len(one.places) else 0.0 for one in (a, b))
     turns = 2 * np.pi / _YAW_BIN_RAD
@@ -100,10 +95,8 @@ def _num_ways(a: PlaceSignature, b: PlaceSignature) -> float:
 
 
 def _looks(maps: Sequence[ObjectMap]) -> list[NDArray[np.int64]]:
-    """Return for each map what its objects (N,) look like: signs along the main directions of all features.
-
-    Where maps have no features, or of different extractors, all objects look alike.
-    """
+    # For each map the looks (N,) of its objects: signs along the main directions of all features; all equal without
+    # features, or with different extractors.
     sizes = {0 if one.features is None else one.features.shape[1] for one in maps if len(one)}
     if len(sizes) != 1 or 0 in sizes or len({one.extractor for one in maps}) > 1:
         return [np.zeros(len(one), dtype=np.int64) for one in maps]
@@ -154,8 +147,6 @@ def _words(kinds: NDArray[np.int64], bins: NDArray[np.int64]) -> NDArray[np.int6
 
 
 class _Index:
-    """The pairs of all maps, sorted by their words."""
-
     def __init__(self, signatures: Sequence[PlaceSignature]) -> None:
         owners = np.repeat(np.arange(len(signatures)), [len(one.words) for one in signatures])
         words = np.concatenate([one.words for one in signatures])
@@ -165,7 +156,7 @@ class _Index:
         self._places = np.concatenate([one.places for one in signatures])[order].astype(np.float64)
 
     def scores(self, a: int, signature: PlaceSignature) -> list[tuple[int, int, int]]:
-        """Return (b, score, number of common words) of map `a` and each later map that has a word in common."""
+        # (b, score, number of common words) of map `a` and each later map with a common word.
         mine, theirs = self._matches(a, signature)
         yaw = np.mod(signature.yaw_rad[mine] - self._yaw[theirs], 2 * np.pi)
         c, s = np.cos(yaw), np.sin(yaw)
@@ -184,7 +175,6 @@ class _Index:
         return [(b, best[b], total) for b, total in zip(owners.tolist(), totals.tolist(), strict=True)]
 
     def _matches(self, a: int, signature: PlaceSignature) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return which pairs of a map and which entries of later maps have a word in common, a bin more or less."""
         mine, theirs = [], []
         near = np.floor(signature.bins - 0.5).astype(np.int64)
         kinds = signature.words // (64 * 256)

@@ -1,4 +1,4 @@
-"""What a batch has made: a row for each log, and where their maps overlap."""
+"""Result of a batch: a row for each log, and the overlaps of their maps."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.batch.tasks import LogOutcome
+    from hickory_stream.fleet.finish import MergedFrame
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Row:
-    """One log: what came of it, its map, and whether that was there before this run of the batch."""
+    """Outcome of one log, its map, and whether an earlier run made it."""
 
     uri: str
     map: Path
@@ -23,7 +24,7 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Overlap:
-    """Two maps that were aligned: how many objects agree (0: none do), in how far, and what was said."""
+    """Two maps that were aligned: number of agreeing objects (0: none), and the outcome in words."""
 
     a: str
     b: str
@@ -33,33 +34,22 @@ class Overlap:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MergedMap:
-    """One map of several logs; `num_united` of its objects are in several of their maps."""
-
-    path: Path
-    names: tuple[str, ...]
-    digest: str | None
-    num_objects: int
-    num_united: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class Joined:
-    """Where maps overlap: of `num_pairs` pairs those that were aligned, and the merged maps, the largest first.
+    """Overlaps among `num_pairs` pairs, and the merged maps, the largest first.
 
-    `signature_kb` is the mean size of a map's place signature; `problems` say which maps could not be read.
+    `signature_kb` is the mean size of a map's place signature; `problems` are maps that cannot be read.
     """
 
     num_pairs: int
     overlaps: tuple[Overlap, ...]
-    merged: tuple[MergedMap, ...]
+    merged: tuple[MergedFrame, ...]
     signature_kb: float
     problems: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BatchResult:
-    """The rows in the order of the logs; `joined` None where nothing was to be merged; `stopped` says why it ended."""
+    """Rows in the order of the logs; `joined` is None without merging; `stopped` is the reason of an early end."""
 
     out: Path
     rows: tuple[Row, ...]

@@ -1,7 +1,4 @@
-"""A batch from its beginning, or from where it was left, to its table.
-
-Where the maps of a batch overlap, and one map of those that do.
-"""
+"""A batch from its start or resumption to its table, with the overlaps and merged maps."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ from hickory_stream.base.json_text import dumps
 from hickory_stream.batch.executors import outcomes_here, outcomes_on
 from hickory_stream.batch.folder import BatchFolder
 from hickory_stream.batch.place_signature import candidate_pairs, place_signatures
-from hickory_stream.batch.result import BatchResult, Joined, MergedMap, Overlap, Row
+from hickory_stream.batch.result import BatchResult, Joined, Overlap, Row
 from hickory_stream.batch.tasks import LogOutcome, LogTask, names_of, software
 from hickory_stream.errors import InputError, MapFolderError, WorkerError
 from hickory_stream.fleet.finish import finish
@@ -40,10 +37,9 @@ MERGED = "merged"
 
 
 def join_maps(folders: Mapping[str, Path], out: Path, tell: Callable[[str], None]) -> Joined:
-    """Align those of the maps that may overlap, and merge those that do into OUT/merged.map, merged-2.map, ...
+    """Align maps that may overlap, and merge overlapping ones into OUT/merged.map, merged-2.map, ...
 
-    Raises:
-        MapFolderError: a merged map cannot be written.
+    Raises `MapFolderError` for a merged map.
     """
     sizes: list[float] = []
 
@@ -68,30 +64,18 @@ def join_maps(folders: Mapping[str, Path], out: Path, tell: Callable[[str], None
     return Joined(
         num_pairs=count * (count - 1) // 2,
         overlaps=overlaps,
-        merged=tuple(
-            MergedMap(
-                path=one.path,
-                names=one.names,
-                digest=one.digest,
-                num_objects=one.num_objects,
-                num_united=one.num_united,
-            )
-            for one in finished.merged
-        ),
+        merged=finished.merged,
         signature_kb=float(np.mean(sizes)) if sizes else 0.0,
         problems=tuple(f"{name}: {why}" for name, why in finished.problems.items()),
     )
 
 
-_FULL = "the disk is full: free space, then the same command goes on"
+_FULL = "the disk is full: free space, then continue with the same command"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BatchPlan:
-    """Logs `uris`, and how they are mapped: by `workers` processes here (0: one for each processor) or on a `cluster`.
-
-    `merges`: their maps are aligned and merged.
-    """
+    """Plan of a batch: `workers` processes here (0: one a processor) or a `cluster`; `merges` joins the maps."""
 
     uris: tuple[str, ...]
     options: SourceOptions
@@ -104,14 +88,10 @@ class BatchPlan:
 
 
 def run_batch(plan: BatchPlan, tell: Callable[[str], None] = lambda text: None) -> BatchResult:
-    """Map what is not mapped yet, merge what is to be merged; `tell` is told what happens, in sentences.
+    """Map the remaining logs and merge; `tell` gets events as sentences.
 
-    A log that cannot be mapped is a row that says so; the others go on. On a full disk nothing more is begun.
-
-    Raises:
-        InputError: a log is not there, or the folder holds another batch.
-        MapFolderError: another process writes the folder, or a merged map cannot be written.
-        ConfigError: the cluster cannot be used.
+    A log that cannot be mapped becomes a row with the reason; on a full disk no further log begins. Raises `InputError`
+    for a missing log or another batch's folder, `MapFolderError` for the folder, `ConfigError` for the cluster.
     """
     missing = [uri for uri in plan.uris if not Path(uri).exists()]
     if missing:
@@ -140,7 +120,6 @@ def run_batch(plan: BatchPlan, tell: Callable[[str], None] = lambda text: None) 
 def _outcomes(
     plan: BatchPlan, folder: BatchFolder, tasks: Sequence[LogTask], tell: Callable[[str], None]
 ) -> tuple[dict[str, LogOutcome], str]:
-    """Return what came of the tasks, and why the batch ended before its end, "" if it did not."""
     found: dict[str, LogOutcome] = {}
     with closing(_worked(plan, tasks)) as outcomes:
         try:
@@ -154,7 +133,7 @@ def _outcomes(
         except (WorkerError, MapFolderError) as error:
             return found, str(error)
         except KeyboardInterrupt:
-            return found, "stopped; the same command goes on"
+            return found, "stopped; continue with the same command"
     return found, ""
 
 
@@ -188,7 +167,7 @@ def _row(
 
 
 def _told_plan(plan: BatchPlan, names: Sequence[str]) -> dict[str, Any]:
-    """Return what a batch is known again by; how it is carried out is no part of it."""
+    # Identifies a batch; the way of execution is no part of it.
     config = asdict(plan.mapper)
     del config["run"]
     made = dumps([config, asdict(plan.disk), {**make_source_note([], plan.options)}], sort_keys=True)

@@ -1,4 +1,4 @@
-"""What a batch asks of a worker: one log to be mapped into one folder, and what came of it."""
+"""A task of a batch, one log into one folder, and its outcome."""
 
 from __future__ import annotations
 
@@ -28,27 +28,22 @@ State = Literal["mapped", "failed", "disk full"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogTask:
-    """One log: its `note` (`players.open_from_note`), the map folder to make, and how.
-
-    `software` is the version that is to make it. `cores` are the processors that its processes may use, () for all.
-    """
+    """One log: its `note` (`players.open_from_note`), its map folder, and its configuration."""
 
     name: str
     note: Mapping[str, Any]
     out: Path
     mapper: MapperConfig
     disk: DiskSinkConfig
+    #: required version
     software: str
+    #: processors for its processes, () for all
     cores: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogOutcome:
-    """What came of a log: `reason` says why there is no finished map.
-
-    `wall_s` and `cpu_s` are what the last attempt took; `resumed`: it went on with a map that was begun before.
-    `worker` names the machine and the process that made it.
-    """
+    """Outcome of a log; `reason` says why there is no finished map."""
 
     name: str
     state: State
@@ -57,15 +52,18 @@ class LogOutcome:
     processor: str = ""
     keyframes: int = 0
     objects: int = 0
+    #: of the last attempt, as `cpu_s`
     wall_s: float = 0.0
     cpu_s: float = 0.0
     map_mb: float = 0.0
+    #: it continued an existing map
     resumed: bool = False
+    #: machine and process
     worker: str = ""
 
 
 def names_of(uris: Sequence[str]) -> tuple[str, ...]:
-    """Return a name for each log, which no other has: that of its file, with a number where several are called so."""
+    """Return a distinct name for each log: its file name, with a number if repeated."""
     names: list[str] = []
     for uri in uris:
         stem = _NOT_IN_NAMES.sub("-", Path(uri).resolve().stem).strip("-.") or "log"
@@ -79,7 +77,7 @@ def names_of(uris: Sequence[str]) -> tuple[str, ...]:
 
 @cache
 def software() -> str:
-    """Return what a map depends on beside its log and its configuration: our code, Python, and the libraries."""
+    """Return the versions that a map depends on: this code, Python, and the libraries."""
     root = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256()
     for package in _PACKAGES:

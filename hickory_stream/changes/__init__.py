@@ -1,1 +1,1 @@
-"""What became of the objects between two maps of one place: still there, moved, gone, new, exchanged, or not seen."""
+"""Changes of objects between two maps of one place: still there, moved, gone, new, exchanged, or not seen."""

@@ -1,10 +1,7 @@
-"""The comparison of two maps of one place, object by object, once it is known how the maps lie to one another.
+"""The comparison of two aligned maps of one place, object by object.
 
-Khronos (Schmid et al., RSS 2024) decides from rays whether what was mapped earlier is absent or persists. Here "gone"
-needs free space that the other map observed where the object stood: what was merely not seen stays unknown, and each
-verdict has its probability.
-
-How much two objects look alike, wherever they are: by the sides of their boxes, their colour and their feature.
+Like Khronos (Schmid et al., RSS 2024), it uses rays. "Gone" needs free space that the other map observed at the
+object's place: unobserved objects stay unknown, and each verdict has a probability.
 """
 
 from __future__ import annotations
@@ -41,10 +38,10 @@ _COSINE = (0.3, 0.7)
 def likeness(
     a: TrackedObject, b: TrackedObject, config: ChangesConfig, *, with_size: bool, with_feature: bool
 ) -> float:
-    """Return how far two objects look alike, in 0..1; what one of them lacks does not count.
+    """Return the likeness of two objects in 0..1; missing features do not count.
 
-    `with_size` is False for objects in one place: of which one map may have seen less. `with_feature` is False where
-    the two maps' features were made by different networks.
+    `with_size` is False for objects in one place, which one map may have seen in part. `with_feature` is False for
+    features of different networks.
     """
     away = (np.linalg.norm(_lab(a) - _lab(b)) / config.color_sigma) ** 2
     if with_size:
@@ -56,7 +53,7 @@ def likeness(
 
 
 def probability_same(alike: float, floor: float) -> float:
-    """Return how probable it is that two objects are one, from their likeness and that of any two objects."""
+    """Return the probability that two objects are one, from their likeness and the likeness of any two objects."""
     return alike / (alike + floor)
 
 
@@ -78,8 +75,7 @@ _TREES = 64
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Compared:
-    """Two maps with their objects in the frame of map a; `near_m` is how near is on a surface."""
-
+    # Two maps with their objects in the frame of map a; `near_m` is the tolerance of a surface.
     a: SeenPlaces
     b: SeenPlaces
     a_objects: tuple[TrackedObject, ...]
@@ -106,15 +102,10 @@ def compare_maps(
     *,
     with_feature: bool = True,
 ) -> MapChanges:
-    """Return what became of every object from map a to map b; tentative ones are left out.
+    """Return the change of every object from map a to map b, without tentative ones.
 
-    Args:
-        a: the earlier map.
-        b: the later one.
-        a_from_b: (4, 4) where map b lies in map a.
-        sigma_m: how uncertain that is, the standard deviation of a shift.
-        config: when something counts as changed.
-        with_feature: whether the features of both were made by the same extractor.
+    `a_from_b` (4, 4) aligns the maps with the standard deviation `sigma_m`; `with_feature`: one extractor made the
+    features of both.
     """
     config = config or ChangesConfig()
     a_objects, b_objects = compared_objects(a), compared_objects(b)
@@ -138,7 +129,7 @@ def compare_maps(
 
 
 def probability_changed(evidence: Evidence, config: ChangesConfig) -> float:
-    """Return how probable it is that an object is not where the other map looked for it: Bayes' rule over looks."""
+    """Return the probability that an object left the place where the other map looked: Bayes' rule over looks."""
     weight = np.log(config.reliable / (1 - config.reliable))
     prior = np.log(config.change_prior / (1 - config.change_prior))
     against = config.looks * weight * (evidence.free - evidence.structure - evidence.objects)
@@ -146,7 +137,6 @@ def probability_changed(evidence: Evidence, config: ChangesConfig) -> float:
 
 
 def _in_one_place(both: _Compared, config: ChangesConfig) -> list[tuple[int, int, float]]:
-    """Return one-to-one pairs of objects in one place, with how much they overlap, the largest sum of all."""
     overlaps = np.zeros((len(both.a_objects), len(both.b_objects)))
     # Pairs of one object of map a come one after another, and those of map b in its room.
     a_tree, b_tree = (
@@ -164,7 +154,7 @@ def _in_one_place(both: _Compared, config: ChangesConfig) -> list[tuple[int, int
 
 
 def _may_touch(some: Sequence[TrackedObject], others: Sequence[TrackedObject]) -> NDArray[np.bool_]:
-    """Return (N, M) whether the spheres around the boxes of two objects meet."""
+    # (N, M) the spheres around the boxes meet.
     (centers, radii), (other_centers, other_radii) = (
         (
             np.array([item.box.center for item in items]).reshape(-1, 3),
@@ -180,16 +170,12 @@ def _tree(objects: Sequence[TrackedObject], i: int) -> cKDTree:
 
 
 def _share_near(tree: cKDTree, other: TrackedObject, near_m: float) -> float:
-    """Return the share of an object's points that are near an object, of which `tree` has all points.
-
-    It has one in every voxel of a centimetre or two.
-    """
+    # `tree` has all points of the other object, one a voxel of a centimetre or two.
     some = thinned(other.points_world, _POINTS_OF_OVERLAP)
     return float((tree.query(some, distance_upper_bound=near_m)[0] <= near_m).mean())
 
 
 def _of_pair(both: _Compared, i: int, j: int, overlap: float, config: ChangesConfig) -> ObjectChange:
-    """Return what became of an object where the other map has one, too: it is the same, was moved a little, or not."""
     one, other = both.a_objects[i], both.b_objects[j]
     evidence = both.evidence_in_b(i)
     alike = likeness(one, other, config, with_size=False, with_feature=both.with_feature)
@@ -215,11 +201,8 @@ def _of_pair(both: _Compared, i: int, j: int, overlap: float, config: ChangesCon
 
 
 def _differs(left: Evidence, came: Evidence, config: ChangesConfig) -> float:
-    """Return how probable it is that not the same thing stands in one place, in the same way.
-
-    A thing that stays leaves no free space in its place, and reaches into none that was free: one of both maps saw
-    through a good part of what the other one has there. That the rest lies on a surface is the other thing's doing.
-    """
+    # A thing that stays leaves no free space, and reaches into none: else one map saw through a good part of what the
+    # other has there. The rest may lie on a surface of the other thing.
     free = max(left, came, key=lambda one: one.free)
     if free.free < config.min_free:
         return 0.0
@@ -229,7 +212,6 @@ def _differs(left: Evidence, came: Evidence, config: ChangesConfig) -> float:
 def _of_single(
     both: _Compared, left_a: Sequence[int], left_b: Sequence[int], config: ChangesConfig
 ) -> list[ObjectChange]:
-    """Return what became of objects in whose place the other map has none: moved ones first, then each by itself."""
     evidence_a = {i: both.evidence_in_b(i) for i in left_a}
     evidence_b = {j: both.evidence_in_a(j) for j in left_b}
     # What still shows a surface where it was has not moved away.
@@ -251,10 +233,7 @@ def _of_single(
 def _moved(
     both: _Compared, away: Sequence[int], arrived: Sequence[int], config: ChangesConfig
 ) -> list[tuple[int, int, float]]:
-    """Return pairs of one object in two places, with the probability that they are one, by their looks alone.
-
-    Of several that look alike, the probability is shared out: of two equal mugs neither is known to be the one.
-    """
+    # Pairs by looks alone. Equal objects share the probability: of two equal mugs neither is known to be the one.
     alike = np.array(
         [
             [
@@ -277,7 +256,6 @@ def _moved(
 def _alone(
     one: TrackedObject | None, other: TrackedObject | None, evidence: Evidence, config: ChangesConfig
 ) -> ObjectChange:
-    """Return what is said of an object of one map where the other one has no object."""
     changed = probability_changed(evidence, config)
     is_earlier = one is not None
     if changed >= config.min_probability and evidence.free >= config.min_free:

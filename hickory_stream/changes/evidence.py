@@ -1,7 +1,7 @@
-"""What one map saw where another one has an object: free space, a surface, or nothing.
+"""Observations of one map where another has an object: free space, a surface, or nothing.
 
-Of a plate on a table most points lie within a few centimetres of the table: that the other map saw a surface there says
-nothing of the plate. So only those points count that stand clear of everything else in the object's own map.
+Only points that stand clear of everything else in the object's own map count: most points of a plate lie within a few
+centimetres of the table, so that a surface there does not prove the plate.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ _ROUNDING_M = 1e-6
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SeenPlaces:
-    """A map as evidence: N objects with a tree of the points of all of them, and the space observed in each submap.
+    """A map as evidence: N objects with a tree of all their points, and the observed space of each submap.
 
-    `owners` (P,) are the places in `objects` of the tree's points; `bounds` (S, 2, 3) are the least and the most
-    coordinates in the world of where each submap says anything, a voxel around it included.
+    `owners` (P,) are the indices in `objects` of the tree's points; `bounds` (S, 2, 3) are the world bounds of each
+    submap with a voxel around.
     """
 
     objects: tuple[TrackedObject, ...]
@@ -47,12 +47,12 @@ class SeenPlaces:
 
 
 def compared_objects(snapshot: MapSnapshot) -> tuple[TrackedObject, ...]:
-    """Return the objects of a map that can be compared: tentative ones and those without points cannot."""
+    """Return the objects of a map without tentative ones and those without points."""
     return tuple(item for item in snapshot.objects if item.phase is not Phase.TENTATIVE and len(item.points_world))
 
 
 def seen_places(objects: Sequence[TrackedObject], submaps: Sequence[Submap]) -> SeenPlaces:
-    """Return the evidence that a map is."""
+    """Return a map as evidence."""
     clouds = [thinned(item.points_world, _POINTS_OF_SURFACE) for item in objects]
     points = np.concatenate([np.empty((0, 3), np.float32), *clouds]).astype(np.float64)
     owners = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
@@ -62,7 +62,6 @@ def seen_places(objects: Sequence[TrackedObject], submaps: Sequence[Submap]) -> 
 
 
 def _bounds(submap: Submap) -> NDArray[np.float64]:
-    """Return (2, 3) bounds in the world of a submap's voxels, each with one around it; where there is none, nothing."""
     ends = [bounds_of_keys(keys) for keys in (submap.observed_space.free, submap.observed_space.structure) if len(keys)]
     if not ends:
         return np.array([np.full(3, np.inf), np.full(3, -np.inf)])
@@ -74,14 +73,14 @@ def _bounds(submap: Submap) -> NDArray[np.float64]:
 
 
 def clear_points(own: SeenPlaces, i: int, near_m: float) -> NDArray[np.float64]:
-    """Return (N, 3) points of object i, in its map, that are near no other object and no structure of that map."""
+    """Return (N, 3) points of object i that are near no other object and no structure of its own map."""
     points = thinned(own.objects[i].points_world, _POINTS_OF_EVIDENCE).astype(np.float64)
     is_clear = ~_on_structure(own, points) & ~_on_objects(own, points, near_m, apart_from=i)
     return points[is_clear]
 
 
 def evidence_at(other: SeenPlaces, points: NDArray[np.float64], near_m: float) -> Evidence:
-    """Return what a map saw at (N, 3) points in its world; too few of them are no evidence."""
+    """Return the observations of a map at (N, 3) points in its world; too few points are no evidence."""
     if len(points) < _MIN_CLEAR:
         return Evidence(free=0.0, structure=0.0, objects=0.0, unseen=0.0, num_clear=len(points))
     on_object = _on_objects(other, points, near_m)
@@ -93,7 +92,7 @@ def evidence_at(other: SeenPlaces, points: NDArray[np.float64], near_m: float) -
 
 
 def not_in_free_space(places: SeenPlaces, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return those of (N, 3) points at which a map saw no free space; of an object's own voxels some may be free."""
+    """Return the (N, 3) points at which a map saw no free space; even an object's own voxels may be free."""
     return points[~_in_free_space(places, points)]
 
 
@@ -118,7 +117,6 @@ def _on_objects(
 
 
 def _on_structure(places: SeenPlaces, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which points are in a voxel of structure, or beside one."""
     found = np.zeros(len(points), dtype=bool)
     for submap, inside in _around(places, points):
         left = inside[~found[inside]]
@@ -134,7 +132,7 @@ def _in_free_space(places: SeenPlaces, points: NDArray[np.float64]) -> NDArray[n
 
 
 def _around(places: SeenPlaces, points: NDArray[np.float64]) -> Iterator[tuple[Submap, NDArray[np.int64]]]:
-    """Yield the submaps that may say something of (N, 3) points, each with which of them these are."""
+    # Submaps near (N, 3) points, each with the indices of these points.
     if not len(points):
         return
     low, high = points.min(axis=0), points.max(axis=0)

@@ -1,7 +1,4 @@
-"""The HTML page of what changed between two maps: a plan, and every object with its pictures and evidence.
-
-A plan from above as SVG: footprints of objects in the colours of what became of them, and where they moved.
-"""
+"""HTML page of the changes between two maps: a plan as SVG, and every object with pictures and evidence."""
 
 from __future__ import annotations
 
@@ -33,7 +30,7 @@ _SIGNS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Footprint:
-    """An object on the plan; dashed is what the later map says."""
+    """An object on the plan; the later map's are dashed."""
 
     item: TrackedObject
     color: str
@@ -41,9 +38,9 @@ class Footprint:
 
 
 def plan_svg(
-    footprints: Sequence[Footprint], moves: Sequence[tuple[TrackedObject, TrackedObject, str]], told: str
+    footprints: Sequence[Footprint], moves: Sequence[tuple[TrackedObject, TrackedObject, str]], caption: str
 ) -> str:
-    """Return the plan, "" without an object; of `moves` the centres are joined by a line, `told` is its caption."""
+    """Return the plan from above, "" without an object; lines join the centres of `moves`, `caption` is the caption."""
     if not footprints:
         return ""
     corners = np.concatenate([one.item.box.corners_world()[:, :2] for one in footprints])
@@ -68,7 +65,7 @@ def plan_svg(
             f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{color}" stroke-width="2"/>'
         )
     height = float(high[1] - low[1]) * scale
-    return f'<svg viewBox="0 0 {_WIDTH_PX} {height:.0f}">{"".join(drawn)}</svg><p class="soft">{told}</p>'
+    return f'<svg viewBox="0 0 {_WIDTH_PX} {height:.0f}">{"".join(drawn)}</svg><p class="soft">{caption}</p>'
 
 
 COLORS = {
@@ -92,11 +89,7 @@ svg { background: var(--card); border: 1px solid var(--line); width: 100%; heigh
 
 
 def changes_page(first: SavedMap, second: SavedMap, found: MapChanges) -> str:
-    """Return the page as HTML, in one file without network access.
-
-    Raises:
-        MapFolderError: a view cannot be read.
-    """
+    """Return the page as one HTML file; raises `MapFolderError` for a view."""
     a = {item.id: item for item in first.snapshot.objects}
     b = {item.id: item for item in second.snapshot.objects}
     placed_b = {i: moved_object(item, found.a_from_b) for i, item in b.items()}
@@ -150,7 +143,6 @@ def _picture(saved: SavedMap, item: TrackedObject) -> str:
 
 
 def _plan(found: MapChanges, a: Mapping[int, TrackedObject], b: Mapping[int, TrackedObject]) -> str:
-    """Return the plan in the frame of map a."""
     footprints, moves = [], []
     for change in reversed(found.changes):
         color = COLORS[change.verdict]

@@ -1,7 +1,4 @@
-"""What is said of an object that one or both of two maps have, and what it rests on.
-
-What changed, in words.
-"""
+"""Records of the changes of objects between two maps, and their texts."""
 
 from __future__ import annotations
 
@@ -18,10 +15,9 @@ if TYPE_CHECKING:
 
 
 class Verdict(StrEnum):
-    """What became of an object from map a to map b.
+    """Change of an object from map a to map b.
 
-    `NOT_SEEN_AGAIN` is of an object of a whose place map b did not observe, `NOT_SEEN_BEFORE` of one of b whose place
-    map a did not: neither says that it is gone, or new.
+    `NOT_SEEN_AGAIN`: map b did not observe its place; `NOT_SEEN_BEFORE`: map a did not. Neither means gone or new.
     """
 
     STILL_THERE = "still there"
@@ -35,10 +31,10 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Evidence:
-    """What the other map saw in an object's place: shares of the points of it that stand clear of its surroundings.
+    """Observations of the other map at an object's place: shares of its clear points, which add up to 1.
 
-    `free`: rays passed; `structure` and `objects`: a surface of the room, or of an object, is there; `unseen`: nobody
-    looked. They add up to 1, or are all 0 where nothing of it stands clear (`num_clear`).
+    `free`: rays passed; `structure` and `objects`: a surface of the room or of an object; `unseen`: not observed. All
+    are 0 without clear points (`num_clear`).
     """
 
     free: float
@@ -50,10 +46,10 @@ class Evidence:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectChange:
-    """What became of one object, with its id in each map that has it, and how probable that is.
+    """Change of one object, with its id in each map that has it, and the probability.
 
-    `evidence` is what the other map saw in its place; of a pair, what map b saw in the place of map a's object.
-    `shift_m` is how far a moved object's centre moved, in the frame of map a.
+    `evidence` is from the other map; of a pair, from map b at the place of map a's object. `shift_m` is the motion of a
+    moved object's centre in the frame of map a.
     """
 
     verdict: Verdict
@@ -66,7 +62,7 @@ class ObjectChange:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MapChanges:
-    """All objects of two maps: `changes` by verdict, then id. `a_from_b` (4, 4) is where the second map lies."""
+    """Changes of all objects of two maps by verdict, then id; `a_from_b` (4, 4) is the alignment."""
 
     a_from_b: NDArray[np.float64]
     sigma_m: float
@@ -115,14 +111,14 @@ class ChangesConfig(Ranged):
 
 
 def count_text(found: MapChanges) -> str:
-    """Return how many objects each verdict is of, and how well the maps are aligned."""
+    """Return the number of objects by verdict, and the quality of the alignment."""
     counts = [(verdict, sum(change.verdict is verdict for change in found.changes)) for verdict in Verdict]
-    told = ", ".join(f"{count} {verdict}" for verdict, count in counts if count) or "no objects"
-    return f"{told}; the maps lie to one another to within {100 * found.sigma_m:.1f} cm"
+    text = ", ".join(f"{count} {verdict}" for verdict, count in counts if count) or "no objects"
+    return f"{text}; the maps are aligned to within {100 * found.sigma_m:.1f} cm"
 
 
 def sentence(change: ObjectChange) -> str:
-    """Return what became of one object."""
+    """Return the change of one object as text."""
     name = " -> ".join(f"#{i}" for i in (change.id_a, change.id_b) if i is not None)
     if change.shift_m is not None:
         x, y, z = change.shift_m
@@ -131,7 +127,7 @@ def sentence(change: ObjectChange) -> str:
 
 
 def evidence_text(change: ObjectChange) -> str:
-    """Return what the other map saw in an object's place."""
+    """Return the observations of the other map at an object's place as text."""
     seen = change.evidence
     if not seen.num_clear:
         return "nothing of it stands clear of its surroundings, so that its place proves nothing"

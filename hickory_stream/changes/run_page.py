@@ -1,7 +1,4 @@
-"""The HTML page of what changed between two moments of a run: a plan, and every change with its pictures.
-
-Pictures of objects that a map had at some moment: kept views, else cut out of the journal's keyframe images.
-"""
+"""HTML page of the changes between two moments of a run: a plan, and every change with its pictures."""
 
 from __future__ import annotations
 
@@ -32,10 +29,9 @@ _MARGIN_PX = 8
 
 
 def pictures_of(folder: Path, views: Iterable[View]) -> dict[str, NDArray[np.uint8]]:
-    """Return (h, w, 3) pictures of views by their names; left out are those of which a map folder has nothing any more.
+    """Return (h, w, 3) pictures of views by name; views without a picture in the map folder are left out.
 
-    The pixels of a view that no object has any more were removed; the image of its keyframe is in the journal, unless
-    `journal.keep_images` was off.
+    The pixels of unused views were removed; the journal has the keyframe images, unless `journal.keep_images` was off.
     """
     found: dict[str, NDArray[np.uint8]] = {}
     removed = []
@@ -71,10 +67,7 @@ _SAID = {"gone": Verdict.GONE, "new": Verdict.NEW, "moved": Verdict.MOVED}
 
 
 def run_page(title: str, before: MapSnapshot, after: MapSnapshot, listed: Sequence[Change], folder: Path) -> str:
-    """Return the page as HTML, in one file without network access.
-
-    `folder` is the map's, which has the pictures.
-    """
+    """Return the page as one HTML file; the map's `folder` has the pictures."""
     a, b = ({item.id: item for item in each.objects} for each in (before, after))
     parts = [f"<h1>{html.escape(title)}</h1>", _plan(a, b, listed)]
     shown = [item for one in listed for item in _both(one, a, b)]
@@ -90,7 +83,7 @@ def run_page(title: str, before: MapSnapshot, after: MapSnapshot, listed: Sequen
 
 
 def _plan(a: Mapping[int, TrackedObject], b: Mapping[int, TrackedObject], listed: Sequence[Change]) -> str:
-    """Return the plan: what stayed in grey, what went solid, what came dashed."""
+    # Unchanged objects are grey, removed ones solid, added ones dashed.
     changed = {one.object_id for one in listed if one.kind in _SAID} | {one.was for one in listed}
     still = COLORS[Verdict.STILL_THERE]
     footprints = [Footprint(item=item, color=still, is_dashed=False) for item in b.values() if item.id not in changed]
@@ -110,7 +103,6 @@ def _plan(a: Mapping[int, TrackedObject], b: Mapping[int, TrackedObject], listed
 
 
 def _both(one: Change, a: Mapping[int, TrackedObject], b: Mapping[int, TrackedObject]) -> list[TrackedObject]:
-    """Return an object as it was before and as it is after, as far as it was there."""
     was = a.get(one.object_id if one.was is None else one.was)
     return [item for item in (was, b.get(one.object_id)) if item is not None]
 

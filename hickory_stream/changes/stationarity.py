@@ -1,9 +1,8 @@
-"""How probable it is that an object stays where it is until the next map: learnt from one comparison to the next.
+"""Probability that an object stays where it is until the next map, learnt from comparisons.
 
-A Beta distribution for each object counts in how many comparisons it stayed and in how many it did not, each weighed by
-the probability of the verdict; what nobody looked at counts for nothing (the stationarity of POCD: Qian, Chatrath,
-Servos, Mavrinac, Burgard, Waslander and Schoellig, RSS 2022). The counts follow an object from map to map, also where
-it was moved to.
+A Beta distribution per object counts the comparisons in which it stayed or moved, weighted by the probability of the
+verdict (POCD: Qian, Chatrath, Servos, Mavrinac, Burgard, Waslander and Schoellig, RSS 2022). The counts follow an
+object from map to map; unobserved objects do not count.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ MOVES_BELOW = 0.5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StayCount:
-    """In how many comparisons of two maps an object `stayed`, and in how many it `moved` or came from elsewhere."""
+    """Number of comparisons in which an object `stayed`, and in which it `moved` or came from elsewhere."""
 
     stayed: float = 0.0
     moved: float = 0.0
 
     def probability(self, change_prior: float = ChangesConfig().change_prior) -> float:
-        """Return how probable it is that it stays until the next map."""
+        """Return the probability that it stays until the next map."""
         known = self.stayed + self.moved
         return (self.stayed + _PRIOR_WEIGHT * (1 - change_prior)) / (known + _PRIOR_WEIGHT)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stationarity:
-    """The counts of the objects of one map, by id; `digest` is that of the map."""
+    """The counts of the objects of one map by id; `digest` identifies the map."""
 
     digest: str
     counts: Mapping[int, StayCount]
@@ -56,7 +55,7 @@ class Stationarity:
 
 
 def after_comparison(before: Mapping[int, StayCount], found: MapChanges) -> dict[int, StayCount]:
-    """Return the counts of the later map's objects, from those of the earlier one's and what became of them."""
+    """Return the counts of the later map's objects, from the earlier counts and the changes."""
     counts: dict[int, StayCount] = {}
     for change in found.changes:
         if change.id_b is None:
@@ -69,7 +68,7 @@ def after_comparison(before: Mapping[int, StayCount], found: MapChanges) -> dict
             case Verdict.MOVED:
                 counts[change.id_b] = StayCount(stayed=known.stayed, moved=known.moved + change.probability)
             case Verdict.NEW | Verdict.EXCHANGED:
-                # Another object than the one that stood there: what is known of it is that it came.
+                # Another object stands there now: it came.
                 counts[change.id_b] = StayCount(moved=change.probability)
             case _:
                 counts[change.id_b] = known
@@ -77,7 +76,7 @@ def after_comparison(before: Mapping[int, StayCount], found: MapChanges) -> dict
 
 
 def write_stationarity(known: Stationarity) -> bytes:
-    """Return what a file says of the objects of a map."""
+    """Return the content of a stationarity file."""
     rows = [
         {"id": i, "stayed": count.stayed, "moved": count.moved, "stays": round(count.probability(), 6)}
         for i, count in sorted(known.counts.items())
@@ -86,19 +85,17 @@ def write_stationarity(known: Stationarity) -> bytes:
 
 
 def read_stationarity(path: Path, digest: str | None) -> Stationarity:
-    """Return what a file says of the objects of the map with this digest.
-
-    Raises:
-        InputError: it cannot be read, is none, or is of another map.
-    """
+    """Return the counts in a file of the map with this digest; raises `InputError` for an invalid or other file."""
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-        if told["version"] != _VERSION:
-            raise InputError(f"{path} is of version {told['version']}, expected {_VERSION}; make it again with `diff`")
-        of = str(told["map_digest"])
+        report = json.loads(path.read_text(encoding="utf-8"))
+        if report["version"] != _VERSION:
+            raise InputError(
+                f"{path} is of version {report['version']}, expected {_VERSION}; make it again with `diff`"
+            )
+        of = str(report["map_digest"])
         counts = {
             int(row["id"]): StayCount(stayed=_count(row["stayed"]), moved=_count(row["moved"]))
-            for row in told["objects"]
+            for row in report["objects"]
         }
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}; `diff --stationarity` makes it") from None
@@ -109,9 +106,8 @@ def read_stationarity(path: Path, digest: str | None) -> Stationarity:
     return Stationarity(digest=of, counts=counts)
 
 
-def _count(told: Any) -> float:
-    """Return a number of comparisons; raises ValueError where it is none."""
-    count = float(told)
+def _count(value: Any) -> float:
+    count = float(value)
     if not (math.isfinite(count) and count >= 0):
         raise ValueError(f"a count of {count}")
     return count

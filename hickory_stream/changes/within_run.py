@@ -1,9 +1,8 @@
-"""What became of things within one run while the robot was away: gone, new or moved, told from what was no object.
+"""Changes within one run while the robot was away: gone, new or moved.
 
-The life cycle of tracks says which objects a map has no more and which it has in addition. Why, the two maps say that
-it held before and after: what was seen through where an object stood is gone; what stands where there was free space is
-new; and of those, two that look alike are one that was moved (`compare.py`). An object that the map still has, but that
-was not seen since, is gone, too, if its place was seen through in the meantime: its own points prove nothing.
+The life cycle of tracks says which objects vanished or appeared. An object is gone if its place was seen through, new
+if it stands in former free space, moved if two of these look alike (`compare.py`). An object that the map still has,
+but did not see again, is gone if its place was seen through since: its own points prove nothing.
 """
 
 from __future__ import annotations
@@ -28,15 +27,10 @@ if TYPE_CHECKING:
 def changes_within_run(
     before: MapSnapshot, after: MapSnapshot, config: ChangesConfig | None = None
 ) -> tuple[Change, ...]:
-    """Return what happened to the objects between two moments of a run, in the order of their ids.
+    """Return the changes of objects between two moments of a run, by id.
 
-    As `time_travel.changes`, but that objects which the later map lacks or has in addition, and those that were not
-    seen since, are "gone", "new" or "moved" where the space that was observed says so, with the probability of it.
-
-    Args:
-        before: the map as it was known at the earlier moment.
-        after: as it was known at the later one.
-        config: when something counts as changed.
+    Like `time_travel.changes`, but vanished, added and unseen objects are "gone", "new" or "moved", with a probability,
+    where observed space proves it.
     """
     config = config or ChangesConfig()
     listed = changes(before, after)
@@ -50,14 +44,13 @@ def changes_within_run(
         if one.id_a in lost | {None} and one.id_b in came | {None}:
             is_unproven = one.id_a in not_seen and not _is_seen_through_since(was, is_now, one.id_a, config)
             said |= {} if is_unproven else _told(one)
-    # Of what was not seen since nothing else is listed: nothing of it changed.
-    told = [said.get(one.object_id, one) if one.kind in ("dropped", "appeared") else one for one in listed]
-    told += [said[i] for i in not_seen & said.keys()]
-    return tuple(sorted((one for one in told if one is not None), key=lambda one: one.object_id))
+    # Unseen objects have no other entry.
+    parts = [said.get(one.object_id, one) if one.kind in ("dropped", "appeared") else one for one in listed]
+    parts += [said[i] for i in not_seen & said.keys()]
+    return tuple(sorted((one for one in parts if one is not None), key=lambda one: one.object_id))
 
 
 def _told(one: ObjectChange) -> dict[int, Change | None]:
-    """Return what is said of the objects of a verdict, by their ids; nothing of what moved elsewhere."""
     free = f"{one.evidence.free:.0%} of its place"
     if one.verdict is Verdict.MOVED and one.id_a is not None and one.id_b is not None and one.shift_m is not None:
         away_m = float(np.linalg.norm(one.shift_m))
@@ -79,7 +72,7 @@ def _not_seen_since(before: MapSnapshot, after: MapSnapshot) -> set[int]:
 
 
 def _is_seen_through_since(before: SeenPlaces, after: SeenPlaces, object_id: int, config: ChangesConfig) -> bool:
-    """Return whether an object's place became free: points that were in free space before do not count."""
+    # Points in free space before do not count.
     at = next(i for i, item in enumerate(before.objects) if item.id == object_id)
     points = not_in_free_space(before, clear_points(before, at, config.near_m))
     return evidence_at(after, points, config.near_m).free >= config.min_free

@@ -1,13 +1,7 @@
 """The command line: one module per command, which adds its arguments and runs it.
 
-A command imports what it needs only when it runs, so that `--help` answers at once.
-
-Exit status: 0 done; 1 an internal failure; 2 something outside is not as it must be; 3 the answer is no: two maps
-were not aligned, there is no path, nothing answers a question; or the run is done but something that was asked for is
-missing: every shape job failed, or a recording or costmap could not be written to its end; 130 stopped by a signal (the
-map is saved).
-
-The notice while kernels are compiled: nothing for a few, a line now and then for more.
+A command imports what it needs when it runs, so that `--help` answers at once. Exit status: 0 done; 1 internal failure;
+2 bad input; 3 no alignment, path or answer, all shape jobs failed, or an output is incomplete; 130 stopped by a signal.
 """
 
 from __future__ import annotations
@@ -20,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.base.compiling import on_compile
 from hickory_stream.base.terminal import shown_safely
-from hickory_stream.cli.exit_status import STOPPED
+from hickory_stream.cli.commands import STOPPED
 from hickory_stream.cli.output_files import outputs_of, refuse_taken, written_text
 from hickory_stream.cli.parser import make_parser
 from hickory_stream.errors import HickoryError
@@ -37,7 +31,7 @@ _EVERY_S = 5.0
 
 
 class CompileNotice:
-    """A listener of `compiling.on_compile`; as JSON lines where `as_json`."""
+    """Listener of `compiling.on_compile` that prints a line for many kernels, and nothing for a few."""
 
     def __init__(self, *, as_json: bool, clock: Callable[[], float] = time.monotonic) -> None:
         self._as_json = as_json
@@ -46,9 +40,8 @@ class CompileNotice:
         self._said_s = 0.0
         self._num_compiled = 0
 
-    def __call__(self, kernel: str) -> None:
-        """Take note that a kernel is about to be compiled."""
-        del kernel
+    def __call__(self, _kernel: str) -> None:
+        """Count a kernel that is about to be compiled."""
         now_s = self._clock()
         if self._began_s is None:
             self._began_s, self._said_s = now_s, now_s + _AFTER_S - _EVERY_S
@@ -70,7 +63,7 @@ class CompileNotice:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status; nothing that it prints commands the terminal."""
+    """Run a command and return its exit status; control characters in its output are escaped."""
     with shown_safely():
         return _run(arguments)
 
@@ -78,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     options = make_parser().parse_args(arguments)
     logging.basicConfig(level=logging.DEBUG if options.debug else logging.WARNING, format="%(levelname)s: %(message)s")
-    told_no_more = on_compile(CompileNotice(as_json=getattr(options, "json", False)))
+    stop_notices = on_compile(CompileNotice(as_json=getattr(options, "json", False)))
     try:
         refuse_taken(outputs_of(options), overwrite=getattr(options, "overwrite", False))
         status: int = options.run(options)
@@ -91,29 +84,27 @@ def _run(arguments: Sequence[str] | None) -> int:
         return error.exit_status
     except KeyboardInterrupt:
         resumed_by = getattr(options, "resumed_by", None)
-        _fail(
-            "cancelled; what was saved before is kept" + (f"; go on with: {resumed_by}" if resumed_by else ""), options
-        )
+        _fail("cancelled; earlier saves are kept" + (f"; continue with: {resumed_by}" if resumed_by else ""), options)
         return STOPPED
     except BrokenPipeError:
         return 0
     except MemoryError as error:
-        # A map or a log that is larger than this machine, or one that somebody altered to look so.
-        what = str(error) or "no more can be had"
-        _fail(f"found too little memory: {what}; expected a machine with more, or a smaller map or log", options)
+        # The map or log is larger than this machine, or was altered to look so.
+        what = str(error) or "out of memory"
+        _fail(f"found too little memory: {what}; use a machine with more, or a smaller map or log", options)
         return 2
-    except Exception as error:  # noqa: BLE001 -- what nobody foresaw ends here, in one line
+    except Exception as error:  # noqa: BLE001 -- unforeseen errors end here, in one line
         if options.debug:
             traceback.print_exc()
         _fail(f"internal failure, {type(error).__name__}: {error}; run with --debug to see where", options)
         return 1
     finally:
-        told_no_more()
+        stop_notices()
     return status
 
 
 def _fail(text: str, options: argparse.Namespace) -> None:
-    message = " ".join(text.split())  # one line, whatever a library had to say
+    message = " ".join(text.split())  # libraries may use several lines
     sys.stderr.write(f"hickory-stream: {message}\n")
     if getattr(options, "json", False):
         print(output("error", {"event": "error", "message": message}))

@@ -1,20 +1,72 @@
-"""The subcommands of the command line: the type that each command adds its parser to, and a walk over them."""
+"""The commands of a parser, a walk over them, and their exit statuses."""
 
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, TypeAlias
+import re
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+from hickory_stream.cli.examples import TEXTS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+# Exit statuses.
+STOPPED = 130
+NO_ALIGNMENT = 3
+NO_PATH = 3
+NO_ANSWER = 3
+NOT_SOUND = 1
+INCOMPLETE = 3
+
+
+class Commands:
+    """Adds commands to a parser, with their texts; `common` and `configured` have options of several commands."""
+
+    def __init__(
+        self,
+        parser: argparse.ArgumentParser,
+        common: argparse.ArgumentParser,
+        configured: argparse.ArgumentParser,
+        group: str = "",
+    ) -> None:
+        self._parsers = parser.add_subparsers(required=True, metavar="ACTION" if group else "COMMAND")
+        self._common, self._configured, self._group = common, configured, group
+
+    def add(
+        self, name: str, run: Callable[[argparse.Namespace], int], *, configured: bool = False
+    ) -> argparse.ArgumentParser:
+        """Return the parser of a command that `run` executes; `configured` adds the options of the configuration."""
+        return self._add(name, [self._common, self._configured] if configured else [self._common], run=run)
+
+    def add_plain(self, name: str, **defaults: Any) -> argparse.ArgumentParser:
+        """Return the parser of a command without the common options."""
+        return self._add(name, [], **defaults)
+
+    def group(self, name: str) -> Commands:
+        """Return the actions of a command."""
+        return Commands(self.add_plain(name), self._common, self._configured, f"{name} ")
+
+    def _add(self, name: str, parents: list[argparse.ArgumentParser], **defaults: Any) -> argparse.ArgumentParser:
+        text, example = TEXTS[self._group + name]
+        command = self._parsers.add_parser(
+            name,
+            parents=parents,
+            help=text[0].lower() + re.split(r"[.:;](?: |$)", text[1:])[0],
+            description=fill(text),
+            epilog=f"example:\n  hickory-stream {example}",
+            # An example is one line, to be copied.
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        command.set_defaults(**defaults)
+        return command
 
 
 def commands_of(
     parser: argparse.ArgumentParser, path: tuple[str, ...] = ()
 ) -> Iterator[tuple[tuple[str, ...], argparse.ArgumentParser]]:
-    """Yield every command and the commands below it, with their words."""
+    """Yield every command and its subcommands, with their words."""
     yield path, parser
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

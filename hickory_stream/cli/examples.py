@@ -1,4 +1,4 @@
-"""What `--help` of each command begins and ends with: a sentence, and a command line that works."""
+"""Description and example of each command."""
 
 from __future__ import annotations
 
@@ -8,78 +8,67 @@ TEXTS: dict[str, tuple[str, str]] = {
         "play demo.mcap --out demo.map --rrd demo.rrd",
     ),
     "live": (
-        "Map a robot while it moves: what arrives is mapped, losses are reported, and ROS need not be installed.",
+        "Map a robot while it moves; messages that are lost are reported, and ROS is not necessary.",
         "live zenoh://b2.local --out robot.map --for 60",
     ),
     "batch": (
-        "Map many logs into OUT/maps, each by a process of its own, here or on a Dask cluster whose machines share the "
-        "disks. What was mapped before is left alone, what was interrupted is gone on with. In OUT: batch.html and "
-        "result.json; with --merge also merged.map of the maps that overlap.",
+        "Map many logs into OUT/maps, a process each, on this machine or on a Dask cluster with shared disks. "
+        "Finished maps are kept, interrupted ones resumed. OUT gets batch.html and result.json, with --merge also "
+        "merged.map of overlapping maps. Exit status 3: not all logs are mapped.",
         "batch monday/*.mcap -o monday --workers 2 --merge",
     ),
     "fleet": (
-        "Map several robots in one run, a process each: their maps are aligned while they grow, robots that agree "
-        "share one frame from then on, and the finished maps become one. In OUT: NAME.map of each robot, fleet.map, "
-        "fleet.rrd and fleet.json.",
+        "Map several robots in one run, a process each. Growing maps are aligned, matching robots share one frame, "
+        "and the finished maps are merged. OUT gets NAME.map of each robot, fleet.map, fleet.rrd and fleet.json. "
+        "Exit status 3: not all robots are in one map.",
         "fleet --robot alice=alice.mcap --robot bob=bob.mcap -o out",
     ),
     "resume": (
-        "Go on with a playback that was killed, stopped or broken off, to the map that it would have become.",
+        "Continue an interrupted playback; the map becomes the same as without the interruption.",
         "resume demo.map --source /mnt/logs/demo.mcap",
     ),
-    "replay": (
-        "Repeat a recorded run from its journal alone, and compare the map that comes out.",
-        "replay demo.map --rrd again.rrd",
-    ),
+    "replay": ("Repeat a recorded run from its journal, and compare the maps.", "replay demo.map --rrd again.rrd"),
     "doctor": (
-        "Examine a log, or for ten seconds a robot, before it is mapped: what would be played, what is damaged, and "
-        "what becomes of every message.",
+        "Examine a log, or a robot for ten seconds, before mapping: its streams, its damage, and the use of every "
+        "message. Exit status 0: sound; 3: usable with losses; 2: unusable.",
         "doctor camera.bag vio.bag --html page.html",
     ),
     "odometry": (
-        "Estimate where the camera was from the LiDAR or the depth images of a log, and compare with the truth.",
+        "Estimate the camera's trajectory from the LiDAR or the depth images of a log, and compare it with the truth.",
         "odometry demo.mcap -o poses.tum --pose-topic none --truth demo.mcap",
     ),
-    "inspect": (
-        "Show what a map holds: every object with its layers, what they take and how long they took.",
-        "inspect demo.map --at 12.5",
-    ),
+    "inspect": ("List the objects of a map, with layers, storage and computing times.", "inspect demo.map --at 12.5"),
     "render": (
         "Draw a map from above and in perspective, without a screen.",
         "render demo.map -o demo.png --layers 3,4",
     ),
-    "export": (
-        "Write a map in a format that other programs read.",
-        "export demo.map --format glb -o demo.glb",
-    ),
+    "export": ("Write a map in a format of other programs.", "export demo.map --format glb -o demo.glb"),
     "diff": (
-        "Tell what happened to the objects between two moments of a run, or from one map of a place to a later one: "
-        "still there, moved, gone, new, exchanged, or not seen; exit status 3 where the maps do not align.",
+        "Compare two moments of a run, or two maps of a place: objects are still there, moved, gone, new, "
+        "exchanged, or not seen. Exit status 3: the maps do not align.",
         "diff monday.map tuesday.map -o changes.html",
     ),
     "query": (
-        "Find the objects of a map that a question asks for, or count them: by size, shape, colour, height and how "
-        "they lie to one another.",
+        "Find or count the objects of a map that answer a question, about size, shape, colour, height and "
+        "relations. Exit status 3: no object answers.",
         'query demo.map "something to sit on near object 7" -o answer.png',
     ),
     "plan": (
-        "Plan a path through a map for a robot, or say why there is none.",
+        "Plan a path through a map for a robot, or say why there is none. Exit status 3: there is no path.",
         "plan demo.map --start 1,1 --goal -1,-1 --robot jackal -o plan.png",
     ),
     "align": (
-        "Find where one map lies in another one, how sure that is, or why it cannot be said.",
+        "Find the transform between two overlapping maps and its uncertainty, or say why there is none. Exit status"
+        " 3: no alignment was found.",
         "align monday.map tuesday.map -o join.png",
     ),
     "merge": (
-        "Make one map of several that overlap; the inputs are not changed.",
+        "Combine several overlapping maps into one; the inputs are not changed.",
         "merge monday.map tuesday.map -o both.map",
     ),
-    "relocalise": (
-        "Play a log and find its place in a stored map while it plays.",
-        "relocalise all.map today.mcap --until-found",
-    ),
+    "relocalise": ("Play a log and locate it in a stored map.", "relocalise all.map today.mcap --until-found"),
     "reconstruct": (
-        "Repeat by hand a shape job that failed, from the input that the map kept.",
+        "Repeat a failed shape job from the input that the map kept.",
         "reconstruct demo.map/failed/000012",
     ),
     "evaluate": (
@@ -87,61 +76,62 @@ TEXTS: dict[str, tuple[str, str]] = {
         "evaluate demo.map --truth demo.truth --html demo.html",
     ),
     "explain": (
-        "Say why something is not in a map, or how it came to be there: what every keyframe took it for, and what "
-        "became of its masks and tracks.",
+        "Explain why a map lacks an object, or how an object came into it: its label in every keyframe, and the "
+        "history of its masks and tracks.",
         "explain demo.map --truth demo.truth --object 3",
     ),
     "segment": (
-        "Segment one frame and draw masks, rejected masks with their reasons, and features.",
+        "Segment one frame and draw masks, rejected masks with reasons, and features.",
         "segment color.png depth.png --intrinsics 525,525,319.5,239.5 -o segments.png",
     ),
-    "models": (
-        "Manage the networks of this machine; nothing is ever downloaded.",
-        "models list",
-    ),
-    "models where": ("Print the folder of models.", "models where"),
-    "models list": ("List the models, and whether their hashes are right.", "models list --json"),
+    "models": ("Manage the networks of this machine; nothing is downloaded.", "models list"),
+    "models where": ("Print the folder of models ($HICKORY_MODELS).", "models where"),
+    "models list": ("List the models, and check their hashes.", "models list --json"),
     "models add": (
         "Copy an ONNX file to the folder of models, with an entry in its manifest.",
         "models add my.onnx --kind semantic --labels names.txt",
     ),
     "generators": (
-        "The programs that make shapes here, each described by a TOML; nothing is ever downloaded.",
+        "List or check the shape generators of this machine, each described by a TOML file; nothing is downloaded.",
         "generators list",
     ),
-    "generators list": ("List the generators, their licences, and what they lack.", "generators list --json"),
+    "generators list": (
+        "List the generators of $HICKORY_GENERATORS, their licences, and missing files.",
+        "generators list --json",
+    ),
     "generators check": (
-        "Start a generator and give it a built-in object: versions, seconds, memory, and a picture of what it made.",
+        "Start a generator with a built-in object: report versions, time and memory, and draw its mesh.",
         "generators check triposr -o check.png",
     ),
     "models check": (
-        "Run a model on a built-in picture: provider, warm-up, time, and what it gives.",
+        "Run a model on a built-in picture: report provider, warm-up, time and results.",
         "models check fastsam-s -o check.png",
     ),
     "config": ("Show or check a configuration.", "config dump"),
     "config dump": (
-        "Print the whole configuration as TOML, with what was set.",
+        "Print the whole configuration as TOML, with the given values.",
         "config dump --set mapper.run.workers=4",
     ),
-    "config check": ("Refuse a configuration file with misspelt keys or wrong values.", "config check my.toml"),
+    "config check": (
+        "Check a configuration file; misspelt keys and invalid values are refused.",
+        "config check my.toml",
+    ),
     "cache": (
-        "Show or clear what is kept to save time, in $HICKORY_CACHE or the user's caches: at most "
-        "$HICKORY_CACHE_MB megabytes (default 4000). Nothing is lost with it.",
+        "Show or clear cached kernels, shapes and recordings, which are computed again when needed. They lie in "
+        "$HICKORY_CACHE or the user's cache folder, at most $HICKORY_CACHE_MB megabytes (default 4000).",
         "cache show",
     ),
-    "cache show": ("Print where the caches lie and how much is in them, by kind.", "cache show --json"),
+    "cache show": ("Print the folder of the caches and their sizes by kind.", "cache show --json"),
     "cache clear": ("Remove all caches, or some kinds of them.", "cache clear kernels shapes"),
-    "schema": ("Print the JSON Schema of what --json prints.", "schema inspect"),
+    "schema": ("Print the JSON Schema of a --json output.", "schema inspect"),
     "verify": (
-        "Prove anew what a map says of itself: digest, journal, files, and layer 4 from the meshes.",
+        "Check the digest, journal and files of a map, and prove layer 4 from the meshes. Exit status 1: a check "
+        "failed.",
         "verify demo.map",
     ),
-    "demo": (
-        "Make a small recording of a synthetic room, map it and draw the map.",
-        "demo --out my-demo",
-    ),
+    "demo": ("Make a small recording of a synthetic room, map it and draw the map.", "demo --out my-demo"),
     "completion": (
-        "Print a script that completes commands, options and their values in a shell.",
+        "Print a script that completes commands, options and values in a shell.",
         "completion bash > ~/.local/share/bash-completion/completions/hickory-stream",
     ),
 }

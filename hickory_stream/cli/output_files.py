@@ -1,4 +1,4 @@
-"""Output files of commands: an existing file is replaced only with --overwrite, and each file written is named."""
+"""Output files: `--overwrite` permits replacing a file, and a command names each file that it wrote."""
 
 from __future__ import annotations
 
@@ -19,34 +19,36 @@ if TYPE_CHECKING:
 
 
 def add_output(command: argparse.ArgumentParser, *names: str, **options: Any) -> None:
-    """Add an option that names a file to write; with the first one of a command comes its `--overwrite`."""
+    """Add an option for an output file; the first one of a command adds `--overwrite` too."""
     dest = command.add_argument(*names, **options).dest
     known = command.get_default("outputs") or ()
     command.set_defaults(outputs=(*known, dest))
     if not any("--overwrite" in action.option_strings for action in command._actions):
-        command.add_argument("--overwrite", action="store_true", help="replace files that are there")
+        command.add_argument("--overwrite", action="store_true", help="replace existing files")
 
 
 def outputs_of(options: argparse.Namespace) -> list[Path]:
-    """Return the files that the options name to be written."""
+    """Return the output files of the options."""
     named = (getattr(options, dest) for dest in getattr(options, "outputs", ()))
     return [path for path in named if path is not None]
 
 
-def refuse_taken(paths: Iterable[Path], *, overwrite: bool) -> None:
-    """Refuse to write over files; pipes and devices are there to be written.
+def check_ending(path: Path | None, *endings: str) -> None:
+    """Raise `InputError` for an output file with another ending."""
+    if path is not None and path.suffix not in endings:
+        raise InputError(f"found -o {path}, expected a name that ends in {' or '.join(endings)}")
 
-    Raises:
-        InputError: one is there, and it was not asked to be replaced.
-    """
+
+def refuse_taken(paths: Iterable[Path], *, overwrite: bool) -> None:
+    """Raise `InputError` if a file exists and may not be replaced; pipes and devices may."""
     for path in paths:
         if path.is_file() and not overwrite:
-            raise InputError(f"{path} is there already; --overwrite replaces it, or choose another name")
+            raise InputError(f"{path} exists; replace it with --overwrite, or choose another name")
 
 
 @contextmanager
 def disk_refusals(path: Path, what: str) -> Iterator[None]:
-    """Turn an `OSError` within the block into an `InputError` that says what cannot be written where, and why."""
+    """Turn an `OSError` within the block into an `InputError` that names the file and the cause."""
     try:
         yield
     except OSError as error:
@@ -54,11 +56,7 @@ def disk_refusals(path: Path, what: str) -> Iterator[None]:
 
 
 def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write an (H, W, 3) picture, red first, as PNG.
-
-    Raises:
-        InputError: the disk refused.
-    """
+    """Write an (H, W, 3) RGB picture as PNG; raises `InputError` on a disk error."""
     import cv2
 
     from hickory_stream.base.atomic_files import write_output
@@ -68,11 +66,7 @@ def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
 
 
 def write_drawing(path: Path, drawing: Drawing) -> None:
-    """Write a drawing: as SVG where the name ends so, else as PNG.
-
-    Raises:
-        InputError: the disk refused.
-    """
+    """Write a drawing as SVG if the name ends in .svg, else as PNG; raises `InputError` on a disk error."""
     from hickory_stream.base.atomic_files import write_output
 
     if path.suffix.lower() != ".svg":
@@ -83,10 +77,7 @@ def write_drawing(path: Path, drawing: Drawing) -> None:
 
 
 def written_text(path: Path) -> str:
-    """Return what is said of a file that was written."""
+    """Return the line about a file that was written."""
     size = path.stat().st_size
-    return f"{path}: {size} bytes" if size < 1024 else f"{path}: {_large(size)}"
-
-
-def _large(size: int) -> str:
-    return f"{size / 1024:.1f} KiB" if size < 1024**2 else f"{size / 1024**2:.2f} MiB"
+    large = f"{size / 1024:.1f} KiB" if size < 1024**2 else f"{size / 1024**2:.2f} MiB"
+    return f"{path}: {size} bytes" if size < 1024 else f"{path}: {large}"

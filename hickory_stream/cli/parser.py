@@ -1,16 +1,14 @@
-"""The parser of the whole command line, put together from its commands."""
+"""The parser of the whole command line."""
 
 from __future__ import annotations
 
 import argparse
 import re
 from pathlib import Path
-from textwrap import fill
 from typing import Any, NoReturn
 
 from hickory_stream import __version__
-from hickory_stream.cli.commands import commands_of
-from hickory_stream.cli.examples import TEXTS
+from hickory_stream.cli.commands import Commands
 from hickory_stream.cli.logs import doctor, odometry, segment
 from hickory_stream.cli.maps import (
     align,
@@ -31,35 +29,9 @@ from hickory_stream.cli.runs import batch, demo, fleet, live, play, replay, resu
 from hickory_stream.cli.setup import cache, completion, config, generators, models, schema
 
 _COMMANDS = (
-    demo,
-    play,
-    live,
-    fleet,
-    batch,
-    resume,
-    replay,
-    doctor,
-    odometry,
-    inspect,
-    verify,
-    render,
-    export,
-    diff,
-    query,
-    plan,
-    align,
-    merge,
-    relocalise,
-    reconstruct,
-    explain,
-    evaluate,
-    segment,
-    models,
-    generators,
-    cache,
-    config,
-    schema,
-    completion,
+    *(demo, play, live, fleet, batch, resume, replay, doctor, odometry),
+    *(inspect, verify, render, export, diff, query, plan, align, merge, relocalise, reconstruct),
+    *(explain, evaluate, segment, models, generators, cache, config, schema, completion),
 )
 
 
@@ -74,21 +46,20 @@ _MOVED = {
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that takes `-1,2` for a value, as it does `-1`: no option begins with a digit."""
-
+    # Takes `-1,2` for a value, as argparse takes `-1`: no option begins with a digit.
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._negative_number_matcher = re.compile(r"-(\.?\d|inf|nan)")
 
     def error(self, message: str) -> NoReturn:
-        """Exit; what an earlier release called otherwise is answered by its name of today."""
+        # A name of an earlier release is answered by its present name.
         words = message.partition("(choose")[0].replace("'", " ").split()
         moved = next((word for word in words if word in _MOVED), None)
         super().error(message if moved is None else f"found {moved}, which is now {_MOVED[moved]}")
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return the parser; the namespace it makes holds `run`, the function of the chosen command, and the `parser`."""
+    """Return the parser; its namespace holds `run`, the function of the chosen command, and the `parser`."""
     parser = _Parser(
         prog="hickory-stream",
         description="Streaming object mapper: posed RGB-D in, a map of objects with four layers out.",
@@ -96,25 +67,18 @@ def make_parser() -> argparse.ArgumentParser:
     parser.set_defaults(parser=parser)
     parser.add_argument("--version", action="version", version=f"hickory-stream {__version__}")
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--json", action="store_true", help="print JSON for machines")
+    common.add_argument("--json", action="store_true", help="print JSON")
     common.add_argument(
         "--debug",
         action="store_true",
-        help="log more, check the map's state after every event, show the trace of an internal failure",
+        help="log more, check the map after every event, and show the trace of an internal failure",
     )
     configured = argparse.ArgumentParser(add_help=False)
     configured.add_argument("--config", type=Path, metavar="TOML", help="configuration file; see `config dump`")
     configured.add_argument(
         "--set", action="append", metavar="SECTION.KEY=VALUE", help="override one value; repeatable"
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = Commands(parser, common, configured)
     for command in _COMMANDS:
-        command.add(commands, common, configured)
-    for path, command_parser in commands_of(parser):
-        text = TEXTS.get(" ".join(path))
-        if text is not None:
-            command_parser.description = fill(text[0])
-            command_parser.epilog = f"example:\n  hickory-stream {text[1]}"
-            # An example is one line, to be copied.
-            command_parser.formatter_class = argparse.RawDescriptionHelpFormatter
+        command.add(commands)
     return parser

@@ -1,4 +1,4 @@
-"""What may be said on the command line about a log: shared by `play` and `doctor`."""
+"""Options of a log, shared by `play` and `doctor`."""
 
 from __future__ import annotations
 
@@ -16,35 +16,33 @@ if TYPE_CHECKING:
 
 def add_source_options(command: argparse.ArgumentParser) -> None:
     """Add the options to a command."""
-    topics = command.add_argument_group("what a log does not say itself; all is discovered if not named")
+    topics = command.add_argument_group("options of a log; missing ones are discovered")
     for role in ("color", "depth", "color-info", "depth-info", "pose"):
-        told = "none: play the log as if it had no poses" if role == "pose" else None
-        topics.add_argument(f"--{role}-topic", metavar="TOPIC", help=told)
-    topics.add_argument("--pose-frame", metavar="FRAME", help="the frame whose pose the pose topic gives")
+        text = "none: ignore the poses of the log" if role == "pose" else None
+        topics.add_argument(f"--{role}-topic", metavar="TOPIC", help=text)
+    topics.add_argument("--pose-frame", metavar="FRAME", help="frame of the poses in the pose topic")
     topics.add_argument("--poses", type=Path, metavar="FILE", help="poses from a TUM or CSV file instead of a topic")
     topics.add_argument("--sync-tolerance", type=float, metavar="MS", help="between colour and depth (half a period)")
     topics.add_argument("--max-pose-gap", type=float, metavar="MS", help="between poses that are interpolated")
-    topics.add_argument("--profile", metavar="NAME", help="the kind of log: a name, a TOML file, or none")
-    topics.add_argument(
-        "--robot", action="append", metavar="NAME", help="the robot whose topics are played, for profiles with robots"
-    )
+    topics.add_argument("--profile", metavar="NAME", help="kind of log: a name, a TOML file, or none")
+    topics.add_argument("--robot", action="append", metavar="NAME", help="robot of a profile with several robots")
     topics.add_argument(
         "--odometry",
         choices=("auto", "topic", "lidar", "depth", "small_gicp", "kiss-icp"),
         default="auto",
-        help="where poses come from: the pose topic, else estimated from LiDAR, else from depth (auto); or by a method",
+        help="source of poses: the pose topic, else LiDAR, else depth (auto), or a method",
     )
     topics.add_argument(
         "--extrinsics",
         choices=("log", "estimate"),
         default="log",
-        help="the camera's pose on the body: from TF or the profile (log), or estimated from the motion of both",
+        help="the camera's pose on the body: from TF or the profile (log), or estimated from motion",
     )
-    topics.add_argument("--clock", choices=("auto", "header", "log"), default="auto", help="which stamps count")
+    topics.add_argument("--clock", choices=("auto", "header", "log"), default="auto", help="source of the stamps")
 
 
 def source_options(options: argparse.Namespace) -> SourceOptions:
-    """Return what was said; raises `InputError` for values that cannot be."""
+    """Return the options of a log; raises `InputError` for invalid values."""
     from players import SourceOptions
 
     gap_ms = options.max_pose_gap

@@ -1,1 +1,1 @@
-"""How good a map is: scores against truth, tables and pictures."""
+"""Scores of a map against truth, tables and pictures."""

@@ -1,9 +1,4 @@
-"""A map against truth: detection, surfaces, containment, poses and masks, each as `evaluate --explain` defines it.
-
-Mask purity: the share of a kept view's mask that shows one true object.
-
-The visible samples of true surfaces: which of them a log shows, from the truth folder alone.
-"""
+"""A map against truth: detection, surfaces, containment, poses and masks; `evaluate --explain` defines each figure."""
 
 from __future__ import annotations
 
@@ -42,8 +37,8 @@ if TYPE_CHECKING:
 def purity(mask: NDArray[np.bool_], box_px: tuple[int, int, int, int], instances: NDArray[np.uint16]) -> float | None:
     """Return the share of a mask's pixels that show its most frequent true instance; the background counts as one.
 
-    `mask` is cut out along its bounds `box_px` (x0, y0, x1, y1) in the (H, W) image. None if it is empty, or if the
-    bounds are not those of the mask or exceed the image.
+    `mask` is cut out along its bounds `box_px` (x0, y0, x1, y1) in the (H, W) image. None if the mask is empty or the
+    bounds do not fit.
     """
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     x0, y0, x1, y1 = box_px
@@ -65,13 +60,10 @@ _OFF_SURFACE_M = 0.003
 def seen_samples(
     truth: Truth, surfaces: Mapping[int, TrueSurface], structure: Sequence[Mesh]
 ) -> dict[int, NDArray[np.bool_]]:
-    """Return for every true object which of its samples some frame shows.
+    """Return which samples of each true object are visible in any of at most 120 evenly spread frames.
 
-    At most 120 frames, evenly spread over the log, are examined. A sample is seen in a frame if its pixel shows its
-    object, its distance is 0.3 to 8 m, and nothing lies between it and the camera.
-
-    Raises:
-        RecordingError: an instance image is missing or torn.
+    Visible: the pixel shows the object at 0.3 to 8 m, and nothing occludes the sample. Raises `RecordingError` for a
+    missing or damaged instance image.
     """
     solids = [surface.mesh for surface in surfaces.values()] + list(structure)
     scene = Scene([Surface(vertices=m.vertices, faces=m.faces, colors=m.colors, owner=0) for m in solids])
@@ -120,35 +112,35 @@ _LOOSE_ADD_S, _STRICT_ADD_S = 0.1, 0.05
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectEvaluation:
-    """What became of one true object that counts.
+    """Scores of one true object that counts.
 
-    `map_id` is its match at IoU 0.25, `strict_map_id` that at 0.5, and `track_ids` all objects that lie mostly on it.
-    The surface figures compare layer 2 of the match; without a layer 2, F1 is 0 and ADD-S None. `contained` is the
-    share of the object's `num_seen` visible samples that lie inside layer 4 of the match, None without a layer 4.
+    Surface figures compare layer 2 of the match; without a layer 2, F1 is 0 and ADD-S None.
     """
 
     truth_id: int
     kind: str
     diameter_m: float
     seen_fraction: float
+    #: match at IoU 0.25; `strict_map_id` at 0.5
     map_id: int | None
     iou: float
     strict_map_id: int | None
+    #: all objects that lie mostly on it
     track_ids: tuple[int, ...]
     f1_1cm: float
     f1_5pct: float
     add_s_m: float | None
+    #: share of its `num_seen` visible samples inside layer 4 of the match, None without a layer 4
     contained: float | None
     num_seen: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Evaluation:
-    """Scores of a map; plain means are over all true objects that count, `matched_*` only over those that have a match.
+    """Scores of a map; plain means are over all true objects that count, `matched_*` over those with a match.
 
-    `containment` is over all visible samples of objects with layer 4, None if there are none; `poses` and `mask_purity`
-    are None if the map keeps no views. `placement` is the transform by which the truth was moved into the map's world,
-    if the log's odometry has an origin of its own.
+    `containment` is over visible samples of objects with layer 4; `poses` and `mask_purity` need kept views.
+    `placement` moves the truth into the map's world if the log's odometry has its own origin.
     """
 
     num_truth: int
@@ -174,11 +166,9 @@ class Evaluation:
 
 
 def evaluate(saved: SavedMap, truth: Truth) -> Evaluation:
-    """Return how a map compares with truth.
+    """Return the scores of a map against truth.
 
-    Raises:
-        RecordingError: the truth is not of this map's log, or a file of it is missing or damaged.
-        MapFolderError: a mesh or a view of the map cannot be read.
+    Raises `RecordingError` for the truth of another log or a damaged file, `MapFolderError` for a mesh or a view.
     """
     placed = placed_truth(saved, truth)
     truth = placed.truth

@@ -1,4 +1,4 @@
-"""What every figure of `evaluate` means, in words, and a result as text."""
+"""Definitions of the figures of `evaluate`, and a result as text."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ false        Where an object comes from that has no match, and is not of ignored
 
 
 def as_json(evaluation: Evaluation) -> dict[str, Any]:
-    """Return an evaluation for machines."""
+    """Return an evaluation as JSON data."""
     return dataclasses.asdict(evaluation)
 
 
@@ -99,8 +99,8 @@ def figures(evaluation: Evaluation) -> list[tuple[str, str]]:
     ]
     if e.placement is not None:
         p = e.placement
-        told = f"by {p.distance_m:.2f} m and {p.turned_deg:.1f} deg, from {p.num_poses} poses"
-        rows.append(("truth was moved", f"{told} (median rest {p.rest_m:.3f} m, {p.rest_deg:.2f} deg)"))
+        text = f"by {p.distance_m:.2f} m and {p.turned_deg:.1f} deg, from {p.num_poses} poses"
+        rows.append(("truth was moved", f"{text} (median rest {p.rest_m:.3f} m, {p.rest_deg:.2f} deg)"))
     if e.poses is not None:
         rows.append(("ATE placed / aligned", f"{e.poses.ate_m:.4f} m / {e.poses.ate_aligned_m:.4f} m"))
     if e.mask_purity is not None:
@@ -114,22 +114,22 @@ def worst_first(evaluation: Evaluation) -> list[ObjectEvaluation]:
 
 
 def verdict(row: ObjectEvaluation) -> str:
-    """Return in a phrase what became of a true object."""
-    told = []
+    """Return the outcome of a true object in a phrase."""
+    parts = []
     if row.map_id is None:
-        told.append("missed" if not row.track_ids else "found, but its box is off")
+        parts.append("missed" if not row.track_ids else "found, but its box is off")
     elif row.add_s_m is None:
-        told.append("found, without a shape")
+        parts.append("found, without a shape")
     elif row.f1_5pct < 0.7:
-        told.append("poor shape")
+        parts.append("poor shape")
     elif row.f1_5pct < 0.9:
-        told.append("fair shape")
+        parts.append("fair shape")
     else:
-        told.append("good")
+        parts.append("good")
     if row.map_id is not None and row.map_id not in row.track_ids:
-        told.append("its match lies mostly on something else")
+        parts.append("its match lies mostly on something else")
     if len(row.track_ids) > 1:
-        told.append(f"in {len(row.track_ids)} pieces")
+        parts.append(f"in {len(row.track_ids)} pieces")
     if row.contained is not None and row.contained < 0.999:
-        told.append(f"{1 - row.contained:.2%} sticks out of layer 4")
-    return "; ".join(told)
+        parts.append(f"{1 - row.contained:.2%} sticks out of layer 4")
+    return "; ".join(parts)

@@ -1,7 +1,6 @@
-"""The exposed surface of an object: what can be seen of it from outside.
+"""Samples of the surface of an object that is visible from outside.
 
-The parts of a true object may overlap. Surface of one part inside another (where a leg enters its table top) is not on
-the surface of their union, and is left out.
+Parts of a true object may overlap; surface of one part inside another is left out.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _DIRECTIONS = 48
-# So many of them are tried before those that are left.
+# Directions to try before the remaining ones.
 _AT_ONCE = (2, 6, 16)
 
 

@@ -14,11 +14,7 @@ if TYPE_CHECKING:
     from hickory_stream.evaluation.miss_reasons import Evidence
 
 FalseOrigin = Literal[
-    "a piece of an object",
-    "an object whose box is off",
-    "several things in one",
-    "structure",
-    "nothing there",
+    "a piece of an object", "an object whose box is off", "several things in one", "structure", "nothing there"
 ]
 
 FALSE_ORIGINS: dict[FalseOrigin, str] = {
@@ -34,7 +30,7 @@ _HALF = 0.5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FalseObject:
-    """A mapped object that counts as false; `truth_ids` are the true objects that the text mentions."""
+    """A mapped object that counts as false; `truth_ids` are the true objects in the text."""
 
     map_id: int
     origin: FalseOrigin
@@ -45,13 +41,9 @@ class FalseObject:
 def origin_of(
     map_id: int, owner: int | None, tracks_of: Mapping[int, tuple[int, ...]], evidence: Evidence
 ) -> FalseObject:
-    """Return where an object comes from.
+    """Return the origin of a false object.
 
-    Args:
-        map_id: the object.
-        owner: the true object that most of its points lie on, None where there is none.
-        tracks_of: the objects that lie mostly on each true object.
-        evidence: what the run saw, and where its objects lie.
+    `owner` is the true object under most of its points; `tracks_of` are the objects mostly on each true object.
     """
     lies_on = evidence.overlap.lies_on[map_id]
     of = lies_on_text(lies_on, evidence.names)
@@ -88,9 +80,9 @@ def history_text(map_id: int, evidence: Evidence) -> str:
     first = "at the end" if history.born.frame is None else f"in frame {history.born.frame}"
     with_merged = f", with #{', #'.join(map(str, merged))} merged into it" if merged else ""
     masks = f"masks in {len(history.frames)} keyframe{'' if len(history.frames) == 1 else 's'}"
-    told = f"made {first} ({history.born.text.partition(': ')[0]}) of {masks}{with_merged}"
+    text = f"made {first} ({history.born.text.partition(': ')[0]}) of {masks}{with_merged}"
     shown = shown_text(map_id, evidence)
-    return f"{told}; {shown}" if shown else told
+    return f"{text}; {shown}" if shown else text
 
 
 def shown_text(map_id: int, evidence: Evidence) -> str:
@@ -105,5 +97,5 @@ def shown_text(map_id: int, evidence: Evidence) -> str:
         return ""
     names = {i: "no object" if i is None else evidence.names[i] for i in counts}
     ordered = sorted(counts.items(), key=lambda kv: (-kv[1], names[kv[0]]))
-    told = ", ".join(f"{px / total:.0%} {names[i]}" for i, px in ordered if px >= 0.05 * total)
-    return f"its masks show {told}"
+    text = ", ".join(f"{px / total:.0%} {names[i]}" for i, px in ordered if px >= 0.05 * total)
+    return f"its masks show {text}"

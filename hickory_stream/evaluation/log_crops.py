@@ -1,4 +1,4 @@
-"""Pictures of true objects from the log: cut out of the images of keyframes that a map's journal keeps."""
+"""Pictures of true objects, cut out of the keyframe images in a map's journal."""
 
 from __future__ import annotations
 
@@ -25,18 +25,10 @@ _LEAST_MARGIN_PX = 12
 
 
 def pictures_of(path: Path, truth: Truth, frames: Mapping[int, int]) -> dict[int, NDArray[np.uint8]]:
-    """Return a picture (h, w, 3) of each true object, cut out of a keyframe, with everything but the object dimmed.
+    """Return a picture (h, w, 3) of each true object, dimmed outside the object, from the keyframe in `frames`.
 
-    Objects whose keyframe has no image in the journal, or does not show them, are left out.
-
-    Args:
-        path: the map folder.
-        truth: with the images of what each pixel shows.
-        frames: for each true object, the frame index of the keyframe to cut it out of.
-
-    Raises:
-        MapFolderError: there is no journal, or it is damaged or of another version.
-        RecordingError: an image of the truth cannot be read.
+    Objects whose keyframe has no image in the journal, or does not show them, are left out. Raises `MapFolderError` for
+    the journal, `RecordingError` for an image of the truth.
     """
     stamps = np.array([frame.stamp_ns for frame in truth.frames], dtype=np.int64)
     pictures: dict[int, NDArray[np.uint8]] = {}
@@ -61,7 +53,6 @@ def _keyframe_steps(journal: Journal) -> list[tuple[int, Step]]:
 
 
 def _cut_out(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the square around a mask with a margin, clipped to the image, with the pixels outside the mask dimmed."""
     rows, columns = np.nonzero(mask)
     height, width = mask.shape
     half = int(max(np.ptp(rows), np.ptp(columns)) / 2 * (1 + _MARGIN)) + _LEAST_MARGIN_PX

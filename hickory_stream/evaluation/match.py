@@ -1,8 +1,7 @@
 """Matching of mapped objects with true ones, and recall and precision from it.
 
-An object's box is the gravity-aligned box of its layer 2 (of layer 1 if it has none), a true object's that of its mesh.
-A true object counts if at least 30 % of its surface was seen. A true object of which less was seen is ignored: it is
-not counted as missed, and objects mapped on it are not counted as false. Tentative tracks are not counted as objects.
+An object's box is the gravity-aligned box of layer 2 (else layer 1). A true object counts if at least 30 % of its
+surface was seen; others, and objects mapped on them, are ignored. Tentative tracks are not counted.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ _SLACK_M = 1e-4
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BoxMatch:
-    """A pair of boxes, by their indices in the two lists."""
+    """A pair of boxes by their indices."""
 
     truth_index: int
     map_index: int
@@ -50,30 +49,26 @@ class BoxMatch:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TruthScore:
-    """What became of one true object.
-
-    `map_id` and `iou` of its match at IoU 0.25, None and 0 where it has none; `strict_map_id` of that at 0.5;
-    `track_ids` are all objects that lie mostly on it; `counts` is False where too little of it was seen.
-    """
+    """Outcome of one true object; `counts` is False if too little of it was seen."""
 
     truth_id: int
     kind: str
     seen_fraction: float
     counts: bool
+    #: match at IoU 0.25; `iou` is 0 without one
     map_id: int | None
     iou: float
+    #: match at IoU 0.5
     strict_map_id: int | None
+    #: all objects that lie mostly on it
     track_ids: tuple[int, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Score:
-    """How a map compares with truth.
+    """Comparison of a map with truth.
 
-    Recall is the matched share of the `num_truth` true objects that count, precision the matched share of the
-    `num_objects` mapped objects, without those on ignored truth. `tracks_per_object` is the mean number of mapped
-    objects on a true object that has any. `stray_ids` are the objects that lie on no true object, `ignored_ids` those
-    that lie on ignored truth; unless matched, the latter count neither for nor against precision.
+    Recall is the matched share of the `num_truth` true objects that count, precision of the `num_objects`.
     """
 
     num_truth: int
@@ -82,21 +77,24 @@ class Score:
     recall_50: float
     precision_25: float
     precision_50: float
+    #: mean number of mapped objects on a true object that has any
     tracks_per_object: float
     truth: tuple[TruthScore, ...]
+    #: objects on no true object
     stray_ids: tuple[int, ...]
+    #: objects on ignored truth; unless matched, they do not change precision
     ignored_ids: tuple[int, ...]
 
 
 def match_boxes(
     truth_boxes: Sequence[OrientedBox], map_boxes: Sequence[OrientedBox], min_iou: float = LOOSE_IOU
 ) -> tuple[BoxMatch, ...]:
-    """Return one-to-one pairs, each of at least `min_iou`, whose IoUs have the largest sum, in the order of truth."""
+    """Return one-to-one pairs of IoU `min_iou` or more with the largest sum, in the order of truth."""
     return _matches(box_ious(truth_boxes, map_boxes), min_iou)
 
 
 def box_ious(truth_boxes: Sequence[OrientedBox], map_boxes: Sequence[OrientedBox]) -> NDArray[np.float64]:
-    """Return the (N, M) IoUs of boxes; only those are computed whose bounds meet: of a building's, hardly any do."""
+    """Return the (N, M) IoUs of boxes; computed where their bounds meet, which is rare in a building."""
     ious = np.zeros((len(truth_boxes), len(map_boxes)))
     if ious.size == 0:
         return ious
@@ -125,11 +123,7 @@ def _matches(ious: NDArray[np.float64], min_iou: float) -> tuple[BoxMatch, ...]:
 
 
 class TrueSurfaces:
-    """The meshes of a truth, read once to score many maps of the same log.
-
-    Raises:
-        RecordingError: the truth has no object that counts, or a mesh of it cannot be read.
-    """
+    """The meshes of a truth, read once to score many maps of one log; raises `RecordingError`."""
 
     def __init__(self, truth: Truth) -> None:
         if not any(item.seen_fraction >= MIN_SEEN for item in truth.objects):
@@ -140,7 +134,7 @@ class TrueSurfaces:
         self._scene = Scene(list(surfaces.values()))
 
     def score(self, snapshot: MapSnapshot, meshes: Mapping[int, Mesh]) -> Score:
-        """Return how a map compares with truth; `meshes` holds layer 2 by object id, in the object frames."""
+        """Return the score of a map; `meshes` holds layer 2 by object id, in the object frames."""
         counting = [item for item in self._objects if item.seen_fraction >= MIN_SEEN]
         ignored = [item for item in self._objects if item.seen_fraction < MIN_SEEN]
         objects = [tracked for tracked in snapshot.objects if tracked.phase != Phase.TENTATIVE]
@@ -174,25 +168,17 @@ class TrueSurfaces:
 
 
 def score_map(snapshot: MapSnapshot, meshes: Mapping[int, Mesh], truth: Truth) -> Score:
-    """Return how a map compares with truth; `meshes` holds layer 2 by object id, in the object frames.
-
-    Raises:
-        RecordingError: the truth has no object that counts, or a mesh of it cannot be read.
-    """
+    """Return the score of a map; `meshes` holds layer 2 by object id, in the object frames. Raises `RecordingError`."""
     return TrueSurfaces(truth).score(snapshot, meshes)
 
 
 def meshes_of(saved: SavedMap) -> dict[int, Mesh]:
-    """Return layer 2 of a saved map by object id.
-
-    Raises:
-        MapFolderError: a mesh cannot be read.
-    """
+    """Return layer 2 of a saved map by object id; raises `MapFolderError` when a mesh cannot be read."""
     return {tracked.id: saved.mesh(tracked.shape) for tracked in saved.snapshot.objects if tracked.shape}
 
 
 def best_box(tracked: TrackedObject, meshes: Mapping[int, Mesh]) -> OrientedBox:
-    """Return the gravity-aligned box of layer 2 of an object, that of layer 1 where it has none."""
+    """Return the gravity-aligned box of layer 2, else of layer 1."""
     if tracked.shape is None or tracked.id not in meshes:
         return tracked.box
     vertices = apply(tracked.shape.world_from_object, meshes[tracked.id].vertices)
@@ -200,14 +186,13 @@ def best_box(tracked: TrackedObject, meshes: Mapping[int, Mesh]) -> OrientedBox:
 
 
 def surface_of(truth: Truth, item: TruthObject) -> Surface:
-    """Return the mesh of a true object in the world; raises `RecordingError` where it cannot be read."""
+    """Return the mesh of a true object in the world; raises `RecordingError` if it cannot be read."""
     mesh = mesh_of(truth, item)
     vertices = apply(item.world_from_object, mesh.vertices)
     return Surface(vertices=vertices, faces=mesh.faces, colors=mesh.colors, owner=item.id)
 
 
 def _owners(objects: Sequence[TrackedObject], true_scene: Scene) -> list[int | None]:
-    """Return for each object the true object on whose surface more than half of its points lie, if there is one."""
     return [_owner(tracked.points_world, true_scene) for tracked in objects]
 
 
@@ -240,7 +225,6 @@ def _truth_score(
 
 
 def _precision(matches: Sequence[BoxMatch], num_objects: int, aside: set[int]) -> float:
-    """Return the matched share of the objects; an object on ignored truth is counted only if it is matched."""
     matched = {match.map_index for match in matches}
     counted = num_objects - len(aside - matched)
     return len(matched) / counted if counted else 0.0

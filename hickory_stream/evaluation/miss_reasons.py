@@ -1,8 +1,7 @@
-"""The reason why a true object is missed: one of a closed list, with the counts that support it.
+"""The reason why a true object is missed: the first that holds of a closed list, with supporting counts.
 
-The reasons are tried in order, and the first that holds is given: the map has it in pieces, or as one object with a
-wrong box; it was too small in every keyframe; another object absorbed it; else the label that most keyframes gave it,
-or the way in which its own tracks ended.
+In order: in pieces, or a wrong box; too small in every keyframe; absorbed by another object; the label of most
+keyframes, or the end of its own tracks.
 """
 
 from __future__ import annotations
@@ -86,9 +85,9 @@ _EXTENT_SLACK_M, _EXTENT_SLACK = 0.03, 0.1
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Missed:
-    """A true object without a match; `map_ids` are the mapped objects that the text mentions.
+    """A true object without a match; `map_ids` are the mapped objects in the text.
 
-    `best_frame` is the frame index of the keyframe that shows most pixels of it, None if no keyframe shows it.
+    `best_frame` is the frame of the keyframe with most pixels of it, None if no keyframe shows it.
     """
 
     truth_id: int
@@ -101,7 +100,7 @@ class Missed:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """The input to all reasons; `names` are those of true objects, `boxes` those of the map's objects.
+    """Input to all reasons; `names` are of true objects, `boxes` of the map's objects.
 
     A track is confirmed when the evidence of its sightings (weighted by `existence`) adds up to `confirm`.
     """
@@ -128,7 +127,7 @@ class Evidence:
 
 
 def state_of(sighting: Sighting) -> State:
-    """Return what a keyframe took a thing for."""
+    """Return the label of an object in a keyframe."""
     masks = [part for part in sighting.parts if part.where == "mask"]
     if sum(part.share for part in masks) >= _HALF:
         if masks[0].share >= _HALF:
@@ -148,7 +147,7 @@ def state_of(sighting: Sighting) -> State:
 
 
 def why_missed(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> Missed:
-    """Return why a true object is missed; `track_ids` are the objects that lie mostly on it."""
+    """Return why a true object is missed; `track_ids` are the objects mostly on it."""
     seen = evidence.sightings.of_object[truth_id]
     if not seen:
         text = f"none of {evidence.sightings.num_keyframes} keyframes shows it"
@@ -157,28 +156,28 @@ def why_missed(truth_id: int, track_ids: Sequence[int], evidence: Evidence) -> M
         return _has_objects(truth_id, track_ids, evidence)
     smallest = evidence.sightings.smallest_mask_px
     large = [sighting for sighting in seen if sighting.num_px >= smallest]
-    told = tally_text(Counter(state_of(sighting) for sighting in seen), len(seen))
+    message = tally_text(Counter(state_of(sighting) for sighting in seen), len(seen))
     covered = evidence.overlap.covered(truth_id)
     swallower = min(covered, key=lambda i: (-covered[i], i), default=None)
     if swallower is not None and covered[swallower] >= _SWALLOWED:
-        return _swallowed(truth_id, swallower, told, evidence)
+        return _swallowed(truth_id, swallower, message, evidence)
     needed = evidence.fewest_sightings
     if len(large) < needed:
         if len(seen) < needed:
-            text = f"{told}; {evidence.what_confirms}"
+            text = f"{message}; {evidence.what_confirms}"
             return _missed(truth_id, "too few sightings", text, (), evidence)
         most = max(sighting.num_px for sighting in seen)
         often = f"it has that in {len(large)} of {len(seen)} keyframes, at most {most}"
         text = f"98 % of the masks have {smallest:.0f} pixels and more, {often}"
-        return _missed(truth_id, "too small in the image", f"{text}; {told}", (), evidence)
+        return _missed(truth_id, "too small in the image", f"{text}; {message}", (), evidence)
     states = [state_of(sighting) for sighting in large]
     tally = Counter(states)
     common = max(tally, key=lambda state: tally[state])
     if common == "in a mask of its own":
-        return _lost_track(truth_id, large, states, told, evidence)
+        return _lost_track(truth_id, large, states, message, evidence)
     reason = _REASON_OF[common]
     shown = [sighting for sighting, state in zip(large, states, strict=True) if state == common]
-    return _missed(truth_id, reason, f"{told}; {_detail(common, shown, evidence)}", (), evidence)
+    return _missed(truth_id, reason, f"{message}; {_detail(common, shown, evidence)}", (), evidence)
 
 
 def tally_text(tally: Counter[State], count: int) -> str:
@@ -202,16 +201,16 @@ def extents_text(true: OrientedBox, found: OrientedBox) -> str:
         shift = float(low[axis] + high[axis]) / 2
         if abs(shift) > slack:
             off.append(f"{abs(shift):.2f} m in {name}")
-    told = [*differing, *([f"its middle is off by {', '.join(off)}"] if off else [])]
-    return "; ".join(told) or "no extent by more than a tenth: it is turned, or thin"
+    parts = [*differing, *([f"its middle is off by {', '.join(off)}"] if off else [])]
+    return "; ".join(parts) or "no extent by more than a tenth: it is turned, or thin"
 
 
 def lies_on_text(lies_on: LiesOn, names: Mapping[int, str]) -> str:
     """Return which true surfaces the points of an object lie on, the largest shares first."""
     shares = [(share, names.get(i, str(i))) for i, share in lies_on.things.items()]
     shares += [(lies_on.structure, "structure"), (lies_on.nothing, "nothing that the truth has")]
-    told = [f"{share:.0%} {name}" for share, name in sorted(shares, key=lambda p: (-p[0], p[1])) if share >= 0.05]
-    return ", ".join(told)
+    parts = [f"{share:.0%} {name}" for share, name in sorted(shares, key=lambda p: (-p[0], p[1])) if share >= 0.05]
+    return ", ".join(parts)
 
 
 def _is_own(part: Part) -> bool:
@@ -235,8 +234,8 @@ def _has_objects(truth_id: int, track_ids: Sequence[int], evidence: Evidence) ->
     true = evidence.overlap.true_boxes[truth_id]
     covered = evidence.overlap.covered(truth_id)
     if len(track_ids) > 1:
-        told = ", ".join(f"#{i} has {covered.get(i, 0.0):.0%} of what was seen" for i in track_ids)
-        return _missed(truth_id, "in pieces", told, track_ids, evidence)
+        message = ", ".join(f"#{i} has {covered.get(i, 0.0):.0%} of what was seen" for i in track_ids)
+        return _missed(truth_id, "in pieces", message, track_ids, evidence)
     found = evidence.boxes[track_ids[0]]
     iou = box_iou(true, found)
     of = lies_on_text(evidence.overlap.lies_on[track_ids[0]], evidence.names)
@@ -244,11 +243,11 @@ def _has_objects(truth_id: int, track_ids: Sequence[int], evidence: Evidence) ->
     return _missed(truth_id, "box is off", text, track_ids, evidence)
 
 
-def _swallowed(truth_id: int, map_id: int, told: str, evidence: Evidence) -> Missed:
+def _swallowed(truth_id: int, map_id: int, details: str, evidence: Evidence) -> Missed:
     tally = Counter(state_of(sighting) for sighting in evidence.sightings.of_object[truth_id])
     of = lies_on_text(evidence.overlap.lies_on[map_id], evidence.names)
     share = evidence.overlap.covered(truth_id)[map_id]
-    text = f"{share:.0%} of what was seen of it is in #{map_id}, which is {of}; {told}"
+    text = f"{share:.0%} of what was seen of it is in #{map_id}, which is {of}; {details}"
     joined, own = tally["in one mask with another"], tally["in a mask of its own"]
     reason: MissReason = "merged with another" if own > joined else "one mask with another"
     if own > joined:
@@ -260,16 +259,15 @@ def _swallowed(truth_id: int, map_id: int, told: str, evidence: Evidence) -> Mis
 
 def _merge_text(gone: Sequence[int], map_id: int, evidence: Evidence) -> str:
     histories = evidence.sightings.histories.by_id
-    told = []
+    parts = []
     for track_id in gone[:3]:
         ending = histories[track_id].ending
         if ending is not None:
-            told.append(f"its track #{track_id} was merged {when(ending.frame)}: {ending.text}")
-    return "; ".join(told) or f"its masks went to #{map_id} as they were"
+            parts.append(f"its track #{track_id} was merged {when(ending.frame)}: {ending.text}")
+    return "; ".join(parts) or f"its masks went to #{map_id} as they were"
 
 
 def _own_tracks(truth_id: int, evidence: Evidence) -> Counter[int]:
-    """Return the number of masks that each track got of this object alone, the most first."""
     tracks: Counter[int] = Counter()
     for sighting in evidence.sightings.of_object[truth_id]:
         if state_of(sighting) == "in a mask of its own":
@@ -280,9 +278,8 @@ def _own_tracks(truth_id: int, evidence: Evidence) -> Counter[int]:
 
 
 def _lost_track(
-    truth_id: int, large: Sequence[Sighting], states: Sequence[State], told: str, evidence: Evidence
+    truth_id: int, large: Sequence[Sighting], states: Sequence[State], details: str, evidence: Evidence
 ) -> Missed:
-    """Return why an object that mostly had masks of its own is missed: the ends of their tracks."""
     tracks, histories = _own_tracks(truth_id, evidence), evidence.sightings.histories
     own = sum(tracks.values())
     ends: Counter[MissReason] = Counter()
@@ -296,7 +293,7 @@ def _lost_track(
     more = f" and {len(tracks) - 3} more tracks" if len(tracks) > 3 else ""
     needed = f"; {evidence.what_confirms}" if reason == "too few sightings" else ""
     kept = tuple(sorted({i for track_id in tracks if (i := histories.final(track_id)) is not None}))
-    return _missed(truth_id, reason, f"{told}; {where}{more}{needed}", kept, evidence)
+    return _missed(truth_id, reason, f"{details}; {where}{more}{needed}", kept, evidence)
 
 
 def _reason_of_end(ending: Ending | None) -> MissReason:
@@ -311,7 +308,6 @@ def _reason_of_end(ending: Ending | None) -> MissReason:
 
 
 def _detail(state: State, shown: Sequence[Sighting], evidence: Evidence) -> str:
-    """Return the details of the keyframes that gave an object the same label."""
     if state == "taken for structure":
         share = np.mean([sighting.share("structure") for sighting in shown])
         return f"there {share:.0%} of its pixels are taken for floor, wall or ceiling"

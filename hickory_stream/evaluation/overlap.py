@@ -44,13 +44,9 @@ class LiesOn:
 
 
 class Overlap:
-    """The overlap of a map's objects (without tentative ones) with the true objects of the same world.
+    """Overlap of confirmed mapped objects with true objects: `lies_on` by object, `true_boxes` by true object.
 
-    `lies_on` by object, `true_boxes` by true object.
-
-    Raises:
-        RecordingError: a mesh of the truth cannot be read.
-        InputError: Open3D is not installed.
+    Raises `RecordingError` for a mesh of the truth, `InputError` without Open3D.
     """
 
     def __init__(self, snapshot: MapSnapshot, truth: Truth) -> None:
@@ -64,10 +60,9 @@ class Overlap:
         self.true_boxes = {i: gravity_aligned_box(m.vertices, _MIN_HALF_EXTENT_M) for i, m in self._meshes.items()}
 
     def covered(self, truth_id: int) -> dict[int, float]:
-        """Return, for each mapped object that covers any, the share it covers of the visible surface of a true object.
+        """Return the share of a true object's visible surface that each mapped object covers, if any.
 
-        Covered is the true surface within 3 cm of those points of the mapped object that are nearer to it than to any
-        other true surface; the share is relative to the surface that the log shows.
+        Covered: within 3 cm of points of the mapped object that are nearest to this true surface.
         """
         known = self._covered.get(truth_id)
         if known is None:

@@ -1,7 +1,4 @@
-"""The HTML page of an evaluation: every true object beside its match, worst first, in one file without network access.
-
-It begins with counts of the reasons for missed objects and of the origins of false ones, and gives each below.
-"""
+"""HTML page of an evaluation: every true object beside its match, worst first, in one file."""
 
 from __future__ import annotations
 
@@ -67,12 +64,7 @@ figure { margin: 0; } figure img { width: 172px; height: 172px; object-fit: cont
 
 
 def write_page(path: Path, saved: SavedMap, truth: Truth, evaluation: Evaluation) -> None:
-    """Write the page.
-
-    Raises:
-        MapFolderError: a view or a mesh of the map cannot be read, or the page cannot be written.
-        RecordingError: a true mesh cannot be read.
-    """
+    """Write the page; raises `MapFolderError` or `RecordingError` for a file that cannot be read or written."""
     by_id = {tracked.id: tracked for tracked in saved.snapshot.objects}
     meshes = meshes_of(saved)
     why = reasons_of(saved, truth)
@@ -107,9 +99,8 @@ def write_page(path: Path, saved: SavedMap, truth: Truth, evaluation: Evaluation
 
 
 def _reasons(why: Why | NoWhy) -> str:
-    """Return the tables of reasons and origins with their counts and totals."""
     if isinstance(why, NoWhy):
-        return f"<div><p class=soft>Why objects are missed cannot be told: {html.escape(why.reason)}</p></div>"
+        return f"<div><p class=soft>No reasons for missed objects: {html.escape(why.reason)}</p></div>"
     return (
         f"<div>{_counted(missed_title(why), why.reasons, len(why.missed), MISS_REASONS)}"
         f"{_counted(false_title(why), why.origins, len(why.false), FALSE_ORIGINS)}</div>"
@@ -189,7 +180,6 @@ def _layers(tracked: TrackedObject, meshes: Mapping[int, Mesh], view: CloseUp) -
 
 
 def _view_figure(tracked: TrackedObject, saved: SavedMap) -> list[str]:
-    """Return the best view with the pixels outside its mask dimmed; "" if no view is kept."""
     best = tracked.best_view or (tracked.views[0] if tracked.views else None)
     if best is None:
         return []
@@ -199,7 +189,6 @@ def _view_figure(tracked: TrackedObject, saved: SavedMap) -> list[str]:
 
 
 def _azimuth(tracked: TrackedObject | None, true: Mesh | None) -> float:
-    """Return the azimuth of the best view, or an arbitrary one if no view is kept."""
     if tracked is None or tracked.best_view is None:
         return 0.6
     center = tracked.box.center if true is None else true.vertices.mean(axis=0)

@@ -1,7 +1,6 @@
 """The transform from the truth's world to the map's: the identity, or the rigid transform between their camera poses.
 
-The odometry of a log may have its origin where the camera was switched on. The camera poses of map and truth at equal
-stamps then differ by one rigid transform. Drift is not rigid, and is not corrected.
+The odometry of a log may start anywhere. Drift is not rigid, and is not corrected.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ _HYPOTHESES = 60
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Placement:
-    """The motion of a truth into the world of a map: the rows of `map_from_world` (4, 4), its distance and its angle.
+    """The motion of a truth into the world of a map: the rows of `map_from_world` (4, 4), its distance and angle.
 
-    `rest_m` and `rest_deg` are the residuals of the transform: medians over `num_poses` camera poses.
+    `rest_m` and `rest_deg` are median residuals over `num_poses` camera poses.
     """
 
     map_from_world: tuple[tuple[float, ...], ...]
@@ -46,7 +45,7 @@ class Placement:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ViewFrame:
-    """A kept view of a map, with its camera pose in the map's world and the true frame of the same stamp."""
+    """A kept view of a map: its camera pose in the map's world, and the true frame of the same stamp."""
 
     name: str
     world_from_camera: NDArray[np.float64]
@@ -55,7 +54,7 @@ class ViewFrame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlacedTruth:
-    """A truth in the world of a map; `placement` is None if the two worlds are the same."""
+    """A truth in the world of a map; `placement` is None for equal worlds."""
 
     truth: Truth
     views: tuple[ViewFrame, ...]
@@ -65,9 +64,7 @@ class PlacedTruth:
 def placed_truth(saved: SavedMap, truth: Truth) -> PlacedTruth:
     """Return a truth in the world of a map, with the true frames of the map's views.
 
-    Raises:
-        RecordingError: no view has a true frame of its stamp, or the camera poses of map and truth agree neither as
-        they are nor after a rigid transform.
+    Raises `RecordingError` if no view has a true frame, or no rigid transform makes the camera poses agree.
     """
     views = _views_with_frames(saved, truth)
     once = {view.frame.index: view for view in views}
@@ -132,7 +129,6 @@ def _placement(found: NDArray[np.float64], true: NDArray[np.float64], difference
 
 
 def _consensus(found: NDArray[np.float64], true: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the transform of the pose pair that most others agree with, refined over the half that agrees best."""
     some = np.unique(np.linspace(0, len(found) - 1, _HYPOTHESES).round().astype(int))
     hypotheses = [found[i] @ invert(true[i]) for i in some]
     errors = [np.sum(_differences(found, hypothesis @ true), axis=0) for hypothesis in hypotheses]
@@ -147,13 +143,12 @@ def _consensus(found: NDArray[np.float64], true: NDArray[np.float64]) -> NDArray
 def _differences(
     found: NDArray[np.float64], true: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (N,) distances in metres and angles in radians between poses."""
     angles = [rotation_angle_rad(b[:3, :3].T @ a[:3, :3]) for a, b in zip(found, true, strict=True)]
     return np.linalg.norm(found[:, :3, 3] - true[:, :3, 3], axis=1), np.array(angles)
 
 
 def _check_level(map_from_world: NDArray[np.float64], saved: SavedMap, truth: Truth) -> None:
-    """Raise RecordingError if the verticals of map and truth differ: the boxes of both are upright."""
+    # The boxes of map and truth are upright, so that their verticals must agree.
     tilt_rad = float(np.arccos(np.clip(map_from_world[2, 2], -1.0, 1.0)))
     if tilt_rad > _MAX_TILT_RAD:
         raise RecordingError(

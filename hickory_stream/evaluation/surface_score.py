@@ -23,7 +23,7 @@ SAMPLES = 4000
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TrueSurface:
-    """A true object in the world: its mesh, and (N, 3) samples of the surface that is visible from outside."""
+    """A true object in the world: its mesh, and (N, 3) samples of the surface visible from outside."""
 
     mesh: Mesh
     samples: NDArray[np.float64]
@@ -44,9 +44,8 @@ class SurfaceScore:
 def surface_score(true: TrueSurface, found: Mesh, rng: np.random.Generator) -> SurfaceScore:
     """Return the agreement of a mesh with a true one, both in the world frame.
 
-    At a distance threshold, recall is the share of true samples within it of the mesh, precision the share of the
-    mesh's samples within it of the true mesh, and F1 their harmonic mean. Distances are to triangles, not between
-    samples.
+    Within a distance threshold, recall is of true samples to the mesh, precision of mesh samples to the true mesh, F1
+    their harmonic mean. Distances are to triangles.
     """
     samples, _ = sample_surface(found, SAMPLES, rng)
     to_found = distance_to(found, true.samples)

@@ -1,9 +1,7 @@
-"""Errors of an estimated trajectory: ATE and RPE as the tool `evo` computes them (evo_ape -a, evo_rpe).
+"""Errors of an estimated trajectory: ATE and RPE as `evo_ape -a` and `evo_rpe` compute them.
 
-ATE is the RMSE of positions after the best rigid alignment (Umeyama 1991, without scale), RPE that of the motion from
-one pose to the next (Sturm et al., IROS 2012).
-
-The absolute trajectory error (ATE) of the camera's positions.
+ATE is the RMSE of positions after rigid alignment (Umeyama 1991, without scale), RPE the RMSE of the motion between
+successive poses (Sturm et al., IROS 2012).
 """
 
 from __future__ import annotations
@@ -70,15 +68,11 @@ class TrajectoryError:
 
 
 def trajectory_error(
-    stamps_ns: Sequence[int],
-    poses: NDArray[np.float64],
-    true_stamps_ns: Sequence[int],
-    true_poses: NDArray[np.float64],
+    stamps_ns: Sequence[int], poses: NDArray[np.float64], true_stamps_ns: Sequence[int], true_poses: NDArray[np.float64]
 ) -> TrajectoryError:
-    """Return the error of poses (N, 4, 4) against true ones (M, 4, 4), each with its stamps, in order.
+    """Return the error of poses (N, 4, 4) against true ones (M, 4, 4), with their stamps in order.
 
-    Raises:
-        InputError: fewer than two poses have a true pose within 10 ms.
+    Raises `InputError` if fewer than two poses have a true pose within 10 ms.
     """
     pairs = matched(stamps_ns, true_stamps_ns)
     if len(pairs) < 2:
@@ -104,7 +98,7 @@ def trajectory_error(
 
 
 def matched(stamps_ns: Sequence[int], true_stamps_ns: Sequence[int]) -> list[tuple[int, int]]:
-    """Return the indices of matched poses and true poses, nearest in time; poses without a match are left out."""
+    """Return index pairs of poses and true poses nearest in time; poses without a match are left out."""
     if not len(stamps_ns) or not len(true_stamps_ns):
         return []
     true = np.asarray(true_stamps_ns, dtype=np.int64)

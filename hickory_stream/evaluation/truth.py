@@ -1,7 +1,6 @@
-"""The truth folder of a synthetic log: objects with poses and meshes, instance images, and what the log shows.
+"""The truth folder of a synthetic log: `truth.json` beside GLB meshes and instance images.
 
-One `truth.json` beside GLB meshes and instance images; the format number changes whenever a reader would misread it.
-Poses are exact; the world is z up.
+The format number changes when a reader would misread the file. Poses are exact; the world is z up.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _SAME_STAMP_NS = 1_000_000
 class TruthObject:
     """One true object: `mesh` is a path inside the folder, in the object's frame; `seen_fraction` in 0..1.
 
-    `frames` are the indices of the frames in which at least one pixel shows it.
+    `frames` are the frames in which at least one pixel shows it.
     """
 
     id: int
@@ -62,10 +61,9 @@ class TruthFrame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TruthChange:
-    """What changed in the middle of a log: from `stamp_ns` on the truth's objects are there.
+    """A change during a log: from `stamp_ns` on the truth's objects are valid.
 
-    `before` are those that were elsewhere until then, as they were, and those that are gone; both sorted by id. Their
-    `seen_fraction` is of the frames before the change.
+    `before` are the earlier states of moved and removed objects, sorted by id, with `seen_fraction` until the change.
     """
 
     stamp_ns: int
@@ -74,27 +72,21 @@ class TruthChange:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Truth:
-    """A truth folder: objects sorted by id, frames by index; `structure` are paths of meshes in the folder's world.
-
-    `change`: of a world that changed during the log, whose objects are those at its end; None: it stayed as it was.
-    `world_from_folder` (4, 4) is the transform from that world to the one of the poses, None if they are the same.
-    """
+    """A truth folder: objects sorted by id, frames by index; `structure` are paths of meshes in the folder's world."""
 
     folder: Path
     camera: Camera
     objects: tuple[TruthObject, ...]
     structure: tuple[str, ...]
     frames: tuple[TruthFrame, ...]
+    #: None for a static world; otherwise `objects` are the final ones
     change: TruthChange | None = None
+    #: (4, 4) to the world of the poses, None if it is the same
     world_from_folder: NDArray[np.float64] | None = None
 
 
 def load_truth(folder: Path) -> Truth:
-    """Return the truth in a folder; meshes and instance images are read later, when they are needed.
-
-    Raises:
-        RecordingError: there is no truth, or it is of another format, or damaged.
-    """
+    """Return the truth in a folder; meshes and images are read on demand. Raises `RecordingError`."""
     path = folder / TRUTH_FILE
     try:
         record = json.loads(read_within(folder, TRUTH_FILE))
@@ -115,20 +107,12 @@ def load_truth(folder: Path) -> Truth:
 
 
 def mesh_of(truth: Truth, item: TruthObject) -> Mesh:
-    """Return the mesh of an object in its own frame.
-
-    Raises:
-        RecordingError: the file is missing or holds no mesh.
-    """
+    """Return the mesh of an object in its own frame; raises `RecordingError` if it cannot be read."""
     return _mesh_at(truth.folder, item.mesh)
 
 
 def structure_meshes(truth: Truth) -> tuple[Mesh, ...]:
-    """Return floor, walls and the like in the world of the poses.
-
-    Raises:
-        RecordingError: a file is missing or holds no mesh.
-    """
+    """Return floor, walls and the like in the world of the poses; raises `RecordingError` if a file cannot be read."""
     meshes = tuple(_mesh_at(truth.folder, path) for path in truth.structure)
     if truth.world_from_folder is None:
         return meshes
@@ -158,11 +142,7 @@ def moved_mesh(mesh: Mesh, a_from_b: NDArray[np.float64]) -> Mesh:
 
 
 def instances_of(truth: Truth, frame: TruthFrame) -> NDArray[np.uint16]:
-    """Return the (H, W) object id of each pixel of a frame, 0 = no object.
-
-    Raises:
-        RecordingError: the image is missing, torn or of another size.
-    """
+    """Return the (H, W) object id of each pixel, 0 for none; raises `RecordingError` for a missing or damaged image."""
     import cv2
 
     try:
@@ -272,7 +252,7 @@ def _mesh_at(folder: Path, name: str) -> Mesh:
 
 
 def frame_at(stamps: NDArray[np.int64], stamp_ns: int) -> int | None:
-    """Return the index of a stamp in (N,) stamps of frames, to within a millisecond; None if there is none."""
+    """Return the index of a stamp in (N,) stamps to within a millisecond, else None."""
     if not len(stamps):
         return None
     i = int(np.argmin(np.abs(stamps - stamp_ns)))

@@ -1,4 +1,4 @@
-"""The sightings of every true object in a run: for each keyframe its pixels, and how these were labelled."""
+"""The sightings of every true object in a run: its pixels in each keyframe, and their labels."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _SMALLEST_MASKS = 0.02
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Other:
-    """Another true object (None for structure) that part of a mask shows; `share` is that part of the mask."""
+    """Another true object (None for structure) in a mask, and its share of the mask."""
 
     truth_id: int | None
     share: float
@@ -54,10 +54,10 @@ class Other:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Part:
-    """A part of a true object's pixels with one label; `share` is that part.
+    """A part of a true object's pixels with one label, and its `share` of them.
 
-    For a mask: its `observation_index`, the track that it was matched to, `purity` (the share of the mask that shows
-    the object) and the `others` in it. For a rejected mask: its `reason`.
+    A mask has an `observation_index`, its track, its `purity` (share that shows the object) and `others`; a rejected
+    mask has a `reason`.
     """
 
     where: Where
@@ -71,7 +71,7 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sighting:
-    """A true object in one keyframe; `parts` with the largest first, `distance_m` is that of the object's centre."""
+    """A true object in one keyframe; `parts` with the largest first, `distance_m` to the object's centre."""
 
     frame: int
     keyframe: int
@@ -87,9 +87,9 @@ class Sighting:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TruthSightings:
-    """A run's sightings of true objects by their ids, the histories of its tracks, and the size of its smallest masks.
+    """Sightings of true objects by id, the histories of tracks, and the size of the smallest masks.
 
-    `masks_of` is, for each track, the number of pixels of each true object in its masks; None is no object.
+    `masks_of` is, by track, the number of pixels of each true object in its masks; None for no object.
     """
 
     of_object: dict[int, tuple[Sighting, ...]]
@@ -101,11 +101,9 @@ class TruthSightings:
 
 
 def sightings_of_truth(path: Path, final: MapSnapshot, truth: Truth) -> TruthSightings:
-    """Return the sightings that the run of a map folder had of a truth, which is given in the map's world.
+    """Return the sightings of a truth in a run; the truth is in the map's world.
 
-    Raises:
-        MapFolderError: there is no journal, or it is damaged or of another version.
-        RecordingError: an image of the truth cannot be read.
+    Raises `MapFolderError` for the journal, `RecordingError` for an image of the truth.
     """
     config = known_config(path)
     reach, voxel_m = range_of(config), config.mapping.voxels.space_m
@@ -190,11 +188,7 @@ def _table(shown: NDArray[np.int64], codes: NDArray[np.int32]) -> dict[int, dict
 
 
 def _parts(
-    truth_id: int,
-    table: dict[int, dict[int, int]],
-    labels: SeenAs,
-    keyframe: RecordedKeyframe,
-    book: TrackHistories,
+    truth_id: int, table: dict[int, dict[int, int]], labels: SeenAs, keyframe: RecordedKeyframe, book: TrackHistories
 ) -> tuple[Part, ...]:
     row = table[truth_id]
     total = sum(row.values())
@@ -251,7 +245,6 @@ def _count_masks(
 def _with_structure(
     keyframe: RecordedKeyframe, shown: NDArray[np.int64], codes: NDArray[np.int32], scene: Scene, voxel_m: float
 ) -> NDArray[np.int32]:
-    """Return the codes, with structure looked up in voxels for pixels that show a true object and are in no mask."""
     step = _RAY_STRIDE
     rows, columns = np.nonzero((shown[::step, ::step] > 0) & (codes[::step, ::step] == NO_MASK))
     if len(rows) == 0:

@@ -1,4 +1,4 @@
-"""Why true objects are not in a map, and where its false objects come from."""
+"""Why true objects are missing in a map, and the origins of its false objects."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReasonCount:
-    """The number of missed true objects, or of false objects, with one reason; reasons with none are left out."""
+    """Number of missed or false objects with one reason."""
 
     reason: str
     count: int
@@ -39,8 +39,8 @@ class ReasonCount:
 class Why:
     """Reasons and origins of a whole map.
 
-    `num_truth` true objects count; `num_little_seen` others, of which too little was seen, do not. Of `num_objects`
-    objects (without tentative ones), `num_aside` lie on true objects that do not count, and are ignored.
+    `num_truth` true objects count, `num_little_seen` do not. `num_aside` of `num_objects` (without tentative ones) lie
+    on true objects that do not count.
     """
 
     num_truth: int
@@ -57,17 +57,13 @@ class Why:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Investigation:
-    """A map, a truth in the same world, their comparison, and the run's sightings of the truth."""
+    """A map, a truth in the same world, their comparison, and the sightings of the truth."""
 
     score: Score
     evidence: Evidence
 
     def row(self, truth_id: int) -> TruthScore:
-        """Return the score of a true object.
-
-        Raises:
-            InputError: there is none of this id.
-        """
+        """Return the score of a true object; raises `InputError` for an unknown id."""
         for row in self.score.truth:
             if row.truth_id == truth_id:
                 return row
@@ -76,12 +72,9 @@ class Investigation:
 
 
 def investigate(saved: SavedMap, truth: Truth) -> Investigation:
-    """Return the evidence of a map and its journal about a truth; a run that did not end counts as far as it came.
+    """Return the evidence of a map and its journal about a truth; an unfinished run counts as far as it came.
 
-    Raises:
-        MapFolderError: there is no journal, or it or a mesh is damaged.
-        RecordingError: the truth is not of this map's log, or cannot be read.
-        InputError: Open3D is not installed.
+    Raises `MapFolderError` for the journal or a mesh, `RecordingError` for the truth, `InputError` without Open3D.
     """
     saved = replace(saved, snapshot=final_snapshot(saved.folder))
     placed = placed_truth(saved, truth).truth
@@ -100,17 +93,15 @@ def investigate(saved: SavedMap, truth: Truth) -> Investigation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoWhy:
-    """A map whose history is not available, and the reason."""
+    """The reason why a map has no history."""
 
     reason: str
 
 
 def reasons_of(saved: SavedMap, truth: Truth) -> Why | NoWhy:
-    """Return the reasons and origins of a map, or why they are not available: a merged map has no journal, for example.
+    """Return the reasons and origins of a map; `NoWhy` without a journal, as for a merged map.
 
-    Raises:
-        RecordingError: the truth is not of this map's log, or cannot be read.
-        InputError: Open3D is not installed.
+    Raises `RecordingError` for the truth, `InputError` without Open3D.
     """
     try:
         return why_of(investigate(saved, truth))
@@ -146,7 +137,7 @@ def why_of(found: Investigation) -> Why:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectStory:
-    """The history of one true object; `missed` is None if it is matched (`map_id`, `iou`) or does not count."""
+    """The history of one true object; `missed` is None if it is matched or does not count."""
 
     truth_id: int
     kind: str
@@ -161,11 +152,7 @@ class ObjectStory:
 
 
 def story_of(found: Investigation, truth_id: int) -> ObjectStory:
-    """Return the history of a true object, keyframe by keyframe.
-
-    Raises:
-        InputError: there is none of this id.
-    """
+    """Return the history of a true object by keyframe; raises `InputError` for an unknown id."""
     row, evidence = found.row(truth_id), found.evidence
     sightings = evidence.sightings.of_object[truth_id]
     tracks = Counter(
@@ -193,7 +180,7 @@ def story_of(found: Investigation, truth_id: int) -> ObjectStory:
 
 
 def sighting_text(sighting: Sighting, evidence: Evidence) -> str:
-    """Return the labels of an object in a keyframe, in words; equal labels give equal words."""
+    """Return the labels of an object in a keyframe in words; equal labels give equal words."""
     state = state_of(sighting)
     masks = [part for part in sighting.parts if part.where == "mask"]
     if state == "in a mask of its own":
@@ -219,5 +206,4 @@ def _counts(reasons: Iterable[str]) -> tuple[ReasonCount, ...]:
 
 
 def _on_or_matched(row: TruthScore) -> tuple[int, ...]:
-    """Return the objects that lie mostly on a true object, or are its match."""
     return tuple(sorted({*row.track_ids, *([] if row.map_id is None else [row.map_id])}))

@@ -1,4 +1,4 @@
-"""Histories and reasons as text for people; as JSON the records themselves are written."""
+"""Histories and reasons as text."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def why_text(why: Why) -> str:
 
 
 def missed_title(why: Why) -> str:
-    """Return the number of missed true objects, their total, and the number that does not count."""
+    """Return the counts of missed, counted and ignored true objects."""
     aside = f"; {why.num_little_seen} more were seen too little to count" if why.num_little_seen else ""
     return f"{len(why.missed)} of {why.num_truth} true objects that count are missed{aside}"
 
 
 def false_title(why: Why) -> str:
-    """Return the number of false objects, their total, and the number that is ignored."""
+    """Return the counts of false, all and ignored objects."""
     aside = f"; {why.num_aside} more are of true objects that do not count" if why.num_aside else ""
     return f"{len(why.false)} of {why.num_objects - why.num_aside} objects are no true object{aside}"
 
@@ -86,13 +86,13 @@ def _frames(stretch: Stretch) -> str:
 def _track(track: TrackStory) -> str:
     first = "at the end" if track.first_frame is None else f"in frame {track.first_frame}"
     end, s = track.ending or "in the map", "" if track.num_keyframes == 1 else "s"
-    told = (
+    text = (
         f"#{track.id} made {first}: {track.born}",
         f"seen in {track.num_keyframes} keyframe{s}",
         *track.changes,
         end,
     )
-    return _indented("; ".join(told))
+    return _indented("; ".join(text))
 
 
 def _counted(counts: Sequence[ReasonCount], total: int, meanings: Mapping[Any, str]) -> list[str]:

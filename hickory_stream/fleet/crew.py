@@ -1,7 +1,6 @@
-"""The processes of a fleet: one a robot, no more at a time than asked for, each listened to until it ends.
+"""The processes of a fleet, one a robot, with a maximum number at a time.
 
-A robot whose process dies is one robot less; the others go on. The first SIGINT or SIGTERM stops all in order, the
-second ends them at once.
+A dead process costs one robot; the others go on. The first SIGINT or SIGTERM stops all in order, the second kills.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from multiprocessing.connection import Connection
     from multiprocessing.context import SpawnProcess
-    from types import FrameType, TracebackType
+    from types import FrameType
 
     from hickory_stream.fleet.messages import Message
     from hickory_stream.fleet.robot_process import RobotTask
@@ -34,13 +33,10 @@ def run_crew(
     hear: Callable[[str, Message], None],
     main: Callable[[RobotTask, Connection], None] = robot_process.main,
 ) -> dict[str, Ended]:
-    """Map all robots, in the order of `tasks` where they are more than `processes`; return how each one ended.
+    """Map all robots in the order of `tasks`, `processes` at a time; return the end of each.
 
-    `hear` is told what a robot sends, and last its `Ended`, by the robot's name; while it works, robots wait. `main` is
-    what a process does, a function of a module.
-
-    Raises:
-        KeyboardInterrupt: it was cancelled by a second signal.
+    `hear` gets the messages of a robot by name, last its `Ended`. `main` is the function of a process. A second signal
+    raises `KeyboardInterrupt`.
     """
     crew = _Crew(tasks, processes, hear, main)
     with _Signals(crew):
@@ -75,14 +71,12 @@ class _Crew:
         return self._ended
 
     def stop(self) -> None:
-        """End what runs in order, and begin nothing more."""
         self._is_stopping = True
         for _, process in list(self._running.values()):
             if process.pid is not None and process.is_alive():
                 os.kill(process.pid, signal.SIGINT)
 
     def kill(self) -> None:
-        """End what still runs, at once."""
         for connection, (_, process) in self._running.items():
             process.kill()
             process.join()
@@ -130,8 +124,7 @@ def _death(status: int | None) -> str:
 
 
 class _Signals:
-    """While entered: the first signal stops a crew, the second is a `KeyboardInterrupt`."""
-
+    # While entered, the first signal stops a crew, the second raises `KeyboardInterrupt`.
     def __init__(self, crew: _Crew) -> None:
         self._crew = crew
         self._count = 0
@@ -142,9 +135,7 @@ class _Signals:
             for number in _SIGNALS:
                 self._before[number] = signal.signal(number, self._handle)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)  # type: ignore[arg-type]
 

@@ -1,14 +1,13 @@
-"""The merged maps of a fleet: the finished maps aligned and merged by the code of `merge`, one map for each frame.
+"""The merged maps of a fleet: finished maps are aligned and merged as by `merge`, one map per frame.
 
-The frame with the most robots gives `fleet.map`; where there are more frames of two and more robots, theirs are
-`fleet-2.map` and so on. A robot that agrees with no other keeps its own map, and is in none of them.
+The frame with the most robots becomes `fleet.map`, further ones with two or more robots `fleet-2.map` and so on.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hickory_stream.alignment.answer import Alignment
 from hickory_stream.alignment.object_map import object_map
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MergedFrame:
-    """The merged map of the robots in one frame; `num_united` of its objects are in the maps of several robots."""
+    """The merged map of the robots in one frame; `num_united` objects are in several robots' maps."""
 
     path: Path
     names: tuple[str, ...]
@@ -44,24 +43,29 @@ class MergedFrame:
     num_objects: int
     num_united: int
 
+    def as_json(self, members: str) -> dict[str, Any]:
+        """Return the map as JSON data; `members` is the key of the names."""
+        named = {"map": str(self.path), members: list(self.names), "digest": self.digest}
+        return named | {"objects": self.num_objects, "united": self.num_united}
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Finished:
-    """What became of the finished maps.
-
-    `maps` by robot; `answers` of each two; all robots with a map are in one of the `frames`, those of two and more are
-    merged, the largest first; `problems` by robot say why a map cannot be read.
-    """
+    """Alignments and merged maps of the finished maps."""
 
     maps: Mapping[str, SavedMap]
+    #: of each two robots
     answers: Mapping[tuple[str, str], Alignment | NoAlignment]
+    #: of all robots with a map
     frames: tuple[Frame, ...]
+    #: of frames with two and more robots, the largest first
     merged: tuple[MergedFrame, ...]
+    #: by robot, why a map cannot be read
     problems: Mapping[str, str]
 
 
 def merged_path(out: Path, place: int, name: str = FLEET) -> Path:
-    """Return the folder of the merged map of a fleet's frames, `place` from 0."""
+    """Return the folder of a merged map; `place` is the index of its frame."""
     return out / (f"{name}.map" if place == 0 else f"{name}-{place + 1}.map")
 
 
@@ -80,13 +84,9 @@ def finish(
     name: str = FLEET,
     joining: JoiningConfig | None = None,
 ) -> Finished:
-    """Align and merge the maps of a fleet's robots, in the order of `folders`; `tell` is told what is being done.
+    """Align and merge the maps of a fleet's robots in the order of `folders`; raises `MapFolderError` for a merged map.
 
-    `choose` says which two maps are aligned, (a, b) with a < b, and `joining` how surely; `name` is that of the merged
-    map.
-
-    Raises:
-        MapFolderError: a merged map cannot be written.
+    `choose` returns the pairs (a, b), a < b, to align, `joining` the required certainty; `name` is of the merged map.
     """
     maps, problems = _opened(folders)
     names = tuple(maps)
@@ -111,17 +111,17 @@ def finish(
 
 
 def why_alone(name: str, answers: Mapping[tuple[str, str], Alignment | NoAlignment]) -> str:
-    """Return why a robot is in no other's frame: what was found of it and each of the others."""
-    told = []
+    """Return why a robot shares no frame: its alignment with each other robot."""
+    parts = []
     for (a, b), answer in answers.items():
         if name in (a, b):
             other = b if name == a else a
-            told.append(
+            parts.append(
                 f"the other robots' alignments contradict that with {other}"
                 if isinstance(answer, Alignment)
                 else f"{other}: {answer.refusal.value}, {answer.reason}"
             )
-    return "; ".join(told) if told else "no other robot has a map"
+    return "; ".join(parts) if parts else "no other robot has a map"
 
 
 def _opened(folders: Mapping[str, Path]) -> tuple[dict[str, SavedMap], dict[str, str]]:
@@ -163,7 +163,7 @@ def _merged(
         merged,
         inputs,
         overwrite=overwrite,
-        progress=lambda done, total: tell(f"shapes made anew: {done} of {total}"),
+        progress=lambda done, total: tell(f"shapes rebuilt: {done} of {total}"),
     )
     return MergedFrame(
         path=path,

@@ -1,7 +1,6 @@
-"""How the robots' maps grow: what each sends, and rounds in which all of them have grown as far as one another.
+"""Growing maps of robots: what each sends, and rounds of equal numbers of keyframes.
 
-Rounds count keyframes, never time: round k is what each robot's map was after k times so many keyframes, or at its end.
-Whichever robot is mapped faster, before or after another, the rounds are the same.
+Round k has each robot's map after k times `every_keyframes`, or at its end, however fast each is mapped.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ _MAX_POINTS = 2000
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class GrownMap:
-    """A robot's map after a number of keyframes; the clouds of `snapshot` are thinned.
+    """A robot's map after a number of keyframes, with thinned clouds.
 
-    `world_from_camera` (N, 4, 4) are the camera's poses since the map that was sent before.
+    `world_from_camera` (N, 4, 4) are the camera's poses since the previous map.
     """
 
     keyframes: int
@@ -42,7 +41,7 @@ class GrownMap:
 
 
 class GrowthSink:
-    """A sink that sends the map after every so many keyframes, and once more at its end."""
+    """Sends the map after every `every_keyframes`, and once more at its end."""
 
     def __init__(self, every_keyframes: int, extractor: str, send: Callable[[GrownMap], None]) -> None:
         self._every = every_keyframes
@@ -53,7 +52,7 @@ class GrowthSink:
         self._unsent: MapSnapshot | None = None
 
     def show(self, report: FrameReport) -> None:
-        """Take a report; sends the map where it is time."""
+        """Keep a report; send the map when it is due."""
         if report.snapshot is None:
             return
         self._unsent = report.snapshot
@@ -65,7 +64,7 @@ class GrowthSink:
             self._send_map(report.snapshot)
 
     def close(self) -> None:
-        """Send what has changed since."""
+        """Send the remaining changes."""
         if self._unsent is not None:
             self._send_map(self._unsent)
 
@@ -92,7 +91,7 @@ def _thinned(item: TrackedObject) -> TrackedObject:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Round:
-    """The newest map of each robot that has one, by name, and which of them have grown since the round before."""
+    """The newest map of each robot by name, and the names of maps that grew since the previous round."""
 
     keyframe: int
     maps: Mapping[str, GrownMap]
@@ -100,10 +99,7 @@ class Round:
 
 
 class Rounds:
-    """Collects what the robots send; where it `waits`, a round needs all robots, else whichever has grown.
-
-    Robots that are live wait for nobody.
-    """
+    """Collects maps into rounds; with `waits` a round needs all robots, without (live) any that has grown."""
 
     def __init__(self, names: Sequence[str], *, waits: bool) -> None:
         self._names = tuple(names)
@@ -113,15 +109,15 @@ class Rounds:
         self._newest: dict[str, GrownMap] = {}
 
     def add(self, name: str, grown: GrownMap) -> None:
-        """Take a map of a robot, the next one."""
+        """Add the next map of a robot."""
         self._waiting[name].append(grown)
 
     def end(self, name: str) -> None:
-        """Take note that a robot sends no more."""
+        """Mark a robot as ended."""
         self._ended.add(name)
 
     def complete(self) -> Iterator[Round]:
-        """Yield the rounds that have become complete, each once."""
+        """Yield newly complete rounds."""
         while any(self._waiting.values()):
             if self._waits and any(not self._waiting[name] and name not in self._ended for name in self._names):
                 return

@@ -1,8 +1,7 @@
-"""Which robots are in one frame while their maps grow.
+"""Frames of robots while their maps grow.
 
-After every round the maps that have grown are aligned with the others. Two are joined once two answers in a row say the
-same (the first may be chance that a few more objects undo), unless the other joins contradict it; a later answer can
-withdraw a join. What holds in the end is decided by the finished maps (`finish`).
+After every round the grown maps are aligned with the others. Two equal answers in a row join two robots, unless other
+joins contradict; a later answer can withdraw a join. The finished maps decide in the end (`finish`).
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _AGREE_M, _AGREE_RAD = 0.3, np.radians(3.0)
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Frame:
-    """Robots in one frame, that of the first: their names, frame_from_robot (4, 4) of each, and the pairs joined."""
+    """Robots in one frame, defined by the first: names, frame_from_robot (4, 4) of each, and the joined pairs."""
 
     names: tuple[str, ...]
     frame_from_robot: tuple[NDArray[np.float64], ...]
@@ -46,10 +45,9 @@ class Frame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class JoinEvent:
-    """Two robots that were joined, or whose join was withdrawn, after so many keyframes.
+    """A join of two robots, or its withdrawal, after `keyframe` keyframes.
 
-    `a_from_b` (4, 4) is the alignment that joined them, `num_pairs` the objects that it matched, `sigma_m` its standard
-    deviation.
+    `a_from_b` (4, 4) is the alignment, `num_pairs` its matched objects, `sigma_m` its standard deviation.
     """
 
     keyframe: int
@@ -66,7 +64,7 @@ class JoinEvent:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Joint:
-    """Where the robots are after a round: every one that has a map is in one of the `frames`; `events` are new."""
+    """Frames of all robots with a map after a round, and the new events."""
 
     keyframe: int
     frames: tuple[Frame, ...]
@@ -74,7 +72,7 @@ class Joint:
 
 
 class Joins:
-    """Remembers the answers about each two robots, and who was joined; `joining` says how surely they are."""
+    """Alignments of each two robots and their joins; `joining` is the required certainty."""
 
     def __init__(self, joining: JoiningConfig | None = None) -> None:
         self._joining = joining
@@ -84,7 +82,7 @@ class Joins:
         self._maps: dict[str, ObjectMap] = {}
 
     def update(self, found: Round) -> Joint:
-        """Return where the robots are after a round."""
+        """Return the frames after a round."""
         for name in found.grown:
             self._maps[name] = object_map(found.maps[name].snapshot, found.maps[name].extractor)
         names = tuple(found.maps)
@@ -125,9 +123,9 @@ class Joins:
 
 
 def joined_since(events: Sequence[JoinEvent], a: str, b: str) -> int | None:
-    """Return after how many keyframes two robots were joined for good; None where they were not while they moved."""
-    told = [event for event in events if {event.a, event.b} == {a, b}]
-    return told[-1].keyframe if told and told[-1].kind == "joined" else None
+    """Return the keyframe of the last join of two robots that holds, None without one while they moved."""
+    parts = [event for event in events if {event.a, event.b} == {a, b}]
+    return parts[-1].keyframe if parts and parts[-1].kind == "joined" else None
 
 
 def _agree(answer: Alignment, before: Alignment) -> bool:

@@ -1,4 +1,4 @@
-"""What the process of a robot sends to its fleet, beside the maps."""
+"""Messages of a robot's process to its fleet, beside the maps."""
 
 from __future__ import annotations
 
@@ -14,30 +14,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Opened:
-    """What is played, in a line for each stream."""
+    """The played streams, one a line."""
 
     text: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Moved:
-    """How far the robot's run is."""
+    """Progress of the robot's run."""
 
     progress: Progress
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Ended:
-    """How a robot's run ended.
-
-    `reason` says why there is no map, or none to its end, "" where it is finished; `digest` is the map's. `start_ns`
-    and `end_ns` are the stamps of the first and the last frame that was seen. `notes` say what was lost.
-    """
+    """End of a robot's run."""
 
     is_finished: bool
     was_stopped: bool = False
+    #: why there is no complete map, "" for a finished one
     reason: str = ""
     digest: str | None = None
+    #: stamp of the first frame; `end_ns` of the last
     start_ns: int | None = None
     end_ns: int | None = None
+    #: losses
     notes: tuple[str, ...] = ()

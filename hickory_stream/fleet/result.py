@@ -1,4 +1,4 @@
-"""What came of a fleet: for each robot its map, whom it was joined with and how surely, or why with nobody."""
+"""Result of a fleet: each robot's map and joins, or why it is alone."""
 
 from __future__ import annotations
 
@@ -24,10 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Joined:
-    """An alignment with another robot that holds in the end.
-
-    `since_keyframe` is when the two were joined while their maps grew, None: only the finished maps were.
-    """
+    """A final alignment with another robot; `since_keyframe` None: only the finished maps were joined."""
 
     name: str
     num_pairs: int
@@ -38,10 +35,10 @@ class Joined:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RobotResult:
-    """One robot: `map` is None where it left none.
+    """Result of one robot; `map` is None without one.
 
-    `frame` is the robot in whose frame it is, itself where it is alone; `frame_from_robot` (4, 4) is None without a
-    map. `reason` says why it was joined with nobody, "" where it was; `notes` what was lost of its log.
+    `frame` names the robot that defines its frame, itself if alone; `frame_from_robot` (4, 4) is None without a map.
+    `reason` says why it is alone, "" if it is not; `notes` are losses of its log.
     """
 
     name: str
@@ -59,7 +56,7 @@ class RobotResult:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FleetResult:
-    """All robots in the order of the fleet, the merged maps (the largest first), and what happened on the way."""
+    """All robots in the order of the fleet, the merged maps (largest first), and the joins."""
 
     robots: tuple[RobotResult, ...]
     merged: tuple[MergedFrame, ...]
@@ -82,7 +79,7 @@ def result_of(
     finished: Finished,
     events: Sequence[JoinEvent],
 ) -> FleetResult:
-    """Return the result of a fleet, from how each robot ended and what became of the maps."""
+    """Return the result of a fleet from the ends of its robots and the finished maps."""
     robots = tuple(
         _robot(name, one, folders[name], keyframes.get(name, 0), finished, events) for name, one in ended.items()
     )
@@ -133,7 +130,7 @@ def _joined(name: str, pair: tuple[str, str], finished: Finished, events: Sequen
 
 
 def _clock_notes(ended: Mapping[str, Ended]) -> tuple[str, ...]:
-    """Return which clocks do not overlap: nothing needs them to, but the timeline of stamps then has gaps."""
+    # Clocks need not overlap, but the timeline of stamps then has gaps.
     apart = [
         f"{a} and {b}"
         for (a, one), (b, other) in combinations(ended.items(), 2)

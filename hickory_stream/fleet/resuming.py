@@ -1,7 +1,7 @@
-"""A fleet that goes on after it was killed or stopped: what is there of each robot, sent as it was sent then.
+"""Resumption of a fleet that was killed or stopped.
 
-A robot whose run was interrupted is played on (`robot_process`). One that has ended is not mapped again: what it sent
-while its map grew comes from its journal. The rounds, and with them the joins, are those of a fleet that never stopped.
+`robot_process` continues an interrupted robot. A finished one is not mapped again: its journal gives the maps that it
+sent. Rounds and joins are equal to a fleet's that never stopped.
 """
 
 from __future__ import annotations
@@ -24,12 +24,7 @@ if TYPE_CHECKING:
 
 
 def check_same(folder: Path, robot: Robot) -> None:
-    """Refuse to go on with a map of something else than the robot's log.
-
-    Raises:
-        InputError: it was made of another log, or with other options.
-        MapFolderError: its manifest cannot be read.
-    """
+    """Raise `InputError` for a map of another log or other options, `MapFolderError` for an unreadable manifest."""
     made_of = read_manifest(folder).run.get("source")
     if made_of != robot.note:
         recorded = made_of if isinstance(made_of, dict) else {}
@@ -41,11 +36,7 @@ def check_same(folder: Path, robot: Robot) -> None:
 
 
 def has_ended(folder: Path) -> bool:
-    """Return whether nothing is left to be mapped: the run has ended, or was that of a live robot.
-
-    Raises:
-        MapFolderError: its manifest cannot be read.
-    """
+    """Return whether the run has ended, or was of a live robot; raises `MapFolderError`."""
     manifest = read_manifest(folder)
     return manifest.finished_cleanly or manifest.run.get("mode") == "live"
 
@@ -53,12 +44,9 @@ def has_ended(folder: Path) -> bool:
 def send_recorded(
     folder: Path, every_keyframes: int, send: Callable[[GrownMap], None], beside: Sink
 ) -> tuple[str | None, str]:
-    """Send what a run that has ended sent; return the map's digest, and why the map has no end, "" where it has one.
+    """Send the maps of a finished run again; return the digest, and why the map has no end, "" if it has one.
 
-    `beside` is shown what the run's sinks were shown.
-
-    Raises:
-        MapFolderError: the map cannot be read, or what it lacks not be written.
+    `beside` gets the reports of the run. Raises `MapFolderError`.
     """
     manifest = read_manifest(folder)
     digest, reason = manifest.digest, ""

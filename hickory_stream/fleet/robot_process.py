@@ -1,6 +1,6 @@
-"""The process that maps one robot: it plays the log into the robot's map folder, and sends what becomes of it.
+"""The process that maps one robot into its folder, and sends `Opened`, `Moved`, `GrownMap`s, and last `Ended`.
 
-What is sent are `Opened`, `Moved` and `GrownMap`s, and last `Ended`; a process that ends without the last has died.
+A process that ends without `Ended` has died.
 """
 
 from __future__ import annotations
@@ -34,10 +34,7 @@ _TELL_EVERY_S = 0.2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotTask:
-    """What a process is to do: `every_keyframes` it sends the map; `most_s` and `patience_s` are for live robots.
-
-    `resumes`: it goes on with the map that is there.
-    """
+    """Task of a process; `most_s` and `patience_s` are for live robots, `resumes` continues an existing map."""
 
     robot: Robot
     out: Path
@@ -52,7 +49,7 @@ class RobotTask:
 
 
 def main(task: RobotTask, connection: Connection) -> None:
-    """Map a robot, and send what becomes of it."""
+    """Map a robot, and send its messages."""
     if hasattr(os, "setpgrp"):
         os.setpgrp()  # Ctrl-C is for the fleet, which then stops its robots in order
     name = task.robot.name
@@ -67,7 +64,7 @@ def main(task: RobotTask, connection: Connection) -> None:
         ended = Ended(is_finished=False, was_stopped=True, reason="cancelled")
     except BrokenPipeError:
         return  # the fleet is gone
-    except Exception as error:  # noqa: BLE001 -- the process's main function: the fleet says it, and goes on
+    except Exception as error:  # noqa: BLE001 -- the process's main function: the fleet reports it, and continues
         if task.debug:
             traceback.print_exc()
         ended = Ended(is_finished=False, reason=f"internal failure, {type(error).__name__}: {error}")
@@ -76,14 +73,12 @@ def main(task: RobotTask, connection: Connection) -> None:
 
 
 class _Link:
-    """The way to the fleet, for the threads of a run."""
-
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
         self._lock = threading.Lock()
 
     def send(self, message: Message) -> None:
-        """Send a message; raises `BrokenPipeError` where nobody listens any more."""
+        # Raises `BrokenPipeError` when the fleet has gone.
         with self._lock:
             self._connection.send(message)
 
@@ -149,7 +144,6 @@ def _mapped(task: RobotTask, link: _Link) -> Ended:
 
 
 def _opened(task: RobotTask) -> tuple[Source, dict[str, Any]]:
-    """Return the robot's source, and the note by which `resume` opens it again."""
     robot = task.robot
     if robot.is_live:
         from players.live import open_live
@@ -162,8 +156,6 @@ def _opened(task: RobotTask) -> tuple[Source, dict[str, Any]]:
 
 
 class _Teller:
-    """Sends how far the run is, now and then: for the eye, and for nothing else."""
-
     def __init__(self, link: _Link) -> None:
         self._link = link
         self._told_s = 0.0
@@ -177,8 +169,6 @@ class _Teller:
 
 
 class _Span:
-    """A sink that remembers the first and the last stamp."""
-
     def __init__(self) -> None:
         self.start_ns: int | None = None
         self.end_ns: int | None = None

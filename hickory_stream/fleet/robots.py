@@ -1,4 +1,4 @@
-"""Who is in a fleet: robots with names and logs, from FLEET.toml or from NAME=LOG on the command line."""
+"""Robots of a fleet with names and logs, from FLEET.toml or from NAME=LOG on the command line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MAX_ROBOTS = 64
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Robot:
-    """A robot: its name, the logs that are played as one or one live URI, and what they do not say themselves."""
+    """A robot: its name, its logs or one live URI, and options for them."""
 
     name: str
     uris: tuple[str, ...]
@@ -39,7 +39,7 @@ class Robot:
 
     @property
     def note(self) -> dict[str, Any]:
-        """What the manifest of its map says of it, by which the source is opened again."""
+        """The manifest entry from which its source is opened again."""
         return {"live": self.uris[0]} if self.is_live else make_source_note(self.uris, self.options)
 
 
@@ -64,10 +64,9 @@ class FleetConfig(Ranged):
 
 
 def read_fleet(path: Path) -> tuple[tuple[Robot, ...], FleetConfig]:
-    """Return the robots of a FLEET.toml, in its order, and how they are run; relative paths are relative to the file.
+    """Return the robots of a FLEET.toml in order, and the configuration; paths are relative to the file.
 
-    Raises:
-        ConfigError: no such file, not TOML, an unknown key, a robot without a name or a log, or two of one name.
+    Raises `ConfigError` for an invalid file, an unknown key, a robot without name or log, or a repeated name.
     """
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -90,11 +89,7 @@ def read_fleet(path: Path) -> tuple[tuple[Robot, ...], FleetConfig]:
 
 
 def robots_of(texts: Sequence[str]) -> tuple[Robot, ...]:
-    """Return the robots of texts like NAME=LOG.
-
-    Raises:
-        ConfigError: a text of another form, a name that cannot be, or two robots of one name.
-    """
+    """Return the robots of texts like NAME=LOG; raises `ConfigError` for another form, or a bad or repeated name."""
     robots = []
     for text in texts:
         name, equals, uri = text.partition("=")
@@ -105,11 +100,7 @@ def robots_of(texts: Sequence[str]) -> tuple[Robot, ...]:
 
 
 def checked(robots: tuple[Robot, ...]) -> tuple[Robot, ...]:
-    """Return the robots; two or more, each with a name of its own that can be a folder's.
-
-    Raises:
-        ConfigError: saying which of them cannot be.
-    """
+    """Return the robots if they are two or more with distinct names for folders; raises `ConfigError`."""
     if not 2 <= len(robots) <= MAX_ROBOTS:
         raise ConfigError(f"found {len(robots)} robots, expected 2 to {MAX_ROBOTS}; `play` and `live` map a single one")
     first: dict[str, Robot] = {}

@@ -1,4 +1,4 @@
-"""A fleet from its robots to its merged map: processes, rounds of grown maps, joins, the recording, the end."""
+"""A fleet from its robots to its merged map: processes, rounds, joins, recording, end."""
 
 from __future__ import annotations
 
@@ -42,10 +42,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FleetPlan:
-    """A fleet that is to be run into the folder `out`.
-
-    `overwrite` replaces the maps that are there, `resumes` goes on with them; `viewer` shows the fleet while it runs.
-    """
+    """Plan of a fleet's run into the folder `out`; `overwrite` replaces existing maps, `resumes` continues them."""
 
     robots: tuple[Robot, ...]
     config: FleetConfig
@@ -69,27 +66,22 @@ class FleetPlan:
 
 
 class Watcher(Protocol):
-    """Is told how a fleet's run goes."""
+    """Receives the progress of a fleet."""
 
     def opened(self, name: str, lines: Sequence[str]) -> None:
-        """A robot's log was opened: what is played of it."""
-        ...
+        """Receive the streams of a robot's log."""
 
     def moved(self, name: str, progress: Progress) -> None:
-        """A robot's run has come so far."""
-        ...
+        """Receive the progress of a robot."""
 
     def said(self, text: str) -> None:
-        """Something happened that is told in a line."""
-        ...
+        """Receive an event as a line."""
 
 
 def run_fleet(plan: FleetPlan, watcher: Watcher) -> FleetResult:
-    """Map all robots, join them while they grow, and merge what was joined.
+    """Map all robots, join them while they grow, and merge joined maps.
 
-    Raises:
-        InputError: a log is not there, something is at `out` already, or no robot gave a map.
-        KeyboardInterrupt: it was cancelled by a second signal.
+    Raises `InputError` for a missing log, an existing `out`, or no map at all; a second signal `KeyboardInterrupt`.
     """
     _check(plan)
     names = [robot.name for robot in plan.robots]
@@ -103,11 +95,7 @@ def run_fleet(plan: FleetPlan, watcher: Watcher) -> FleetResult:
         ended = {name: ended[name] for name in names}
         usable = {name: folders[name] for name in names if ended[name].is_finished or ended[name].was_stopped}
         finished = finish(
-            usable,
-            plan.out,
-            overwrite=plan.overwrite or plan.resumes,
-            tell=watcher.said,
-            joining=plan.config.joining,
+            usable, plan.out, overwrite=plan.overwrite or plan.resumes, tell=watcher.said, joining=plan.config.joining
         )
         if not finished.maps and not any(one.was_stopped for one in ended.values()):
             raise InputError(
@@ -118,8 +106,6 @@ def run_fleet(plan: FleetPlan, watcher: Watcher) -> FleetResult:
 
 
 class _Run:
-    """What is known of a fleet while its robots are mapped."""
-
     def __init__(self, rounds: Rounds, recording: FleetRecording, watcher: Watcher, joining: JoiningConfig) -> None:
         self._rounds = rounds
         self._recording = recording
@@ -130,7 +116,6 @@ class _Run:
         self.events: list[JoinEvent] = []
 
     def hear(self, name: str, message: Message) -> None:
-        """Take what a robot sends."""
         match message:
             case Opened():
                 self._watcher.opened(name, message.text)
@@ -160,7 +145,6 @@ class _Run:
         self._recording.show(found.keyframe, shown, texts)
 
     def show_end(self, finished: Finished) -> None:
-        """Show the finished maps where they lie in the end."""
         if self._last is None:
             return
         snapshots = {name: grown.snapshot for name, grown in self._last.maps.items()}
@@ -170,7 +154,7 @@ class _Run:
 
 
 def end_texts(finished: Finished) -> list[str]:
-    """Return a line for each map that was merged, and for each robot that is in nobody's frame, and why."""
+    """Return a line for each merged map, and for each robot alone, with the reason."""
     texts = [f"the finished maps of {', '.join(merged.names)} are merged" for merged in finished.merged]
     alone = [frame.names[0] for frame in finished.frames if len(frame.names) == 1]
     texts = texts or ["no two of the finished maps are joined"]
@@ -178,7 +162,7 @@ def end_texts(finished: Finished) -> list[str]:
 
 
 def event_text(event: JoinEvent) -> str:
-    """Return in a line that two robots were joined, or are no longer."""
+    """Return a join or its withdrawal as a line."""
     after = f"after {event.keyframe} keyframes"
     if event.kind == "joined":
         return f"{after}: {event.a} and {event.b} are joined by {event.num_pairs} pairs, {100 * event.sigma_m:.1f} cm"
@@ -225,7 +209,6 @@ def _task(plan: FleetPlan, robot: Robot) -> RobotTask:
 
 
 def _check(plan: FleetPlan) -> None:
-    """Refuse what cannot be before anything is mapped."""
     check_viewer(plan.viewer)
     for robot in plan.robots:
         missing = [uri for uri in robot.uris if not robot.is_live and not Path(uri).exists()]
@@ -238,8 +221,7 @@ def _check(plan: FleetPlan) -> None:
     taken = [path for path in (*made, plan.rrd) if path.exists()]
     if taken and not (plan.overwrite or plan.resumes):
         raise InputError(
-            f"{taken[0]} is there already; --overwrite replaces it, --resume goes on with the fleet, or choose "
-            "another -o"
+            f"{taken[0]} exists; replace it with --overwrite, continue with --resume, or choose another -o"
         )
     foreign = [path for path in made if path.exists() and not is_map_folder(path)]
     if foreign:
@@ -257,5 +239,4 @@ def _check(plan: FleetPlan) -> None:
 
 
 def _processors() -> int:
-    """Return how many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

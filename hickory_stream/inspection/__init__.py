@@ -1,1 +1,1 @@
-"""Questions to a finished map: what is at a place or pixel, and why."""
+"""Queries of a finished map: the content of a position or pixel, and its history."""

@@ -13,17 +13,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GraphSummary:
-    """A pose graph: how many submaps and loops it has, and the loops themselves.
-
-    `moved_m` is how far the solution moved the submap that it moved most, `sigma_m` the standard deviation of the place
-    that is known least, relative to the first submap.
-    """
+    """Counts of submaps and loops of a pose graph, and the loops."""
 
     num_submaps: int
     num_accepted: int
     num_rejected: int
     num_withdrawn: int
+    #: largest displacement of a submap by the solution
     moved_m: float
+    #: largest standard deviation of a position, relative to the first submap
     sigma_m: float
     loops: tuple[GraphEdge, ...]
 
@@ -43,13 +41,9 @@ def summary_of(graph: PoseGraphRecord) -> GraphSummary:
     )
 
 
-def told(summary: GraphSummary) -> str:
+def summary_text(summary: GraphSummary) -> str:
     """Return a pose graph as a line for people."""
-    counts = {
-        "accepted": summary.num_accepted,
-        "rejected": summary.num_rejected,
-        "withdrawn": summary.num_withdrawn,
-    }
+    counts = {"accepted": summary.num_accepted, "rejected": summary.num_rejected, "withdrawn": summary.num_withdrawn}
     said = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
     return (
         f"pose graph: {summary.num_submaps} submaps, {len(summary.loops)} loops{f' ({said})' if said else ''}; submaps "

@@ -1,7 +1,6 @@
 """A map in numbers: its objects, and the storage and time of the four layers as in the paper's table.
 
-Storage counts what the layers hold, not how a file packs it: 15 bytes a point (three float32 and a colour), the GLB for
-a mesh, eleven float64 for a superquadric (two exponents, three semi-axes, six of the pose).
+Storage counts content, not file packing: 15 bytes a point, the GLB of a mesh, eleven float64 a superquadric.
 """
 
 from __future__ import annotations
@@ -11,10 +10,9 @@ from math import hypot
 from typing import TYPE_CHECKING, Any, Literal
 
 from hickory_stream.config import as_far_as_known
-from hickory_stream.inspection.graph_summary import GraphSummary, summary_of
-from hickory_stream.inspection.graph_summary import told as graph_line
+from hickory_stream.inspection.graph_summary import GraphSummary, summary_of, summary_text
 from hickory_stream.inspection.object_geometry import Place, place_of
-from hickory_stream.inspection.supports import supports_of, told
+from hickory_stream.inspection.supports import support_text, supports_of
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.floor_warnings import floor_warnings
 from hickory_stream.records import Phase
@@ -36,19 +34,15 @@ _PRIMITIVE_BYTES = 11 * 8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectSummary:
-    """One object; `size_m` are the sides of the box of layer 1, `layer_bytes` the sizes of layers 1 to 4, 0 if missing.
-
-    `place` is the pose and size of its best layer. `supports` are its relations in the support graph.
-    `is_sketched`: it has no layers 2 to 4 yet, but one superquadric fitted to its points. `verdict` is why a generated
-    shape was taken, or was not; "" where none was asked for. `fit_kind` says of what layer 3 is, as in `ObjectShape`;
-    None without a shape.
-    """
+    """One object in numbers."""
 
     id: int
     phase: Phase
     submap_id: int
+    #: pose and size of its best layer
     place: Place
     sightings: int
+    #: sides of the box of layer 1
     size_m: tuple[float, float, float]
     num_points: int
     num_views: int
@@ -56,17 +50,21 @@ class ObjectSummary:
     num_inflated: int
     reconstructor: str | None
     layers: tuple[int, ...]
+    #: of layers 1 to 4, 0 if missing
     layer_bytes: tuple[int, int, int, int]
     containment: Containment | None
+    #: without layers 2 to 4, but with one superquadric fitted to its points
     is_sketched: bool = False
     supports: tuple[Support, ...] = ()
+    #: why a generated shape was accepted or not, "" without one
     verdict: str = ""
+    #: as in `ObjectShape`, None without a shape
     fit_kind: FitKind | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LayerSummary:
-    """One layer of all objects together; `seconds` is the time to build it, None if no time was recorded."""
+    """One layer of all objects; `seconds` is the time to build it, None if it was not recorded."""
 
     layer: int
     num_objects: int
@@ -76,17 +74,15 @@ class LayerSummary:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MapSummary:
-    """A map; `digest` is of its objects as they are, `num_checked` and `num_outside` sum up the containment.
+    """A map in numbers; `objects` are the selected ones.
 
-    `num_objects` are in the map, `num_shaped` of them with layer 4; `objects` are those that were asked for.
-    `num_certified` objects have a layer 4 that provably contains them; in `num_fallbacks` of these it is a box.
-    `is_altered`: the objects differ from those that were saved, so that none counts as certified. `doubt` says why the
-    statements about layer 4 may not hold, "" if they do. `notes` are warnings about the map's floor and gravity.
-    `graph` is the map's pose graph, None where no loops were searched for.
+    `num_checked` and `num_outside` sum up the containment. `num_shaped` of `num_objects` have a layer 4;
+    `num_certified` have one that provably contains them, `num_fallbacks` of these a box.
     """
 
     objects: tuple[ObjectSummary, ...]
     layers: tuple[LayerSummary, ...]
+    #: of the objects as found
     digest: str
     finished_cleanly: bool
     revision: int
@@ -97,8 +93,11 @@ class MapSummary:
     num_fallbacks: int
     num_objects: int
     num_shaped: int
+    #: the objects differ from the saved ones, so that none counts as certified
     is_altered: bool
+    #: why statements about layer 4 may not hold, "" if they do
     doubt: str
+    #: warnings about floor and gravity
     notes: tuple[str, ...]
     graph: GraphSummary | None = None
 
@@ -136,14 +135,14 @@ def chosen(
     within_m: float | None = None,
     min_size_m: float = 0.0,
 ) -> MapSummary:
-    """Return the summary with the objects that are asked for, in the order asked for; its totals stay the map's.
+    """Return the summary with the selected objects in the given order; its totals stay the map's.
 
     Args:
         summary: of the whole map.
-        sort: by id or nearest first; largest, tallest and most often seen first. Ties by id.
-        near: x and y in the map, metres; distances are horizontal, from here to the objects' centres.
-        within_m: objects farther than this from `near` are left out.
-        min_size_m: objects whose longest side is shorter are left out.
+        sort: by id or distance, ascending; by size, height or sightings, descending. Ties by id.
+        near: x and y in the map, metres; distances are horizontal, to the objects' centres.
+        within_m: leaves out farther objects.
+        min_size_m: leaves out objects whose longest side is shorter.
     """
 
     def distance_m(row: ObjectSummary) -> float:
@@ -163,12 +162,12 @@ def chosen(
 
 
 def as_json(summary: MapSummary) -> dict[str, Any]:
-    """Return the summary as JSON has it; keys are the names of the fields."""
+    """Return the summary as JSON data; keys are the field names."""
     return asdict(summary)
 
 
 def format_table(summary: MapSummary) -> str:
-    """Return the summary as text for people: where each object is, what each holds, and what each layer takes."""
+    """Return the summary as text: position, content and size of each object, and each layer."""
     return "\n".join(
         [
             f"{summary.source}: {_count_objects(summary)}, {_ending(summary)}",
@@ -182,7 +181,7 @@ def format_table(summary: MapSummary) -> str:
             "",
             _containment_line(summary),
             *summary.notes,
-            *([graph_line(summary.graph)] if summary.graph is not None else []),
+            *([summary_text(summary.graph)] if summary.graph is not None else []),
             f"digest {summary.digest}",
         ]
     )
@@ -220,7 +219,6 @@ def _summarize_object(saved: SavedMap, tracked: TrackedObject, supports: tuple[S
 
 
 def _containment(saved: SavedMap, shape: ObjectShape) -> Containment:
-    """Return the certificate that a shape came with, None for an altered map, in which no certificate holds."""
     return replace(shape.containment, is_certified=False) if saved.is_altered else shape.containment
 
 
@@ -236,20 +234,8 @@ def _summarize_layer(saved: SavedMap, objects: tuple[ObjectSummary, ...], layer:
 
 # ---- text -----------------------------------------------------------------------------------------------------------
 
-_PLACE_HEADER = (
-    "id",
-    "phase",
-    "submap",
-    "x m",
-    "y m",
-    "z m",
-    "yaw deg",
-    "size m",
-    "of layer",
-    "litres",
-    "color",
-    "held by",
-)
+_PLACE_HEADER = ("id", "phase", "submap", "x m", "y m", "z m", "yaw deg", "size m", "of layer", "litres", "color",
+                 "held by")  # fmt: skip
 _OBJECT_HEADER = ("id", "sightings", "layers", "points", "views", *LAYER_NAMES, "outside")
 _LAYER_HEADER = ("layer", "", "objects", "storage", "mean", "time", "mean")
 
@@ -280,7 +266,7 @@ def _place_row(row: ObjectSummary) -> tuple[str, ...]:
         str(place.layer),
         f"{1000 * place.volume_m3:.1f}",
         place.color,
-        told(row.supports),
+        support_text(row.supports),
     )
 
 
@@ -305,7 +291,6 @@ def _layer_row(row: LayerSummary) -> tuple[str, ...]:
 
 
 def _columns(rows: list[tuple[str, ...]]) -> list[str]:
-    """Return the rows as lines, every column as wide as its widest cell; text to the left, numbers to the right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     is_text = [row_i in ("phase", "layers", "color", "held by", "") for row_i in rows[0]]
     return [
@@ -318,7 +303,6 @@ def _columns(rows: list[tuple[str, ...]]) -> list[str]:
 
 
 def _bytes(size: int) -> str:
-    """Return a size as the paper writes it."""
     if size < 1024:
         return f"{size} B"
     return f"{size / 1024:.1f} KiB" if size < 1024**2 else f"{size / 1024**2:.2f} MiB"
@@ -336,15 +320,9 @@ def _count_objects(summary: MapSummary) -> str:
 
 
 def _ending(summary: MapSummary) -> str:
-    return (
-        "finished cleanly"
-        if summary.finished_cleanly
-        else (
-            "not finished: this is its last complete save"
-            if summary.revision
-            else "not finished: nothing was saved yet"
-        )
-    )
+    if summary.finished_cleanly:
+        return "finished cleanly"
+    return f"not finished: {'this is its last complete save' if summary.revision else 'nothing was saved yet'}"
 
 
 def _containment_line(summary: MapSummary) -> str:
@@ -359,7 +337,7 @@ def _containment_line(summary: MapSummary) -> str:
 
 
 def _margins(summary: MapSummary) -> str:
-    """Return the safety margins of the objects; containment without a margin proves little."""
+    # Containment without a margin proves little.
     margins = [row.containment.margin_m for row in summary.objects if row.containment]
     if not margins:
         return ""

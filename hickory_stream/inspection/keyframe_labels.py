@@ -1,7 +1,7 @@
 """The label of each pixel of a recorded keyframe: mask, rejected mask (and why), structure, or none.
 
-The journal keeps masks at full resolution, depth and structure at a reduced one. In older journals, which have no
-depth, the label structure comes from the keyframe's structure voxels of 5 cm.
+The journal keeps masks at full resolution, depth and structure at a reduced one. Older journals lack depth: structure
+then comes from the keyframe's structure voxels of 5 cm.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Range:
 class SeenAs:
     """A keyframe by pixel: `codes` (H, W) int32.
 
-    1 to `num_masks` are the observations in their order, then come the rejected masks; the others are constants here.
+    1 to `num_masks` are the observations, then rejected masks; other codes are constants of this module.
     """
 
     codes: NDArray[np.int32]
@@ -60,12 +60,12 @@ class SeenAs:
         freeze(self, "codes", np.int32, (None, None))
 
     def where(self, code: int) -> Where:
-        """Return the label that a code stands for."""
+        """Return the label of a code."""
         return where_of(code, self.num_masks)
 
 
 def where_of(code: int, num_masks: int) -> Where:
-    """Return the label that a code stands for in a keyframe with this number of observations."""
+    """Return the label of a code in a keyframe with this number of observations."""
     if code > num_masks:
         return "rejected mask"
     return "mask" if code > 0 else _WHERE[code]
@@ -137,5 +137,5 @@ def rays_of(camera: Camera, pixels: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def area_px(observation: Observation) -> int:
-    """Return how many pixels a mask has."""
+    """Return the number of pixels of a mask."""
     return int(np.count_nonzero(observation.mask))

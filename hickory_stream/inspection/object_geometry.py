@@ -23,21 +23,17 @@ _COLOR_BITS = 3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Place:
-    """The pose and size of an object: an upright box in the map's frame around its layer 2, or 1 (`layer`).
-
-    Attributes:
-        center_m: its centre.
-        yaw_deg: the direction of the first side of `size_m`, from the x axis about the vertical, in 0 to 180.
-        size_m: its sides: along the yaw, across it, and upright.
-        volume_m3: the volume of the mesh, or that of the box if the layer is 1.
-        color: the dominant colour of the points, #rrggbb.
-    """
+    """An upright box in the map's frame around the object's layer 2, or 1 (`layer`)."""
 
     layer: int
     center_m: tuple[float, float, float]
+    #: direction of the first side from the x axis about the vertical, in 0 to 180
     yaw_deg: float
+    #: sides along the yaw, across it, and upright
     size_m: tuple[float, float, float]
+    #: of the mesh; of the box for layer 1
     volume_m3: float
+    #: dominant colour of the points, #rrggbb
     color: str
 
 
@@ -76,7 +72,7 @@ def _enclosed_m3(mesh: Mesh) -> float:
 
 
 def _dominant(colors: NDArray[np.uint8]) -> str:
-    """Return the mean colour of the most populated cell of a coarse RGB grid; black if there are no points."""
+    # The mean colour of the most populated cell of a coarse RGB grid.
     if not len(colors):
         return "#000000"
     cells = colors.astype(np.int64) >> (8 - _COLOR_BITS)

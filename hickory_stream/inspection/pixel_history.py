@@ -1,9 +1,6 @@
 """The history of the point that one pixel of a frame shows.
 
-The point is found from the mask at the pixel, from the depth that the journal keeps, or, if the journal has no depth of
-this frame, from the log.
-
-The 3D point that a pixel of a frame shows: from its mask, from recorded depth or structure, or from the log.
+The point comes from the mask at the pixel, from recorded depth or structure, or from the log.
 """
 
 from __future__ import annotations
@@ -69,11 +66,7 @@ def place_by_depth(
 
 
 def check_pixel(pixel: tuple[float, float], camera: Camera) -> None:
-    """Check that a pixel is in the image.
-
-    Raises:
-        InputError: it is not.
-    """
+    """Raise `InputError` for a pixel outside of the image."""
     if not (0 <= pixel[0] <= camera.width - 1 and 0 <= pixel[1] <= camera.height - 1):
         raise InputError(
             f"found the pixel {pixel[0]:g},{pixel[1]:g}, expected a column of 0 to {camera.width - 1} and a row of 0 "
@@ -82,7 +75,6 @@ def check_pixel(pixel: tuple[float, float], camera: Camera) -> None:
 
 
 def _depth_of_structure(keyframe: RecordedKeyframe, pixel: tuple[float, float], voxel_m: float) -> float:
-    """Return the depth at which a pixel's ray meets the structure voxels of the keyframe, NaN if it meets none."""
     depths_m = np.arange(_MARCH_M, _MARCH_TO_M, _MARCH_M)
     ray = rays_of(keyframe.camera, np.array([pixel]))
     points = apply(keyframe.observed.world_from_camera, ray * depths_m[:, None])
@@ -91,22 +83,12 @@ def _depth_of_structure(keyframe: RecordedKeyframe, pixel: tuple[float, float], 
 
 
 def story_of_pixel(
-    path: Path,
-    frame: int,
-    pixel: tuple[float, float],
-    depth_of: Callable[[int], NDArray[np.float32]] | None = None,
+    path: Path, frame: int, pixel: tuple[float, float], depth_of: Callable[[int], NDArray[np.float32]] | None = None
 ) -> PlaceStory:
-    """Return the history of the point that a pixel shows.
+    """Return the history of the point at `pixel` (column, row) of a frame of the log.
 
-    Args:
-        path: the map folder.
-        frame: the index of the frame, as the viewer's timeline `frame` has it.
-        pixel: column and row.
-        depth_of: returns the (H, W) depth of the log's frame of a stamp; None where there is no log.
-
-    Raises:
-        InputError: there is no such frame or pixel, or the point can only be found from the log.
-        MapFolderError: there is no map or no journal, or it is damaged or of another version.
+    `depth_of` returns the (H, W) depth of a stamp from the log. Raises `InputError` for an unknown frame or pixel, or
+    if only the log has the point; `MapFolderError` for the map or its journal.
     """
     keyframes, frames = frame_indices(path)
     if frame not in frames:
@@ -164,7 +146,6 @@ def _map_from_odometry(path: Path, frame: int) -> NDArray[np.float64]:
 
 
 def _followed(path: Path, point: NDArray[np.float64] | None, asked: AskedPixel) -> PlaceStory:
-    """Return the history of the point of a pixel, or, if the pixel has none, what this frame alone says of it."""
     if point is not None:
         return story_of_point(path, point, asked)
     return PlaceStory(

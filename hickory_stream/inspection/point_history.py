@@ -1,4 +1,4 @@
-"""The history of one point of the map: its label in every keyframe that has it in the image, and the objects there."""
+"""The history of one point of the map: its label in every keyframe that shows it, and the objects there."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _IN_WORDS: dict[PlaceWhere, str] = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObjectThere:
-    """An object of the map at a point; `distance_m` is the distance to its nearest point."""
+    """An object at a point; `distance_m` is to its nearest point."""
 
     id: int
     phase: Phase
@@ -47,7 +47,7 @@ class ObjectThere:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskedPixel:
-    """The pixel that was asked for, and its label in that frame."""
+    """The pixel of a query, and its label in that frame."""
 
     frame: int
     pixel: tuple[float, float]
@@ -56,10 +56,10 @@ class AskedPixel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlaceStory:
-    """The history of a point: `point_m` in the map's world, None if the pixel that was asked for has no depth.
+    """The history of a point: `point_m` in the map's world, None for a pixel without depth.
 
-    `num_looking` of `num_keyframes` keyframes have it in the image; `verdict` is the answer in a sentence. Each of
-    `floor_changes` names a frame in which the map's estimate of the floor changed, and the reason.
+    `num_looking` of `num_keyframes` keyframes show it; `verdict` is the answer in a sentence. `floor_changes` are
+    frames that changed the floor estimate, with reasons.
     """
 
     point_m: tuple[float, float, float] | None
@@ -75,11 +75,7 @@ class PlaceStory:
 
 
 def story_of_point(path: Path, point_map: NDArray[np.float64], asked: AskedPixel | None = None) -> PlaceStory:
-    """Return the history of a point (3,) of the map's world.
-
-    Raises:
-        MapFolderError: there is no map or no journal, or it is damaged or of another version.
-    """
+    """Return the history of a point (3,) of the map's world; raises `MapFolderError` for the map or its journal."""
     final, config = final_snapshot(path), known_config(path)
     book, sightings, floor_changes, num_keyframes = TrackHistories(), [], [], 0
     for step in recorded_steps(path, final):
@@ -121,16 +117,16 @@ def _objects_at(final: MapSnapshot, point_map: NDArray[np.float64]) -> tuple[Obj
 
 def _verdict(there: tuple[ObjectThere, ...], sightings: list[PlaceSighting], book: TrackHistories) -> str:
     if not sightings:
-        told = "no keyframe has it in its image"
+        text = "no keyframe has it in its image"
     else:
         counts = Counter(sighting.where for sighting in sightings)
         parts = ", ".join(f"{_IN_WORDS[w]} in {n}" for w, n in sorted(counts.items(), key=lambda kv: (-kv[1], kv[0])))
-        told = f"of {len(sightings)} keyframes that have it in the image: {parts}"
+        text = f"of {len(sightings)} keyframes that have it in the image: {parts}"
     if there:
-        return f"in object #{there[0].id}; {told}"
+        return f"in object #{there[0].id}; {text}"
     tracks = Counter(s.track_id for s in sightings if s.where == "mask" and s.track_id is not None)
     ends = "; ".join(
         f"{count} of its masks went to {ending_text(book, i)}"
         for i, count in sorted(tracks.items(), key=lambda kv: (-kv[1], kv[0]))[:3]
     )
-    return f"in no object; {told}" + (f"; {ends}" if ends else "")
+    return f"in no object; {text}" + (f"; {ends}" if ends else "")

@@ -43,9 +43,8 @@ _NOISE_M = 0.012
 class PlaceSighting:
     """The label of a point in one keyframe; `pixel` is its projection, `distance_m` its distance from the camera.
 
-    `track_id` is the track that the mask there was matched to, `text` is the label in words. "hidden": a nearer surface
-    occludes the point; "looked through": the depth at the pixel is behind the point; "unknown": the journal is too old
-    to contain the depth.
+    "hidden": a nearer surface occludes the point; "looked through": the depth is behind it; "unknown": the journal is
+    too old to contain depth.
     """
 
     frame: int
@@ -55,7 +54,9 @@ class PlaceSighting:
     distance_m: float
     where: PlaceWhere
     observation_index: int | None
+    #: track of the mask at the point
     track_id: int | None
+    #: the label in words
     text: str
 
 
@@ -84,7 +85,7 @@ def sighting_of(
 
 
 def meaning_of_code(keyframe: RecordedKeyframe, code: int, book: TrackHistories) -> tuple[PlaceWhere, int | None, str]:
-    """Return the label that a pixel's code stands for, the index of its observation, and both in words."""
+    """Return the label of a pixel's code, the index of its observation, and both in words."""
     count = len(keyframe.observed.observations)
     where = where_of(code, count)
     if where == "mask":

@@ -1,4 +1,4 @@
-"""What the objects of a map rest on, hang from and lean on: the support graph of a map that was saved."""
+"""The support graph of a saved map: objects that rest on, hang from or lean on others."""
 
 from __future__ import annotations
 
@@ -36,10 +36,9 @@ class ObjectBody:
 
 
 def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple[Support, ...]]:
-    """Return the relations of each object of a map, by its id.
+    """Return the relations of each object of a map by id; an object without points has none.
 
-    Each object is compared with the observed space of its own submap, in whose frame the heights are. An object without
-    points has no relations.
+    Each object is compared with the observed space of its own submap, in that submap's frame.
     """
     objects = [item for item in snapshot.objects if len(item.points_world)]
     found: dict[int, tuple[Support, ...]] = {item.id: () for item in snapshot.objects}
@@ -70,8 +69,8 @@ def supports_of(snapshot: MapSnapshot, config: MappingConfig) -> dict[int, tuple
     return found
 
 
-def told(supports: tuple[Support, ...]) -> str:
-    """Return a phrase for the support of an object: what it rests on, else hangs from, is a part of, or leans on."""
+def support_text(supports: tuple[Support, ...]) -> str:
+    """Return a phrase for the support of an object: on, hanging from, part of, or leaning on."""
     held = {support.relation: support.by for support in reversed(supports)}
     if Relation.RESTS_ON in held:
         by = held[Relation.RESTS_ON]
@@ -83,7 +82,7 @@ def told(supports: tuple[Support, ...]) -> str:
 
 
 def _bare(item: TrackedObject, new_from_old: NDArray[np.float64]) -> TrackedObject:
-    """Return the points and the box of an object in another frame: nothing else of it has a say in what it rests on."""
+    # Points and box in another frame; support depends on nothing else.
     return replace(
         item,
         points_world=apply(new_from_old, item.points_world),
@@ -102,27 +101,21 @@ def _reach(item: TrackedObject) -> NDArray[np.float64]:
 
 
 def _meet(reaches: NDArray[np.float64], own: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which of (N, 2, 3) bounds are near enough to others (2, 3) for a relation.
-
-    Means of points in a voxel, of which bodies are made, may be rounded out of the bounds, by less than the slack.
-    """
+    # Which of (N, 2, 3) bounds are near (2, 3). The slack covers voxel means that round out of the bounds.
     reach_m = REACH_M + _SLACK_M
     is_near = (reaches[:, 0] <= own[1] + reach_m) & (own[0] <= reaches[:, 1] + reach_m)
     return np.asarray(is_near.all(axis=1))
 
 
 def _sphere(item: TrackedObject) -> tuple[float, float, float, float]:
-    """Return the centre and the radius of a sphere around the bounds of an object, in metres."""
     low, high = _reach(item)
     middle = (low + high) / 2
     return (*middle, float(np.linalg.norm(high - middle)))
 
 
 def _may_touch(spheres: NDArray[np.float64], is_own: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which of n objects (n, 4) may have a relation to one of their own, whichever way the axes lie.
-
-    Bounds along any axes that are within reach of each other have centres at most so far apart along each of the three.
-    """
+    # Which of n spheres (n, 4) may touch one of `is_own`. Bounds within reach along any axes have centres at most so
+    # far apart along each of the three.
     own = spheres[is_own]
     apart_m = np.linalg.norm(spheres[:, None, :3] - own[None, :, :3], axis=2)
     return (apart_m <= np.sqrt(3.0) * (spheres[:, None, 3] + own[None, :, 3] + REACH_M)).any(axis=1)

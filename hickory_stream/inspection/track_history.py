@@ -1,4 +1,4 @@
-"""The history of a track in words, and the text for runs of consecutive frames."""
+"""The history of a track in words, and texts of consecutive frames."""
 
 from __future__ import annotations
 
@@ -13,25 +13,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrackStory:
-    """The history of a track: where it was first seen, in how many keyframes, and how it ended ("" if it is live).
-
-    `changes` lists when it was reclassified as structure of the room, or as an object. `map_id` is the object of the
-    map that it became, by itself or by merging; None for a track that was dropped.
-    """
+    """The history of a track: its first frame, its keyframes, and its end ("" if it is live)."""
 
     id: int
     first_frame: int | None
     born: str
     num_keyframes: int
     turns: tuple[str, ...]
+    #: reclassifications as structure of the room, or as an object
     changes: tuple[str, ...]
     ending: str
+    #: object of the map that it became, itself or by merging; None for a dropped track
     map_id: int | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stretch:
-    """Consecutive keyframes with the same text: the frame indices of the first and last, and their number."""
+    """Consecutive keyframes with equal text: first and last frame, and their number."""
 
     first_frame: int
     last_frame: int
@@ -42,10 +40,10 @@ class Stretch:
 def track_story(history: TrackHistory, map_id: int | None) -> TrackStory:
     """Return a track's history in words."""
     ending = history.ending
-    told = ""
+    text = ""
     if ending is not None:
         at = when(ending.frame)
-        told = (
+        text = (
             f"merged into #{ending.into} {at}: {ending.text}"
             if ending.kind == "merged"
             else f"dropped {at}: {ending.text}"
@@ -57,15 +55,15 @@ def track_story(history: TrackHistory, map_id: int | None) -> TrackStory:
         num_keyframes=len(history.frames),
         turns=tuple(f"{when(t.frame)}: {t.text}" for t in history.turns),
         changes=tuple(f"{when(t.frame)} {t.text}" for t in history.changes),
-        ending=told,
+        ending=text,
         map_id=map_id,
     )
 
 
-def stretches_of(told: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
-    """Return the texts of frames, with consecutive frames of equal text joined."""
+def stretches_of(texts: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
+    """Return the texts of frames; consecutive frames of equal text are joined."""
     stretches: list[Stretch] = []
-    for frame, text in told:
+    for frame, text in texts:
         if stretches and stretches[-1].text == text:
             last = stretches[-1]
             stretches[-1] = replace(last, last_frame=frame, num_keyframes=last.num_keyframes + 1)

@@ -1,4 +1,4 @@
-"""Flat drawings of lines, discs, ellipses and text: the same one as an SVG, or as an image."""
+"""Drawings of lines, ellipses and text, as SVG or as an image."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SHIFT = 4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Line:
-    """A line through (N, 2) places; `dash_px` is the length of its dashes and of the gaps between them, 0 for none."""
+    """A line through (N, 2) points; `dash_px` is the length of dashes and gaps, 0 for a solid line."""
 
     places_px: NDArray[np.float64]
     color: Color
@@ -40,21 +40,19 @@ class Ellipse:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Text:
-    """A text on one line; `place_px` is the left end of its base line, or the middle or right end of it.
-
-    `halo` is the colour of a rim around its letters, so that it can be read on lines; None: without.
-    """
+    """One line of text; `place_px` is the left end, middle or right end of its baseline."""
 
     place_px: tuple[float, float]
     text: str
     color: Color
     anchor: str = "start"
+    #: colour of a rim around the letters
     halo: Color | None = None
 
 
 @dataclass(slots=True)
 class Drawing:
-    """A drawing of a size; what is added later lies on what was added before."""
+    """A drawing; later parts cover earlier ones."""
 
     width: int
     height: int
@@ -132,7 +130,6 @@ def _paint_line(image: NDArray[np.uint8], line: Line) -> None:
 
 
 def _dashes(places_px: NDArray[np.float64], dash_px: float) -> list[NDArray[np.float64]]:
-    """Return every second piece of a line through (N, 2) places, each about as long as a dash."""
     steps = np.linalg.norm(np.diff(places_px, axis=0), axis=1)
     marks = np.concatenate([[0.0], np.cumsum(steps)])
     starts = np.arange(0.0, marks[-1], 2 * dash_px)

@@ -1,7 +1,6 @@
 """Text on pictures: ids at the objects, the title, the scale.
 
-A label lies on the visible part of its object, near the middle of it. If that is too small, the label stands beside it
-with a leader line to it, where it covers neither another label nor the anchor of another object.
+A label lies on the visible part of its object. If that is too small, it stands beside it with a leader line.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class Label:
 
 
 def most_visible(ids: Sequence[int], owners: NDArray[np.int32], step_px: int) -> list[int]:
-    """Return the ids to label: all, or as many of the most visible ones as cover half of what is visible.
+    """Return the ids to label: all, or the most visible ones that cover half of the visible area.
 
     `owners` (h, w) is the id of the object visible in each square of `step_px` pixels, -1 for none.
     """
@@ -80,7 +79,7 @@ def place_labels(
 
 
 def draw_labels(image: NDArray[np.uint8], labels: Sequence[Label]) -> None:
-    """Draw the labels, each on a patch of its object's colour, and the leader lines of those that stand beside it."""
+    """Draw the labels on patches of their objects' colours, with leader lines."""
     import cv2
 
     for label in (label for label in labels if label.is_beside):
@@ -101,10 +100,8 @@ def draw_labels(image: NDArray[np.uint8], labels: Sequence[Label]) -> None:
 def _spot(
     seen: NDArray[np.bool_], step_px: int, size_px: tuple[int, int], hidden_px: NDArray[np.float64]
 ) -> tuple[tuple[int, int], float]:
-    """Return the anchor of a visible region, and its distance from the region's edge, in pixels.
-
-    It is the point nearest to the region's centre at which the label fits, else the point farthest from the edge.
-    """
+    # The anchor is nearest to the region's centre where the label fits, else farthest from the edge; its distance from
+    # the edge is in pixels.
     import cv2
 
     if not seen.any():
@@ -127,7 +124,6 @@ def _placed(
     step_px: int,
     limits: tuple[int, int],
 ) -> Label:
-    """Return the label of least cost, which is close to its anchor and covers little of other objects."""
     width, height = _text_size(str(object_id))
     offsets = [(0.0, 0.0)] if depth_px >= 0.5 * max(width, height) else []
     offsets += [(d * np.cos(angle), -d * np.sin(angle)) for d in _DISTANCES_PX for angle in _ANGLES_RAD]
@@ -150,7 +146,6 @@ def _placed(
 
 
 def _text_size(text: str) -> tuple[int, int]:
-    """Return the width and height of a label including its padding."""
     import cv2
 
     (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _SIZE, _THICKNESS)

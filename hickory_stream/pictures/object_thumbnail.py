@@ -1,4 +1,4 @@
-"""Small pictures of single objects: ray cast on the CPU, all from the same side so that they can be compared."""
+"""Small pictures of single objects, ray cast on the CPU from one side for comparison."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FILL = 0.62
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CloseUp:
-    """An orthographic view: its centre, half the width of the area shown, and the direction it is seen from."""
+    """An orthographic view: its centre, half its width, and its direction."""
 
     center_m: tuple[float, float, float]
     half_m: float
@@ -36,10 +36,7 @@ def close_up_of(vertices: NDArray[Any], azimuth_rad: float, size_px: int = 200) 
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     x, y, z = ((low + high) / 2).tolist()
     return CloseUp(
-        center_m=(x, y, z),
-        half_m=_FILL * float(np.linalg.norm(high - low)),
-        azimuth_rad=azimuth_rad,
-        size_px=size_px,
+        center_m=(x, y, z), half_m=_FILL * float(np.linalg.norm(high - low)), azimuth_rad=azimuth_rad, size_px=size_px
     )
 
 

@@ -1,6 +1,6 @@
-"""The one place that imports Open3D, which only measuring needs: the extra `evaluation`.
+"""The only import of Open3D, which measuring needs: the extra `evaluation`.
 
-Its wheel needs libusb even where no camera is, and a bare system has none: a packaged one is loaded before it.
+Its wheel needs libusb, which a bare system lacks: a packaged one is loaded first.
 """
 
 from __future__ import annotations
@@ -13,11 +13,7 @@ from hickory_stream.errors import InputError
 
 
 def import_open3d() -> Any:
-    """Return the module `open3d`.
-
-    Raises:
-        InputError: it is not installed.
-    """
+    """Return the module `open3d`; raises `InputError` if it is not installed."""
     if importlib.util.find_spec("open3d") is None:
         raise InputError(
             "this needs Open3D, which measures distances to surfaces, and it is not installed: "

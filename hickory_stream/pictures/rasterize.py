@@ -1,8 +1,7 @@
-"""What a viewpoint sees first, by drawing every surface into an image of depths (z-buffer; Catmull 1974).
+"""The first surface at each pixel of a viewpoint, by a z-buffer (Catmull 1974).
 
-A picture asks for each sample once, and a large map has more triangles than a picture has pixels: to draw each of them
-takes a fraction of the time that a ray caster takes to sort them. What rays from anywhere ask for is
-`raycast.Scene`'s. The hits of both are the same, but for samples on the very edge of a triangle.
+A large map has more triangles than a picture has pixels, so that drawing them is faster than building a ray caster.
+`raycast.Scene` answers rays from anywhere; both agree but at the very edges of triangles.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ _NO_UV.flags.writeable = False
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Dots:
-    """Points (N, 3) float32, each drawn as an upright square that faces the viewer and reaches `half_m` from it.
+    """Points (N, 3) float32, each drawn as an upright square of half side `half_m` that faces the viewer.
 
-    In the image a dot is never smaller than what it is sampled by, so that surfaces of dots far away have no holes.
+    A dot is never smaller than a pixel sample, so that distant surfaces have no holes.
     """
 
     points: NDArray[np.float32]
@@ -61,9 +60,9 @@ def first_hits(
     within_px: NDArray[np.float32] = _MIDDLE,
     step_px: int = 1,
 ) -> list[Hits]:
-    """Return what is seen first in each square of `step_px` pixels, row by row: Hits for each of S sample positions.
+    """Return the first hits in each square of `step_px` pixels, row by row: Hits for each of S sample positions.
 
-    `within_px` (S, 2) are the positions, from the middle of a square. There are as many squares as fit into the image.
+    `within_px` (S, 2) are the positions, relative to the middle of a square.
     """
     image = _Image(viewpoint, within_px.astype(np.float32), step_px, any(one.image is not None for one in surfaces))
     for i, surface in enumerate(surfaces):

@@ -1,8 +1,6 @@
-"""Rays against triangles, by Embree: from the small wheel `embreex`, or from Open3D.
+"""Rays against triangles by Embree, from the wheel `embreex`, or from Open3D where that has none (Linux on ARM).
 
-Pictures and measurements use `embreex`, or Open3D where `embreex` has no wheel (Linux on ARM). Both wrap Embree, but
-their distances differ in the last bits: a recording that must have the same bytes everywhere names the library it was
-made with.
+Their distances differ in the last bits: a recording that must have equal bytes everywhere names its library.
 """
 
 from __future__ import annotations
@@ -26,8 +24,8 @@ CasterName = Literal["embreex", "open3d"]
 class Crossings:
     """The first hits of N rays: `t` (N,) float32 in multiples of the direction vectors, inf without a hit.
 
-    For rays with a hit: `geometry` (N,) and `triangle` (N,) uint32, indices in the order of adding; `uv` (N, 2), the
-    barycentric weights of the second and third corner; `normals` (N, 3), unit, oriented by the order of the corners.
+    For rays with a hit: `geometry` and `triangle` (N,) uint32 in the order of adding; `uv` (N, 2) barycentric weights
+    of the second and third corner; `normals` (N, 3), unit, oriented by the order of the corners.
     """
 
     t: NDArray[np.float32]
@@ -50,23 +48,16 @@ class RayCaster(Protocol):
 
     def add(self, vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> None:
         """Add a mesh of (V, 3) vertices and (F, 3) faces; all meshes are added before the first ray is cast."""
-        ...
 
     def cast(self, rays: NDArray[np.float32]) -> Crossings:
         """Return the first hits of the rays."""
-        ...
 
     def is_occluded(self, rays: NDArray[np.float32], reach: float = np.inf) -> NDArray[np.bool_]:
         """Return (N,) whether the rays hit anything up to `reach`, in multiples of their direction vectors."""
-        ...
 
 
 def ray_caster(name: CasterName | None = None) -> RayCaster:
-    """Return an empty scene of the named library; by default of the one that this platform has.
-
-    Raises:
-        InputError: the library is not installed.
-    """
+    """Return an empty scene of a library, by default the platform's; raises `InputError` if it is not installed."""
     if name is None:
         name = "embreex" if importlib.util.find_spec("embreex") is not None else "open3d"
     if name == "embreex":

@@ -1,6 +1,6 @@
 """A picture of a map without a screen: from above and from a raised corner, layers selectable.
 
-The second view is the one of eight directions in which the objects occlude one another least.
+The corner is the one of eight from which the objects occlude one another least.
 """
 
 from __future__ import annotations
@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.pictures.labels import (
-    draw_caption,
-    draw_labels,
-    draw_scale,
-    draw_title,
-    most_visible,
-    place_labels,
-)
+from hickory_stream.pictures.labels import draw_caption, draw_labels, draw_scale, draw_title, most_visible, place_labels
 from hickory_stream.pictures.rasterize import first_hits
 from hickory_stream.pictures.render_parts import dots_of, floor_cells, mesh_surface, superquadric_surfaces
 from hickory_stream.pictures.render_storeys import Place, Storey, places_of, storeys_to_draw
@@ -42,26 +35,21 @@ _LABEL_STEP_PX = 3
 
 
 def render_map(
-    saved: SavedMap,
-    layers: AbstractSet[int],
-    size: tuple[int, int],
-    texture_px: int = 0,
-    floor_m: float | None = None,
+    saved: SavedMap, layers: AbstractSet[int], size: tuple[int, int], texture_px: int = 0, floor_m: float | None = None
 ) -> NDArray[np.uint8]:
     """Return an (H, W, 3) uint8 picture of a map: from above on the left, from a corner on the right.
 
-    Of a map with several storeys they are beside one another, at most `MOST_STOREYS` of them.
+    Storeys are side by side, at most `MOST_STOREYS`.
 
     Args:
-        saved: the map; tracks that are still tentative are not drawn.
-        layers: the layers to draw, of 1 to 4; an object without a shape is drawn as its points. Layer 4 is translucent,
-        and so is layer 3 if layer 2 is drawn too.
+        saved: the map; tentative tracks are not drawn.
+        layers: of 1 to 4; an object without a shape is drawn as points.
         size: (W, H) in pixels, at least (480, 240).
-        texture_px: the largest side of a texture of layer 2, 0 for the colours of its vertices.
-        floor_m: draw the storey of this floor alone; without it all storeys, each from above and from a corner.
+        texture_px: the largest side of a texture of layer 2, 0 for vertex colours.
+        floor_m: draw only the storey of this floor.
 
     Raises:
-        MapFolderError: a mesh, or a view that a texture is made of, cannot be read.
+        MapFolderError: a mesh or a view cannot be read.
         ValueError: the size or a layer is out of range.
     """
     width, height = size
@@ -100,7 +88,6 @@ def render_map(
 
 
 def _model(saved: SavedMap, storey: Storey, dots: list[Dots], layers: AbstractSet[int], texture_px: int) -> Model:
-    """Return what is drawn of a storey; `dots` are those of its objects."""
     solid, translucent = _surfaces(saved, storey.objects, layers, texture_px)
     return Model(
         solid=solid,
@@ -139,7 +126,6 @@ def _corners(objects: list[TrackedObject]) -> NDArray[np.float64]:
 
 
 def _floor_of(saved: SavedMap, objects: list[TrackedObject], floor_m: float | None) -> Floor:
-    """Return the floor, weighted by how much of it was seen; if none was seen, a floor around the objects."""
     import cv2
 
     corners = _corners(objects)
@@ -162,7 +148,6 @@ def _floor_of(saved: SavedMap, objects: list[TrackedObject], floor_m: float | No
 
 
 def _best_azimuth(dots: list[Dots], corners: NDArray[np.float64], place: Place) -> float:
-    """Return the direction, of eight, in which objects occlude one another least, whichever layers are drawn."""
     small = (place.width // 8, place.height // 8, place.margin_px // 8)
 
     def visibility(azimuth: float) -> float:
@@ -190,8 +175,8 @@ def _title(saved: SavedMap, storeys: list[Storey], layers: AbstractSet[int]) -> 
     shown = "  ".join(f"{layer}: {counts[layer]}" for layer in sorted(layers))
     num_floors = len(floors_of(saved.snapshot))
     of_all = f" of {num_floors}, --floor draws one" if num_floors > len(storeys) else ""
-    told = f"    {len(storeys)} storeys{of_all}" if len(storeys) > 1 else ""
-    return f"{name}    {len(objects)} objects{told}    layer {shown}"
+    text = f"    {len(storeys)} storeys{of_all}" if len(storeys) > 1 else ""
+    return f"{name}    {len(objects)} objects{text}    layer {shown}"
 
 
 # ---- one panel ------------------------------------------------------------------------------------------------------
@@ -205,10 +190,7 @@ def _panel(model: Model, viewpoint: Viewpoint, objects: list[TrackedObject], dot
 
 
 def labels_of(viewpoint: Viewpoint, objects: list[TrackedObject], dots: list[Dots]) -> list[Label]:
-    """Return the labels of objects as seen from a viewpoint, whichever layers are drawn.
-
-    Where labels of all would hide the map, as in a building of hundreds of things, only the most visible ones have one.
-    """
+    """Return the labels of objects as seen from a viewpoint, of the most visible ones if all would hide the map."""
     columns, rows = viewpoint.width // _LABEL_STEP_PX, viewpoint.height // _LABEL_STEP_PX
     owners = first_hits([], dots, viewpoint, step_px=_LABEL_STEP_PX)[0].owners.reshape(rows, columns)
     chosen = set(most_visible([tracked.id for tracked in objects], owners, _LABEL_STEP_PX))

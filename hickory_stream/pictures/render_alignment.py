@@ -1,6 +1,6 @@
-"""A picture of two aligned maps: overlaid and seen from above, and with one lifted above the other.
+"""A picture of two aligned maps: overlaid from above, and one lifted above the other.
 
-Map a is blue, map b orange; objects without a partner are pale. If no alignment was found, the maps stand side by side.
+Map a is blue, map b orange; objects without a partner are pale. Without an alignment the maps stand side by side.
 """
 
 from __future__ import annotations
@@ -38,16 +38,9 @@ _BOX_FACES = np.array(
 
 
 def render_alignment(
-    map_a: ObjectMap,
-    map_b: ObjectMap,
-    answer: Alignment | NoAlignment,
-    size: tuple[int, int] = (1600, 800),
+    map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment, size: tuple[int, int] = (1600, 800)
 ) -> NDArray[np.uint8]:
-    """Return an (H, W, 3) uint8 picture of two maps and the answer of `align`; at least 480 x 240 pixels.
-
-    Raises:
-        ValueError: the size is smaller.
-    """
+    """Return an (H, W, 3) uint8 picture of two maps and their alignment; raises `ValueError` below 480 x 240 pixels."""
     width, height = size
     if width < 480 or height < 240:
         raise ValueError(f"a picture of an alignment has at least 480 x 240 pixels, found {width} x {height}")

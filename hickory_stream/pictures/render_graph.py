@@ -1,7 +1,4 @@
-"""A picture of a map's pose graph from above, and below it residuals and uncertainty over time.
-
-The way of the camera before and after the pose graph moved the submaps, as a map folder has it.
-"""
+"""A picture of a map's pose graph from above, and below it residuals and uncertainty over time."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.graph.trajectories import ways_of
-from hickory_stream.inspection.graph_summary import summary_of, told
+from hickory_stream.inspection.graph_summary import summary_of, summary_text
 from hickory_stream.pictures.drawing import Drawing, Ellipse, Line, Text
 
 if TYPE_CHECKING:
@@ -31,13 +28,10 @@ _BOW_PX, _BOW_SHARE = 9.0, 0.06
 
 
 def render_graph(graph: PoseGraphRecord, ways: Ways, size: tuple[int, int]) -> Drawing:
-    """Return a drawing of a pose graph with at least one node; `size` is (W, H) in pixels, at least (480, 360).
+    """Return a drawing of a pose graph; raises `ValueError` below 480 x 360 pixels, or for an empty graph.
 
-    The way of the camera is orange as odometry has it and blue as it is corrected; loops are green with their scores,
-    those that are not believed grey and dashed; ellipses are two standard deviations of a place.
-
-    Raises:
-        ValueError: the size is smaller, or the graph is empty.
+    Odometry is orange, the corrected trajectory blue; loops are green with their scores, rejected ones grey and dashed;
+    ellipses are two standard deviations.
     """
     width, height = size
     if width < 480 or height < 360:
@@ -54,7 +48,7 @@ def render_graph(graph: PoseGraphRecord, ways: Ways, size: tuple[int, int]) -> D
 
 
 def _title(graph: PoseGraphRecord) -> str:
-    text = told(summary_of(graph))
+    text = summary_text(summary_of(graph))
     return text[0].upper() + text[1:]
 
 
@@ -135,7 +129,7 @@ def _ellipse(center: NDArray[np.float64], half_px: NDArray[np.float64], covarian
 
 
 def _arc(ends_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a line (N, 2) between two places that bows to one side: a straight one would lie on the way walked."""
+    # Bent, since a straight line would lie on the trajectory; (N, 2).
     along = ends_px[1] - ends_px[0]
     length = max(float(np.linalg.norm(along)), 1e-6)
     aside = np.array([-along[1], along[0]]) / length * (_BOW_PX + _BOW_SHARE * length)
@@ -154,7 +148,6 @@ def _draw_meters(drawing: Drawing, scale: float, bottom: int) -> None:
 
 
 def _draw_strip(drawing: Drawing, graph: PoseGraphRecord, top: int, bottom: int) -> None:
-    """Draw over time: how uncertain each submap's place is, and the residual of each loop when it was found."""
     left, right = 64, drawing.width - 16
     first_ns = graph.nodes[0].stamp_ns
     last_ns = max([graph.nodes[-1].stamp_ns, *(edge.stamp_ns for edge in graph.edges)])
@@ -189,10 +182,7 @@ def _draw_strip(drawing: Drawing, graph: PoseGraphRecord, top: int, bottom: int)
 
 
 def recorded_ways(saved: SavedMap) -> Ways | None:
-    """Return the ways of the camera of a map, from its journal; None where it has no graph.
-
-    Of a map without a journal, e.g. a merged one, only the places of the submaps are known.
-    """
+    """Return a map's trajectories from its journal, None without a graph; without a journal only submap positions."""
     from hickory_stream.journal.format import JOURNAL
     from hickory_stream.journal.reader import Journal
 

@@ -78,7 +78,6 @@ class _Canvas:
         return np.asarray(np.round(16 * self.pixels(points)), dtype=np.int32)
 
     def framed(self) -> NDArray[np.uint8]:
-        """Return the picture with a border and a strip for the title, at least as wide as the title."""
         height, width = self.image.shape[:2]
         side = max(_MARGIN_PX, (760 - width) // 2)
         out = np.full((height + _TITLE_PX + 2 * _MARGIN_PX, width + 2 * side, 3), 255, np.uint8)
@@ -99,7 +98,6 @@ def _colored(space: FreeSpace) -> NDArray[np.uint8]:
 
 
 def _draw_walls(canvas: _Canvas, space: FreeSpace) -> None:
-    """Draw the walls, darker than the cells around them that they block."""
     import cv2
 
     for hull in space.walls:
@@ -108,7 +106,6 @@ def _draw_walls(canvas: _Canvas, space: FreeSpace) -> None:
 
 
 def _draw_objects(canvas: _Canvas, snapshot: MapSnapshot) -> None:
-    """Draw the outline of every primitive as seen from above, with a translucent fill."""
     import cv2
 
     tinted = canvas.image.copy()
@@ -154,7 +151,6 @@ def _places_along(path: Path) -> list[tuple[NDArray[np.float64], float, int]]:
 
 
 def _footprints(posture: Posture, place: NDArray[np.float64], heading_rad: float) -> list[NDArray[np.float64]]:
-    """Return the outlines of the parts of a body at a place, seen from above."""
     import cv2
 
     c, s = np.cos(heading_rad), np.sin(heading_rad)

@@ -1,7 +1,6 @@
 """The surfaces of a picture of a map: layers of its objects, walls and floor.
 
-Walls are drawn from the inside only: of a structure voxel, those faces are drawn that face both observed free space and
-the viewer. The near walls of a room, seen from outside, are therefore not drawn.
+Only wall faces that look at both observed free space and the viewer are drawn, so that near walls hide nothing.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ def dots_of(tracked: TrackedObject) -> Dots:
 
 
 def coarse_squares(dots: Dots, viewpoint: Viewpoint) -> Surface:
-    """Return dots as squares that face the viewer, with one of those that are near one another in the image."""
+    """Return dots as squares that face the viewer, one for dots that are close in the image."""
     points, colors, half_m = dots.points, dots.colors, dots.half_m
     apart_m = _COARSE_PX * viewpoint.pixel_m(points)
     if apart_m > _FINEST_M:
@@ -64,11 +63,7 @@ def coarse_squares(dots: Dots, viewpoint: Viewpoint) -> Surface:
 
 
 def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Surface:
-    """Return layer 2, with a texture of at most so many pixels on a side unless that is 0; there must be a shape.
-
-    Raises:
-        MapFolderError: the mesh or a view cannot be read.
-    """
+    """Return layer 2, with a texture of at most `texture_px` a side unless that is 0; raises `MapFolderError`."""
     assert tracked.shape is not None
     mesh, uv, image = saved.mesh(tracked.shape), None, None
     if texture_px:
@@ -82,9 +77,9 @@ def mesh_surface(saved: SavedMap, tracked: TrackedObject, texture_px: int) -> Su
 
 
 def coarse(surface: Surface, viewpoint: Viewpoint) -> Surface:
-    """Return a surface without the triangles that are too small to matter to the light: a large map has millions.
+    """Return a surface without triangles too small to affect the light: a large map has millions.
 
-    Vertices in one cell of that size become one of them (Rossignac and Borrel 1993).
+    Vertices are merged by cells (Rossignac and Borrel 1993).
     """
     if not len(surface.faces):
         return surface
@@ -101,10 +96,7 @@ def coarse(surface: Surface, viewpoint: Viewpoint) -> Surface:
 
 
 def _in_cells(vertices: NDArray[np.float32], side_m: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first vertex in each cell that has some, in the order of the cells, and the place of each one's cell.
-
-    It is what np.unique says of their keys; where there are few cells, they are counted instead of sorted.
-    """
+    # np.unique of the vertices' cell keys: first vertex and inverse; counting is faster than sorting for few cells.
     lowest, highest = np.floor(bounds_of(vertices).astype(np.float64) / side_m)
     shape = highest - lowest + 1
     # In floats, which do not overflow: a mesh may be of any size.
@@ -182,7 +174,6 @@ def floor_cells(submap: Submap, floor_z_m: float) -> NDArray[np.float64]:
 def _facing(
     cells: NDArray[np.int64], step: NDArray[np.int64], submap: Submap, viewpoint: Viewpoint
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the centres, in the world, of the faces on one side of the cells that face free space and the viewer."""
     space = submap.observed_space
     exposed = _in_a_wall(cells[contains(space.free, keys_of_cells(cells + step))], step)
     normal = submap.world_from_submap[:3, :3] @ step
@@ -191,7 +182,6 @@ def _facing(
 
 
 def _in_a_wall(exposed: NDArray[np.int64], step: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the cells with at least half of their eight neighbours across `step`, to within one cell along `step`."""
     keys = keys_of_cells(exposed)
     ordered = np.sort(keys)
     # How far a step of a cell is from one key to the next.
@@ -205,7 +195,6 @@ def _in_a_wall(exposed: NDArray[np.int64], step: NDArray[np.int64]) -> NDArray[n
 
 
 def _floor_plan(cells: NDArray[np.int64], submap: Submap) -> Surface:
-    """Return a square for each column of cells of at least the height of a wall."""
     voxel_m = submap.observed_space.voxel_m
     columns, counts = np.unique(keys_of_cells(cells * (1, 1, 0)), return_counts=True)
     walls = cells_of_keys(columns[counts * voxel_m >= _MIN_WALL_M])[:, :2]
@@ -237,10 +226,7 @@ def _squares(
 
 
 def _spacing_m(points: NDArray[np.float32]) -> float:
-    """Return the median distance between neighbouring points; a centimetre if there are too few points.
-
-    Points of a map are in the order of the voxels that they lie in: those in the middle of it are together in a part.
-    """
+    # A centimetre for few points. Points are in voxel order: a middle part of them is close together.
     if len(points) < 2:
         return 0.01
     start = max(0, (len(points) - _ENOUGH) // 2)

@@ -1,4 +1,4 @@
-"""The storeys of a map in its picture: one beside the other, since from above one sees of a building only its top."""
+"""The storeys of a map side by side: from above only the top of a building is visible."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOST_MARGIN = 0.12
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Storey:
-    """What is drawn together: the objects of the storey of a floor; `floor_m` None is the lowest one of the map."""
+    """The objects of the storey of a floor; `floor_m` None is the lowest of the map."""
 
     floor_m: float | None
     objects: list[TrackedObject]
@@ -35,7 +35,7 @@ class Storey:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Place:
-    """A rectangle of a picture, (x, y) its upper left corner, and the margin around what is drawn in it; pixels."""
+    """A rectangle of a picture in pixels, (x, y) its upper left corner, and the margin inside."""
 
     x: int
     y: int
@@ -44,15 +44,12 @@ class Place:
     margin_px: int = MARGIN_PX
 
     def of(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return this part of a picture, to be drawn into."""
+        """Return this part of a picture as a view."""
         return image[self.y : self.y + self.height, self.x : self.x + self.width]
 
 
 def storeys_to_draw(snapshot: MapSnapshot, floor_m: float | None) -> list[Storey]:
-    """Return the storey of a floor, or all storeys, lowest first, at most `MOST_STOREYS`: those with most objects.
-
-    Tracks that are still tentative are left out. Of a map with one floor, or none, everything is one storey.
-    """
+    """Return the storey of a floor, or the `MOST_STOREYS` with most objects, lowest first, without tentative tracks."""
     floors_m = floors_of(snapshot)
     if floor_m is None and len(floors_m) < 2:
         return [Storey(floor_m=None, objects=_shown(snapshot.objects))]
@@ -73,10 +70,10 @@ def _shown(objects: tuple[TrackedObject, ...]) -> list[TrackedObject]:
 
 
 def places_of(count: int, width: int, height: int, extent_m: NDArray[np.float64]) -> list[tuple[Place, Place]]:
-    """Return where each of `count` storeys is seen from above, and from a corner, in a picture of that size.
+    """Return the places of each storey, from above and from a corner, in a picture.
 
-    Up to three are in a row, more in two. The two views of one are beside each other, or one above the other where
-    what has that horizontal extent (2,) is larger so; those of a single storey are beside each other.
+    Up to three are in one row, more in two. The two views are beside or above each other, whichever is larger for the
+    horizontal extent (2,).
     """
     rows = 1 if count <= 3 else 2
     columns = -(-count // rows)
@@ -97,7 +94,6 @@ def _views_in(cell: Place, extent_m: NDArray[np.float64], *, is_only: bool) -> t
 
 
 def _beside(cell: Place, extent_m: NDArray[np.float64], *, is_only: bool) -> tuple[Place, Place]:
-    """Return both views side by side: the width of that from above is as its content needs, within limits."""
     margin_px = MARGIN_PX if is_only else _margin_px(min(int(_NARROWEST * cell.width), cell.height))
     wanted = (cell.height - 2 * margin_px) * extent_m[0] / extent_m[1] + 2 * margin_px
     left = int(np.clip(wanted, _NARROWEST * cell.width, _WIDEST * cell.width))
@@ -123,6 +119,5 @@ def _margin_px(side_px: int) -> int:
 
 
 def _scale(place: Place, extent_m: NDArray[np.float64]) -> float:
-    """Return the pixels per metre of what is seen from above."""
     room = np.array([place.width, place.height]) - 2 * place.margin_px
     return float((room / extent_m).min())

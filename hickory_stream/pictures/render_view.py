@@ -1,7 +1,7 @@
-"""One view of a map, ray cast and shaded.
+"""One view of a map, drawn and shaded on the CPU.
 
-Surfaces are drawn on the CPU. They are lit by a headlight, a sun and an ambient sky, which nearby surfaces occlude
-(ambient occlusion). Walls fade out towards their tops, the floor where it was not seen.
+Light: a headlight, a sun and an ambient sky with ambient occlusion. Walls fade towards their tops, the floor where it
+was not seen.
 """
 
 from __future__ import annotations
@@ -62,8 +62,7 @@ class Model:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Seen:
-    """What is seen first at the same places, of each kind of surface."""
-
+    # First hits of each kind of surface at the same places.
     solid: Hits
     walls: Hits
     glass: Hits
@@ -92,7 +91,7 @@ def draw_view(model: Model, viewpoint: Viewpoint) -> NDArray[np.uint8]:
 
 
 def _shading(model: Model, viewpoint: Viewpoint) -> Scene:
-    """Return what keeps the sky from a surface; an object of which another layer is drawn has its points there too."""
+    # Objects without layer 1 in the picture occlude the sky with their points.
     drawn = {surface.owner for surface in model.solid}
     squares = [coarse_squares(dots, viewpoint) for dots in model.points if dots.owner not in drawn]
     return Scene([*(coarse(surface, viewpoint) for surface in model.solid), *squares])
@@ -138,7 +137,6 @@ def _mixed(below: NDArray[Any], above: NDArray[Any], weight: NDArray[Any]) -> ND
 def _lit(
     colors: NDArray[np.float32], normals: NDArray[np.float32], directions: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return the colours under an ambient sky, a sun from the side, and a headlight."""
     sun = np.array([0.35, -0.5, 0.79], dtype=np.float32)
     sky = 0.5 + 0.5 * normals[:, 2]
     eye = np.maximum(-np.einsum("nc,nc->n", normals, directions), 0)
@@ -150,7 +148,6 @@ def _lit(
 
 
 def _floor_distance(floor: Floor, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the distance of the floor along the rays, inf for rays that do not point down."""
     down = directions[:, 2] < -1e-6
     distance = (floor.z_m - origins[:, 2]) / np.where(down, directions[:, 2], -1.0)
     return np.where(down & (distance > 0), distance, np.inf).astype(np.float32)
@@ -176,7 +173,7 @@ def _floor_color(
 
 
 def _wall_light(normals: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the brightness (N, 1) of walls; it varies a little with their direction, so that corners are visible."""
+    # Brightness (N, 1) varies with direction, so that corners are visible.
     return np.asarray(0.95 + 0.04 * normals[:, :1] + 0.02 * normals[:, 1:2])
 
 
@@ -195,11 +192,8 @@ def _wall_weight(
 
 
 def _shade_of(scene: Scene, floor: Floor, viewpoint: Viewpoint) -> NDArray[np.float32]:
-    """Return (H, W) in 0..1 the part of the sky that is visible from each pixel's surface (ambient occlusion).
-
-    It is computed for every fourth pixel, since it varies slowly. The sample directions are rotated in a 4 x 4 pattern,
-    which a blur of that size removes.
-    """
+    # Visible part of the sky (H, W) in 0..1. Every fourth pixel is computed; the sample directions rotate in a 4 x 4
+    # pattern, which a blur of that size removes.
     import cv2
 
     columns, rows = viewpoint.width // 2, viewpoint.height // 2

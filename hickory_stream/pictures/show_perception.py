@@ -1,4 +1,4 @@
-"""Pictures of what perception finds in an image: masks, rejected masks and why, structure, features as colours."""
+"""Pictures of perception: masks, rejected masks with reasons, structure, features as colours."""
 
 from __future__ import annotations
 
@@ -97,7 +97,6 @@ def _outlines(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 
 def _number(picture: NDArray[np.uint8], mask: NDArray[np.bool_], number: int) -> None:
-    """Write a number at the point of a mask that is farthest from its border."""
     if not mask.any():
         return
     inside = cv2.distanceTransform(np.pad(mask.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
@@ -116,7 +115,6 @@ def _panel(picture: NDArray[np.uint8], caption: str) -> NDArray[np.uint8]:
 def _legend(
     lines: Sequence[str], width: int, colors: Sequence[tuple[int, int, int]] | None = None
 ) -> NDArray[np.uint8]:
-    """Return lines of text on a dark background, in as many columns as fit."""
     columns = max(1, width // 420) if len(lines) > 1 else 1
     rows = -(-len(lines) // columns)
     out = np.full((rows * _CAPTION_PX, width, 3), _DARK, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Viewpoints of pictures: from above, or from a raised position from which everything is in the image."""
+"""Viewpoints of pictures: from above, or from a raised position that shows everything."""
 
 from __future__ import annotations
 
@@ -19,12 +19,10 @@ _HALF_FOV_TANGENT = np.tan(np.deg2rad(16.0))
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Viewpoint:
-    """A camera (x right, y down, z forward) with an unbounded image.
-
-    `focal_px` is the focal length of a perspective view, and the number of pixels per metre of an orthographic one.
-    """
+    """A camera (x right, y down, z forward) with an unbounded image."""
 
     world_from_camera: NDArray[np.float64]
+    #: focal length of a perspective view, pixels per metre of an orthographic one
     focal_px: float
     is_orthographic: bool
     width: int

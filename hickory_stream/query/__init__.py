@@ -1,1 +1,1 @@
-"""Questions to a map, answered by what the map holds: size, shape, colour, height and relations of its objects."""
+"""Questions to a map about size, shape, colour, height and relations of its objects."""

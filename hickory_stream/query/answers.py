@@ -1,7 +1,6 @@
-"""The answer to a question: every object's degree of fulfilling it, and the objects that do, best first.
+"""The answer to a question: every object's degree in 0..1, and the objects at or above a half, best first.
 
-A degree is in 0..1, and that of several conditions is the least of theirs (Zadeh, 1965): an object answers that fulfils
-each at least halfway. Of equal ones the product decides, then the id.
+The degree of several conditions is their minimum (Zadeh, 1965); ties go by the product, then the id.
 """
 
 from __future__ import annotations
@@ -28,15 +27,9 @@ from hickory_stream.query.question import (
     Serves,
     Thing,
     Use,
-    told,
+    phrase_of,
 )
-from hickory_stream.query.relations import (
-    distances_to,
-    distances_to_place,
-    related,
-    related_to_place,
-    related_to_room,
-)
+from hickory_stream.query.relations import distances_to, distances_to_place, related, related_to_place, related_to_room
 from hickory_stream.query.shape_scores import LEVEL_M, NUM_LEVELS, SHAPE_WORDS, ramp
 
 if TYPE_CHECKING:
@@ -60,7 +53,7 @@ _TOP_SHARE = (0.3, 0.6)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Answer:
-    """An object that answers, by id; `score` in 0..1, and `why`: each condition in words with its own score."""
+    """An object that answers; `why` has each condition in words with its score in 0..1, `score` is the least."""
 
     id: int
     score: float
@@ -69,7 +62,7 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Answers:
-    """All objects that answer, best first; `nearly` are the best of the others, for who wants to know why not."""
+    """All objects that answer, best first; `nearly` are the best of the others."""
 
     question: str
     counts: bool
@@ -79,26 +72,23 @@ class Answers:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Asked:
-    """Of what, from where, and who can tell what a thing looks like."""
-
     index: MapIndex
     viewer: tuple[float, float] | None
     looks: Looks | None
 
 
 def ask(index: MapIndex, text: str, viewer: tuple[float, float] | None = None, looks: Looks | None = None) -> Answers:
-    """Return what answers a question in the grammar of `grammar.py`.
+    """Return the answers to a question in the grammar of `grammar.py`.
 
     Args:
         index: of the map.
         text: the question, e.g. "a red box on a table".
-        viewer: from where "in front of" is meant, metres in the map; None: from where the landmark was seen best.
-        looks: gives how far each object of the index looks like a text (`ObjectLooks`), (N,) in 0..1; None: words that
-            only a network knows are refused.
+        viewer: viewpoint of "in front of", metres in the map; None: the best viewpoint of the landmark.
+        looks: returns (N,) in 0..1, the likeness of each object to a text (`ObjectLooks`); None: words that only a
+            network knows are refused.
 
     Raises:
-        InputError: a word is not known (`grammar.UnknownWord`), a landmark is no object of the map, or a relation to it
-            has no meaning.
+        InputError: an unknown word (`grammar.UnknownWord`), a landmark that is no object, or a meaningless relation.
     """
     question = question_of(text, with_looks=looks is not None)
     asked = _Asked(index=index, viewer=viewer, looks=looks)
@@ -109,13 +99,13 @@ def ask(index: MapIndex, text: str, viewer: tuple[float, float] | None = None, l
         Answer(
             id=int(index.ids[i]),
             score=round(float(scores[i]), 4),
-            why=tuple((told(condition), round(float(degrees[i]), 4)) for condition, degrees in parts),
+            why=tuple((phrase_of(condition), round(float(degrees[i]), 4)) for condition, degrees in parts),
         )
         for i in order
     ]
     count = int((scores >= ENOUGH).sum())
     return Answers(
-        question=told(question.thing),
+        question=phrase_of(question.thing),
         counts=question.counts,
         found=tuple(ranked[:count]),
         nearly=tuple(answer for answer in ranked[count : count + 3] if answer.score > 0),
@@ -123,7 +113,7 @@ def ask(index: MapIndex, text: str, viewer: tuple[float, float] | None = None, l
 
 
 def _parts(asked: _Asked, thing: Thing) -> list[tuple[Condition, NDArray[np.float64]]]:
-    """Return each condition with (N,) degrees; superlatives come last: they are among what fulfils the others."""
+    # Superlatives come last: they choose among objects that fulfil the other conditions.
     plain = [condition for condition in thing.conditions if not isinstance(condition, Most)]
     parts: list[tuple[Condition, NDArray[np.float64]]]
     parts = [(condition, _degrees(asked, condition)) for condition in plain]
@@ -158,7 +148,7 @@ def _degrees(asked: _Asked, condition: Condition) -> NDArray[np.float64]:
     if isinstance(condition, Most):
         return _foremost(asked, condition, np.ones(len(index), bool))
     if isinstance(condition, LooksLike):
-        assert asked.looks is not None, "the grammar lets looks pass only where they can be told"
+        assert asked.looks is not None, "the grammar lets looks pass only where they are allowed"
         return asked.looks(condition.text)
     assert_never(condition)
 
@@ -200,12 +190,12 @@ def _related(asked: _Asked, condition: Related) -> NDArray[np.float64]:
         related_to_place(index, relation, to.x, to.y) if isinstance(to, Place) else related_to_room(index, relation, to)
     )
     if found is None:
-        raise InputError(f'found "{told(condition)}", expected near or beside {told(to)}, or on the floor')
+        raise InputError(f'found "{phrase_of(condition)}", expected near or beside {phrase_of(to)}, or on the floor')
     return found
 
 
 def _foremost(asked: _Asked, condition: Most, is_among: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return 1 for the foremost of those that are among them, and less for others, by how far they are behind it."""
+    # 1 for the foremost object of `is_among`, less for others by their distance behind it.
     if condition.quantity is not None:
         values = np.maximum(_quantity_m(asked.index, condition.quantity), 1e-3)
     else:
@@ -226,7 +216,6 @@ def _distances_m(asked: _Asked, condition: Most) -> NDArray[np.float64]:
 
 
 def _landmarks(asked: _Asked, to: Thing | ObjectOfId) -> NDArray[np.float64]:
-    """Return (N,) how far each object is the landmark."""
     if isinstance(to, Thing):
         return _together(_parts(asked, to), len(asked.index))[0]
     is_it = asked.index.ids == to.id

@@ -1,6 +1,6 @@
-"""Names of colours: the eleven basic terms of Berlin and Kay (1969), and beige, as regions of CIE Lab.
+"""Names of colours as regions of CIE Lab: the eleven basic terms of Berlin and Kay (1969), and beige.
 
-Lightness says little of a surface that is in the shade, so that hue and chroma decide first.
+Hue and chroma decide first, since lightness depends on shade.
 """
 
 from __future__ import annotations
@@ -13,25 +13,12 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-COLOR_NAMES = (
-    "black",
-    "gray",
-    "white",
-    "red",
-    "orange",
-    "brown",
-    "beige",
-    "yellow",
-    "green",
-    "blue",
-    "purple",
-    "pink",
-)
+COLOR_NAMES = ("black", "gray", "white", "red", "orange", "brown", "beige", "yellow", "green", "blue", "purple", "pink")
 
 # Below this chroma a colour is black, gray or white, by its lightness.
 _GRAY_CHROMA = 10.0
 _BLACK_BELOW, _WHITE_ABOVE = 28.0, 80.0
-# Where a name's hues end, degrees of CIE Lab; purple ends at 345, and red goes on from there past 0.
+# Upper ends of the hues, degrees of CIE Lab; red continues from 345 past 0.
 _HUE_ENDS_DEG = (42.0, 68.0, 105.0, 195.0, 300.0, 345.0)
 _HUE_NAMES = ("red", "orange", "yellow", "green", "blue", "purple", "red")
 # Orange and yellow of little chroma are brown where dark and beige where light; red that is light is pink.
@@ -40,7 +27,7 @@ _PINK_ABOVE, _PINK_CHROMA = 62.0, 60.0
 
 
 def name_shares(colors: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Return the share of (N, 3) RGB colours that has each of `COLOR_NAMES`; all 0 where there are none."""
+    """Return the share of (N, 3) RGB colours with each of `COLOR_NAMES`; all 0 for none."""
     if not len(colors):
         return np.zeros(len(COLOR_NAMES))
     counts = np.bincount(named(colors), minlength=len(COLOR_NAMES))
@@ -48,7 +35,7 @@ def name_shares(colors: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def named(colors: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return for each of (N, 3) RGB colours the place of its name in `COLOR_NAMES`."""
+    """Return the index in `COLOR_NAMES` of each of (N, 3) RGB colours."""
     lab = cv2.cvtColor(colors[None].astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB)[0]
     lightness, chroma = lab[:, 0], np.hypot(lab[:, 1], lab[:, 2])
     hue_deg = np.degrees(np.arctan2(lab[:, 2], lab[:, 1])) % 360.0

@@ -8,11 +8,9 @@ clause    = [not] ( relation landmark | larger than LENGTH | to sit on | to put 
 landmark  = thing | object ID | #ID | X,Y | the floor | a wall
 ```
 
-A clause belongs to the thing just before it: "a ball on a box near 1,2" is a ball on a box that is near there. After
-"and" it belongs to the thing that was asked for first: "a ball on a box and near 1,2". A word that is in none of the
-tables of `vocabulary.py` is refused, and named: an answer that ignored it would be another one's. With an image-text
-network it is not: words that are in none of the tables say together what a thing looks like ("coffee mug"), and a noun
-that follows them says its own besides: an "office chair" is a chair, too.
+A clause belongs to the thing just before it, after "and" to the first thing. A word outside of `vocabulary.py` is
+refused by name, since an answer without it would be misleading. With an image-text network such words describe the
+looks of a thing ("coffee mug"), beside the noun after them: an "office chair" is a chair, too.
 """
 
 from __future__ import annotations
@@ -47,14 +45,9 @@ _MOST_CHARACTERS = 500
 
 
 def question_of(text: str, *, with_looks: bool = False) -> Question:
-    """Return what a text asks for.
+    """Return the question of a text; `with_looks` makes unknown words the looks of a thing.
 
-    Args:
-        text: the question.
-        with_looks: words that are not known are a thing's looks.
-
-    Raises:
-        InputError: a word is not known (`UnknownWord`), or the text ends where something is missing.
+    Raises `InputError` for an unknown word (`UnknownWord`), or an incomplete text.
     """
     if len(text) > _MOST_CHARACTERS:
         raise InputError(f"found a question of {len(text)} characters, expected at most {_MOST_CHARACTERS}")
@@ -62,12 +55,10 @@ def question_of(text: str, *, with_looks: bool = False) -> Question:
 
 
 class UnknownWord(InputError):
-    """A word is in none of the tables: only a network could tell what looks like it."""
+    """A word is in none of the tables; only a network could interpret it."""
 
 
 class _Reader:
-    """The tokens of a text, and how far they have been read."""
-
     def __init__(self, text: str, with_looks: bool) -> None:
         self._text = text
         self._with_looks = with_looks
@@ -99,7 +90,6 @@ class _Reader:
         return Thing(conditions=tuple(conditions))
 
     def _conditions(self, depth: int) -> tuple[Condition, ...]:
-        """Return what the next tokens say: of a noun that says nothing no condition, of "chair" several."""
         for phrase, use in words.USES.items():
             if self._takes(phrase):
                 return (Serves(use=use),)
@@ -123,7 +113,6 @@ class _Reader:
         raise UnknownWord(_unknown(word))
 
     def _looks(self, word: str) -> tuple[Condition, ...]:
-        """Return what a word that is not known says, with those of its kind after it, and with their noun."""
         said = [word]
         while self._at < len(self._tokens) and self._peek().isalpha() and not _is_known(self._peek()):
             said.append(self._next())
@@ -133,7 +122,7 @@ class _Reader:
         return (LooksLike(text=" ".join(said)), *(noun or ()))
 
     def _nearest(self, depth: int) -> Most:
-        """Return the condition that "nearest" says: the landmark comes after "to", wherever that is."""
+        # The landmark of "nearest" follows "to", wherever that is.
         if "to" not in self._tokens[self._at :]:
             raise InputError('found "nearest", expected "nearest to" and a place, an object or a thing')
         to = self._tokens.index("to", self._at)
@@ -207,7 +196,6 @@ class _Reader:
 
 
 def _noun(word: str) -> tuple[Condition, ...] | None:
-    """Return what a noun says, in the singular or the plural; None: it is not known."""
     forms = (word, word.removesuffix("s"), word.removesuffix("es"))
     return next((words.NOUNS[form] for form in forms if form in words.NOUNS), None)
 

@@ -1,10 +1,7 @@
-"""How far the objects of a map look like a text, by an image-text network on their best views.
+"""Likeness of a map's objects to a text, by an image-text network on their best views.
 
-An object looks like a text if its view is nearer to it than to each of a few texts that say nothing: the relevancy of
-Kerr et al., LERF: Language embedded radiance fields, ICCV 2023, with the temperature that such networks are trained to
-(Radford et al., 2021: scores are multiplied by at most 100). 0.5 is as near as to what says nothing.
-
-Features of views are kept in the caches, under a hash of the view's file and of the network's.
+Relevancy of Kerr et al. (LERF, ICCV 2023) against neutral texts, with the temperature of 100 (Radford et al., 2021);
+0.5 is as near as a neutral text. Features are cached by the hashes of view and network.
 """
 
 from __future__ import annotations
@@ -35,14 +32,9 @@ _SCALE = 100.0
 
 
 class ObjectLooks:
-    """How far each object of an index looks like a text; features are computed when they are first asked for.
+    """Likeness of each object of an index to a text; features are computed on first use.
 
-    Args:
-        saved: the map.
-        index: of it.
-        network: the image-text network.
-        network_hash: of the files that a picture's feature depends on.
-        progress: is told how many views have a feature, and of how many.
+    `network_hash` is of the files that a feature depends on; `progress` gets the number of finished and of all views.
     """
 
     def __init__(
@@ -61,12 +53,7 @@ class ObjectLooks:
         self._features: NDArray[np.float32] | None = None
 
     def __call__(self, text: str) -> NDArray[np.float64]:
-        """Return (N,) degrees in 0..1; 0 for an object that has no view.
-
-        Raises:
-            MapFolderError: a view cannot be read.
-            ModelError: the network fails.
-        """
+        """Return (N,) degrees in 0..1, 0 for an object without a view; raises `MapFolderError` or `ModelError`."""
         if self._features is None:
             self._features = self._of_views()
         asked = self._features @ self._network.of_text(_PROMPT.format(text))
@@ -100,7 +87,7 @@ class ObjectLooks:
 
 
 def squared(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a picture with borders of its mean colour that make it a square: networks look at the middle square."""
+    """Return a picture with borders of its mean colour to a square: networks use the middle square."""
     height, width = rgb.shape[:2]
     side = max(height, width)
     top, left = (side - height) // 2, (side - width) // 2
@@ -114,7 +101,6 @@ def squared(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _kept(path: Path, dim: int) -> NDArray[np.float32] | None:
-    """Return a feature of the cache; None where there is none that is whole."""
     try:
         feature = np.frombuffer(path.read_bytes(), "<f4").astype(np.float32)
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""What a map can be asked about its objects, computed once: a question is then answered from these arrays alone."""
+"""Arrays about the objects of a map, computed once, from which questions are answered."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _REACH_M = 2.5
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Pairs:
-    """P ordered pairs of different objects: `i` and `j` (P,) are their places in the index."""
+    """P ordered pairs of different objects: `i` and `j` (P,) are their indices."""
 
     i: NDArray[np.int64]
     j: NDArray[np.int64]
@@ -53,27 +53,28 @@ class Pairs:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MapIndex:
-    """N objects, sorted by id; lengths are metres, heights those above the floor.
-
-    `ids` (N,); `centers`, `lows`, `highs` (N, 3) of their boxes in the world; `sides_m` (N, 3): the longer and the
-    shorter horizontal side, and the height; `bottom_m` (N,); `colors` (N, 12): shares of `COLOR_NAMES`; `shapes`
-    (N, 6): how far `SHAPE_WORDS` hold; `levels_m2` (N, L): area that is open above, by height; `held_by` (N,): the
-    place in `ids` of what it rests on or hangs from, or `ON_FLOOR`, `ON_NOTHING`; `is_at_wall` (N,); `seen_from`
-    (N, 3): where the camera of its best view was, NaN where it has none. `pairs` are near enough to have a relation.
-    """
+    """N objects, sorted by id; lengths are metres, heights are above the floor."""
 
     ids: NDArray[np.int64]
+    #: (N, 3) of their boxes in the world, as `lows` and `highs`
     centers: NDArray[np.float64]
     lows: NDArray[np.float64]
     highs: NDArray[np.float64]
+    #: (N, 3) longer and shorter horizontal side, and height
     sides_m: NDArray[np.float64]
     bottom_m: NDArray[np.float64]
+    #: (N, 12) shares of `COLOR_NAMES`
     colors: NDArray[np.float64]
+    #: (N, 6) degrees of `SHAPE_WORDS`
     shapes: NDArray[np.float64]
+    #: (N, L) area that is open above, by height
     levels_m2: NDArray[np.float64]
+    #: (N,) index of the object that holds it, or `ON_FLOOR`, `ON_NOTHING`
     held_by: NDArray[np.int64]
     is_at_wall: NDArray[np.bool_]
+    #: (N, 3) camera position of its best view, NaN without one
     seen_from: NDArray[np.float64]
+    #: near enough for a relation
     pairs: Pairs
 
     def __post_init__(self) -> None:
@@ -93,7 +94,7 @@ class MapIndex:
 
 
 def index_of(snapshot: MapSnapshot, config: MappingConfig) -> MapIndex:
-    """Return the index of a map's objects; tentative ones and those without points are left out."""
+    """Return the index of a map's objects without tentative ones and those without points."""
     objects = [item for item in snapshot.objects if item.phase is not Phase.TENTATIVE and len(item.points_world)]
     objects.sort(key=lambda item: item.id)
     floors_m = floors_of(snapshot) or (floor_of(snapshot),)
@@ -128,7 +129,7 @@ def index_of(snapshot: MapSnapshot, config: MappingConfig) -> MapIndex:
 
 
 def neighbours(lows: NDArray[np.float64], highs: NDArray[np.float64]) -> Pairs:
-    """Return all pairs of (N, 2) bounds on the floor that are near enough for any relation."""
+    """Return all pairs of (N, 2) horizontal bounds near enough for a relation."""
     found = []
     for k in range(len(lows)):
         is_near = ((lows - _REACH_M <= highs[k]) & (highs + _REACH_M >= lows[k])).all(axis=1)

@@ -1,4 +1,4 @@
-"""A picture of an answer: the map with the objects that answer in colour, all others gray, and their best views."""
+"""A picture of an answer: the map with the answers in colour, all others gray, and their best views."""
 
 from __future__ import annotations
 
@@ -26,11 +26,7 @@ _INK = (40, 44, 52)
 
 
 def draw_answers(saved: SavedMap, answers: Answers) -> NDArray[np.uint8]:
-    """Return an (H, 1600, 3) uint8 picture of a map and of what answers.
-
-    Raises:
-        MapFolderError: a view cannot be read.
-    """
+    """Return an (H, 1600, 3) uint8 picture of a map and the answers; raises `MapFolderError` for a view."""
     ids = {answer.id for answer in answers.found}
     objects = tuple(item if item.id in ids else _faded(item) for item in saved.snapshot.objects)
     shown = replace(saved, snapshot=replace(saved.snapshot, objects=objects))

@@ -1,4 +1,4 @@
-"""A question as the grammar reads it: what is wanted, as conditions that each object fulfils to a degree."""
+"""A question from the grammar: conditions that each object fulfils to a degree."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 
 
 class Relation(StrEnum):
-    """How an object lies to another one, or to a place; `CARRYING` is `ON` the other way round."""
+    """Relation of an object to another one, or to a place; `CARRYING` is the inverse of `ON`."""
 
     ON = "on"
     CARRYING = "carrying"
@@ -22,7 +22,7 @@ class Relation(StrEnum):
 
 
 class Quantity(StrEnum):
-    """What can be compared with a number, metres; `UNDERSIDE` is the height of an object's lowest point."""
+    """A comparable quantity in metres; `UNDERSIDE` is the height of an object's lowest point."""
 
     SIZE = "longest side"
     LENGTH = "longer horizontal side"
@@ -32,7 +32,7 @@ class Quantity(StrEnum):
 
 
 class Use(StrEnum):
-    """What an object would serve for by its geometry."""
+    """A use of an object by its geometry."""
 
     SIT_ON = "to sit on"
     PUT_ON = "to put things on"
@@ -55,10 +55,7 @@ class HasShape:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HasMeasure:
-    """A quantity lies on one side of a border: `zero_at` metres not at all, `one_at` fully. `name` is how it is said.
-
-    A word such as "large" and a comparison such as "taller than 0.5 m" are the same kind of condition.
-    """
+    """A quantity lies beyond a border: `zero_at` metres not at all, `one_at` fully; `name` is its wording."""
 
     name: str
     quantity: Quantity
@@ -93,7 +90,7 @@ Room = Literal["floor", "wall"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Related:
-    """The object lies in this way to a landmark."""
+    """The object has this relation to a landmark."""
 
     relation: Relation
     to: Thing | ObjectOfId | Place | Room
@@ -103,7 +100,7 @@ class Related:
 class Most:
     """Of the objects that fulfil the rest, the one with the most, or the least, of a quantity.
 
-    With `nearest_to` it is the one with the least distance from there.
+    With `nearest_to` it is the nearest to that place.
     """
 
     name: str
@@ -121,7 +118,7 @@ class Not:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LooksLike:
-    """The object looks like what a text says; only an image-text network can tell."""
+    """The object looks like a text, by an image-text network."""
 
     text: str
 
@@ -138,13 +135,13 @@ class Thing:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Question:
-    """What is wanted: objects, best first, or (`counts`) how many there are."""
+    """The objects asked for, or (`counts`) their number."""
 
     thing: Thing
     counts: bool
 
 
-def told(part: Condition | Thing | ObjectOfId | Place | Room) -> str:
+def phrase_of(part: Condition | Thing | ObjectOfId | Place | Room) -> str:
     """Return a condition or a landmark in words."""
     match part:
         case HasColor() | HasShape():
@@ -153,17 +150,17 @@ def told(part: Condition | Thing | ObjectOfId | Place | Room) -> str:
             return part.name
         case Most(nearest_to=landmark):
             assert landmark is not None
-            return f"nearest to {told(landmark)}"
+            return f"nearest to {phrase_of(landmark)}"
         case Serves():
             return str(part.use)
         case Related():
-            return f"{part.relation} {told(part.to)}"
+            return f"{part.relation} {phrase_of(part.to)}"
         case LooksLike():
             return f'looks like "{part.text}"'
         case Not():
-            return f"not {told(part.thing)}"
+            return f"not {phrase_of(part.thing)}"
         case Thing():
-            parts = ", ".join(map(told, part.conditions)) or "any object"
+            parts = ", ".join(map(phrase_of, part.conditions)) or "any object"
             return f"({parts})" if len(part.conditions) > 1 else parts
         case ObjectOfId():
             return f"#{part.id}"

@@ -1,4 +1,4 @@
-"""How far one object is on, under, beside or in front of another one: a degree for each pair of neighbours."""
+"""Degrees of relations (on, under, beside, in front of) for each pair of neighbours."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ _ASIDE = (0.4, 0.1)
 def related(
     index: MapIndex, pairs: Pairs, relation: Relation, viewer: tuple[float, float] | None
 ) -> NDArray[np.float64]:
-    """Return (P,) how far object i of each pair has a relation to object j, in 0..1.
+    """Return (P,) degrees in 0..1 of a relation of object i to object j of each pair.
 
-    `viewer` is from where "in front of" is meant; None: for each j from where it was seen best.
+    `viewer` is the viewpoint of "in front of"; None: the best viewpoint of each j.
     """
     turned = Pairs(i=pairs.j, j=pairs.i)
     if relation is Relation.ON:
@@ -59,7 +59,7 @@ def related(
 
 
 def related_to_place(index: MapIndex, relation: Relation, x: float, y: float) -> NDArray[np.float64] | None:
-    """Return (N,) how far each object is near, or beside, a place on the floor plan; None for other relations."""
+    """Return (N,) degrees of a relation to a place on the floor plan; None for relations other than near and beside."""
     distances_m = distances_to_place(index, x, y)
     if relation is Relation.NEAR:
         return ramp(distances_m, *_NEAR)
@@ -67,7 +67,7 @@ def related_to_place(index: MapIndex, relation: Relation, x: float, y: float) ->
 
 
 def related_to_room(index: MapIndex, relation: Relation, room: Room) -> NDArray[np.float64] | None:
-    """Return (N,) whether each object is on the floor, or at a wall; None for other relations."""
+    """Return (N,) degrees of a relation to the floor or a wall; None for other relations."""
     if room == "floor":
         return (index.held_by == ON_FLOOR).astype(np.float64) if relation is Relation.ON else None
     fits = relation in (Relation.ON, Relation.NEAR, Relation.BESIDE)
@@ -82,7 +82,7 @@ def distances_to_place(index: MapIndex, x: float, y: float) -> NDArray[np.float6
 
 
 def distances_to(index: MapIndex, places: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the (N,) distances from the objects' boxes to the nearest of some others; infinite where there is none."""
+    """Return the (N,) distances from the objects' boxes to the nearest of some others; infinite without any."""
     nearest = np.full(len(index), np.inf)
     for k in places:
         away = np.maximum(np.maximum(index.lows - index.highs[k], index.lows[k] - index.highs), 0.0)
@@ -97,7 +97,7 @@ def _is_held(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
 
 
 def _gaps(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
-    """Return (P, 3) how far the bounds are apart along each axis, 0 where they overlap."""
+    # (P, 3) gap of the bounds along each axis, 0 where they overlap.
     i, j = pairs.i, pairs.j
     return np.maximum(np.maximum(index.lows[i] - index.highs[j], index.lows[j] - index.highs[i]), 0.0)
 
@@ -109,14 +109,13 @@ def _overlaps(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
 
 
 def _shared_footprint(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
-    """Return (P,) the share of the smaller of the two footprints that both have in common."""
     areas = np.maximum((index.highs - index.lows)[:, :2].prod(axis=1), 1e-9)
     shared = _overlaps(index, pairs)[:, :2].prod(axis=1)
     return np.asarray(shared / np.minimum(areas[pairs.i], areas[pairs.j]))
 
 
 def _is_over(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
-    """Return (P,) how far i is over j: above its top, or with its middle above it, as a table is that spans a box."""
+    # (P,) i is above the top of j, or its middle is, as of a table that spans a box.
     top_m = index.highs[pairs.j, 2]
     middles_m = (index.lows[pairs.i, 2] + index.highs[pairs.i, 2]) / 2
     is_above = (index.lows[pairs.i, 2] >= top_m - _TOUCH_M) | (middles_m >= top_m - _TOUCH_M)
@@ -133,7 +132,7 @@ def _is_beside(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
 def _is_before(
     index: MapIndex, pairs: Pairs, viewer: tuple[float, float] | None, *, behind: bool
 ) -> NDArray[np.float64]:
-    """Return (P,) how far i lies between the viewer and j, near j; `behind`: beyond it."""
+    # (P,) i lies between the viewer and j, near j; `behind`: beyond it.
     centers = index.centers[:, :2]
     eyes = index.seen_from[:, :2] if viewer is None else np.broadcast_to(np.array(viewer), centers.shape)
     sight = centers - eyes
@@ -150,5 +149,5 @@ def _is_before(
 
 
 def _is_free(index: MapIndex, pairs: Pairs) -> NDArray[np.float64]:
-    """Return (P,) 1 where neither holds the other: what is on a table is neither beside it nor in front of it."""
+    # (P,) neither holds the other: an object on a table is neither beside it nor in front of it.
     return 1.0 - np.maximum(_is_held(index, pairs), _is_held(index, Pairs(i=pairs.j, j=pairs.i)))

@@ -1,9 +1,4 @@
-"""Which words for a shape hold of an object, from its superquadrics and its sides.
-
-Degrees of truth in 0..1: a word such as "large" begins to hold at one number and holds fully at another.
-
-The height map of an object from above: where it has level surfaces, and whether it is hollow.
-"""
+"""Degrees in 0..1 of shape words, from an object's superquadrics, sides, and height map from above."""
 
 from __future__ import annotations
 
@@ -22,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def ramp(value: NDArray[np.float64], zero_at: float, one_at: float) -> NDArray[np.float64]:
-    """Return 0 up to `zero_at`, 1 from `one_at` on and a straight line between; falling where `one_at` is less."""
+    """Return 0 up to `zero_at`, 1 from `one_at` on, linear between; falling if `one_at` is less."""
     return np.asarray(np.clip((value - zero_at) / (one_at - zero_at), 0.0, 1.0))
 
 
@@ -41,17 +36,15 @@ _SHARP = (0.5, 0.95)
 _ROUND = (0.25, 0.55)
 # The ratio of two semi-axes that are equal, and that are not.
 _EQUAL = (0.85, 0.6)
-# The volume of the primitives over that of the box around them: of one body, and of a frame of bars and boards.
+# Volume of the primitives over the volume of their box: of a solid body, and of a frame of bars and boards.
 _BODY = (0.3, 0.5)
 
 
 def shape_scores(primitives: Superquadrics | None, sides_m: NDArray[np.float64], hollow: float) -> NDArray[np.float64]:
-    """Return how far each of `SHAPE_WORDS` holds of an object, in 0..1.
+    """Return the degree in 0..1 of each of `SHAPE_WORDS`.
 
-    Args:
-        primitives: its layer 3, or its sketch; None: it is no box, cylinder or ball.
-        sides_m: (3,) of its upright box.
-        hollow: whether it is hollow, in 0..1.
+    `primitives` is layer 3 or the sketch, None for neither box, cylinder nor ball; `sides_m` (3,) are of the upright
+    box, `hollow` is in 0..1.
     """
     shortest, middle, longest = np.sort(sides_m)
     flat = 1.0 - rising(shortest / middle, *_FLAT)
@@ -99,7 +92,7 @@ _BROKEN, _WHOLE = 0.7, 0.95
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TopMap:
-    """The highest points of the columns of an object: `places` (N, 2) along its box's sides in -1..1, `heights_m` (N,).
+    """Highest points of the columns of an object: `places` (N, 2) along its box's sides in -1..1, `heights_m` (N,).
 
     Heights are above the bottom of the box; a column covers `cell_m2`.
     """
@@ -110,7 +103,7 @@ class TopMap:
 
 
 def top_map(points: NDArray[np.float32], box: OrientedBox) -> TopMap:
-    """Return the height map of (N, 3) points in an upright box; without points it has no columns."""
+    """Return the height map of (N, 3) points in an upright box."""
     half_m = box.half_extents_m
     local = (points.astype(np.float64) - box.center) @ box.world_from_box[:3, :3]
     cell_m = float(np.clip(2 * half_m[:2].max() / _CELLS_ACROSS, *_CELL_M))
@@ -129,17 +122,14 @@ def top_map(points: NDArray[np.float32], box: OrientedBox) -> TopMap:
 
 
 def level_areas_m2(top: TopMap, bottom_m: float) -> NDArray[np.float64]:
-    """Return (`NUM_LEVELS`,) the area that is open above, by its height above the floor in steps of `LEVEL_M`.
-
-    `bottom_m` is the height of the object's box above the floor.
-    """
+    """Return (`NUM_LEVELS`,) the area that is open above, by height above the floor in steps of `LEVEL_M`."""
     levels = np.floor((top.heights_m + bottom_m) / LEVEL_M).astype(np.int64)
     inside = levels[(levels >= 0) & (levels < NUM_LEVELS)]
     return np.asarray(np.bincount(inside, minlength=NUM_LEVELS) * top.cell_m2, dtype=np.float64)
 
 
 def hollow_score(top: TopMap, height_m: float) -> float:
-    """Return how surely an object is hollow, seen from above: a rim all around, and the middle far below it; 0..1."""
+    """Return the degree in 0..1 of being hollow from above: a rim all around, and the middle far below it."""
     radius = np.abs(top.places).max(axis=1, initial=0.0)
     is_middle = radius < _MIDDLE
     if not is_middle.any():

@@ -1,7 +1,6 @@
-"""The words of a question, and what each means; `grammar.py` says how they are put together.
+"""The words of a question and their meanings.
 
-Sizes are those of things in rooms, as a person would call them: each word has a number from which it does not hold at
-all, and one from which it holds fully, in metres.
+Sizes are of things in rooms: each word does not hold at its first number of metres, and holds fully at the second.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Sinks: where snapshots go, to be looked at or to be kept."""
+"""Sinks: consumers that show or store snapshots."""

@@ -1,8 +1,7 @@
-"""The costmap sink: an occupancy grid for a robot's own planner, updated while the map is made.
+"""Occupancy grid for a robot's own planner, updated while the map is made.
 
-Messages are those that Nav2's static layer subscribes to: nav_msgs/OccupancyGrid on `/map`, then
-map_msgs/OccupancyGridUpdate on `/map_updates`. They go into an MCAP file of ROS 2 messages, which may be a named pipe,
-and to any callable, such as the publisher of a node; no ROS is needed to make them.
+Messages are what Nav2's static layer subscribes to: nav_msgs/OccupancyGrid on `/map`, then
+map_msgs/OccupancyGridUpdate on `/map_updates`. They go into an MCAP file of ROS 2 messages and to any callable.
 """
 
 from __future__ import annotations
@@ -28,41 +27,37 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 MAP_TOPIC, UPDATES_TOPIC = "/map", "/map_updates"
+_CELL_M = 0.05
 
 
 class CostmapSink:
-    """Follows the snapshots, and hands what changed to `publish` and to a file.
+    """Sends changes of the grid to `publish` and to a file, which may be a named pipe; raises `InputError` on opening.
 
-    The file may be a named pipe: until somebody reads it nothing is written, and a reader that comes gets a whole grid
-    first; nobody waits for one. `early`: in a live run, what was seen and is not sure yet is in the way. `show` and
-    `close` raise OutputError when the disk refuses.
-
-    Raises:
-        InputError: the file cannot be written.
+    A new reader of the pipe gets a whole grid first. `early`: unconfirmed objects of a live run are obstacles too.
+    `show` and `close` raise `OutputError` on a disk error.
     """
 
     def __init__(
         self,
         robot: Robot,
         *,
-        cell_m: float = 0.05,
         path: Path | None = None,
         publish: Callable[[CostmapUpdate], None] | None = None,
         early: bool = False,
     ) -> None:
-        self._robot, self._cell_m, self._path = robot, cell_m, path
+        self._robot, self._path = robot, path
         self._seen = SeenSurface() if early else None
-        self._costmap = Costmap(robot, cell_m=cell_m, seen=self._seen)
+        self._costmap = Costmap(robot, cell_m=_CELL_M, seen=self._seen)
         self._publish = publish
         self._pipe = path if path is not None and path.is_fifo() else None
         self._file = _Messages(_opened(path)) if path is not None and self._pipe is None else None
         if self._pipe is not None:
             self._connect(self._pipe)
             if self._file is None:
-                logger.warning("the costmap waits for a reader of the pipe %s; mapping goes on meanwhile", path)
+                logger.warning("the costmap waits for a reader of the pipe %s; mapping continues", path)
 
     def show(self, report: FrameReport) -> None:
-        """Send what changed with the report's snapshot."""
+        """Send the changes of the report's snapshot."""
         if report.snapshot is None:
             return
         if self._seen is not None and report.space is not None:
@@ -70,7 +65,7 @@ class CostmapSink:
         if self._pipe is not None and self._file is None:
             self._connect(self._pipe)
         if self._file is None and self._publish is None:
-            return  # a reader who comes gets a whole grid
+            return  # a new reader gets a whole grid
         update = self._costmap.update(report.snapshot)
         if update is None:
             return
@@ -80,7 +75,7 @@ class CostmapSink:
             self._write(self._file, update)
 
     def close(self) -> None:
-        """Finish the file; raises `OutputError` where the disk refuses, once."""
+        """Finish the file; raises `OutputError` on a disk error, once."""
         file, self._file = self._file, None
         if file is not None:
             try:
@@ -94,12 +89,11 @@ class CostmapSink:
         return OutputError(f"the costmap {self._path} ends before the map does ({cause}); free space, and play again")
 
     def _connect(self, pipe: Path) -> None:
-        """Open a pipe if somebody reads it."""
         stream = _opened_pipe(pipe)
         if stream is not None:
             self._file = _Messages(stream)
             # A new reader has received nothing yet: the next update is a whole grid.
-            self._costmap = Costmap(self._robot, cell_m=self._cell_m, seen=self._seen)
+            self._costmap = Costmap(self._robot, cell_m=_CELL_M, seen=self._seen)
 
     def _write(self, file: _Messages, update: CostmapUpdate) -> None:
         try:
@@ -126,7 +120,7 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def _opened_pipe(path: Path) -> BinaryIO | None:
-    """Return the stream into a named pipe, None where nobody reads it: to open it would wait for a reader."""
+    # Returns None without a reader: a blocking open would wait for one.
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
     except OSError as error:
@@ -138,8 +132,7 @@ def _opened_pipe(path: Path) -> BinaryIO | None:
 
 
 class _Counted:
-    """A stream that knows how much was written: the writer of MCAP asks, and a pipe cannot tell."""
-
+    # Stream that counts its bytes: the MCAP writer asks for the position, and a pipe has none.
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._written = 0
@@ -154,8 +147,7 @@ class _Counted:
 
 
 class _Messages:
-    """An MCAP file of ROS 2 messages, written through at every message: a reader may follow it."""
-
+    # MCAP file that is flushed after every message, so that a reader can follow it.
     def __init__(self, stream: BinaryIO) -> None:
         from mcap.writer import CompressionType, Writer
 

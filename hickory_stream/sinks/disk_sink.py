@@ -1,8 +1,4 @@
-"""The disk sink: saves snapshots into the map folder, at intervals that cost little.
-
-Only the newest snapshot is held. What a save costs is the objects that changed since the last one; the rest of the
-folder (views, meshes, journal) is written where it is made.
-"""
+"""Saves snapshots into the map folder at intervals; a save costs as much as the objects that changed since the last."""
 
 from __future__ import annotations
 
@@ -29,7 +25,7 @@ class DiskSinkConfig(Ranged):
 class DiskSink:
     """Saves the map while it grows, and once more at the end.
 
-    `show` and `close` raise `MapFolderError` when the disk refuses; the folder then opens as of the save before.
+    `show` and `close` raise `MapFolderError` on a disk error; the folder then opens as of the previous save.
     """
 
     def __init__(self, folder: MapFolder, config: DiskSinkConfig | None = None) -> None:
@@ -39,7 +35,7 @@ class DiskSink:
         self._keyframes_since_save = 0
 
     def show(self, report: FrameReport) -> None:
-        """Remember the report's snapshot, and save it when it is time."""
+        """Keep the report's snapshot, and save it when it is due."""
         if report.snapshot is None:
             return
         self._unsaved = report.snapshot
@@ -48,7 +44,7 @@ class DiskSink:
             self._save()
 
     def close(self) -> None:
-        """Save the last snapshot, if it is not saved yet."""
+        """Save the last snapshot if it is not saved yet."""
         self._save()
 
     def _save(self) -> None:

@@ -1,4 +1,4 @@
-"""Numbers of a run for Prometheus: text over HTTP, on the loopback address unless told otherwise."""
+"""Metrics of a run for Prometheus, as text over HTTP."""
 
 from __future__ import annotations
 
@@ -24,13 +24,10 @@ _TOPIC_FIGURES = ("rate_hz", "age_s", "bytes_per_s", "received", "dropped", "los
 
 
 class _Topics:
-    """A collector of the figures of live topics."""
-
     def __init__(self, topics: Callable[[], Sequence[Mapping[str, Any]]]) -> None:
         self._topics = topics
 
     def collect(self) -> Iterator[Any]:
-        """Yield the figures as they are now."""
         from prometheus_client.core import GaugeMetricFamily
 
         family = GaugeMetricFamily("hickory_live_topic", "Topics of a live route", labels=("topic", "what"))
@@ -42,16 +39,12 @@ class _Topics:
 
 
 class MetricsSink:
-    """A `Sink` that answers `GET /metrics` on a port; 0 takes a free one. `port` says which it is.
-
-    Raises:
-        InputError: the port cannot be had.
-    """
+    """Answers `GET /metrics` on `port`; 0 takes a free one. Raises `InputError` if the port is not available."""
 
     def __init__(self, port: int, bind: str = "127.0.0.1") -> None:
         if not 0 <= port <= _MOST:
             raise InputError(f"found --metrics-port {port}, expected 1 to {_MOST}, or 0 for any that is free")
-        # Imported here: a run that nobody measures does without.
+        # Imported here: most runs have no metrics.
         from prometheus_client import CollectorRegistry, Counter, Gauge, start_http_server
 
         registry = CollectorRegistry()
@@ -71,14 +64,11 @@ class MetricsSink:
         self._registry = registry
 
     def watch(self, topics: Callable[[], Sequence[Mapping[str, Any]]]) -> None:
-        """Answer how the topics of a live route are, too: asked for when somebody asks us.
-
-        Each has its name under `topic`, and the figures of `_TOPIC_FIGURES`; None is no figure.
-        """
+        """Add the topics of a live route: `topic` is the name, `_TOPIC_FIGURES` the figures, None for none."""
         self._registry.register(_Topics(topics))
 
     def show(self, report: FrameReport) -> None:
-        """Take the numbers of a report."""
+        """Update the metrics from a report."""
         self._frames.inc()
         if report.snapshot is not None:
             self._objects.set(len(report.snapshot.objects))
@@ -90,7 +80,7 @@ class MetricsSink:
                 self._families[group].labels(label).set(value)
 
     def close(self) -> None:
-        """Answer no more."""
+        """Stop the server."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join(2.0)

@@ -1,10 +1,8 @@
-"""The sink that tells a robot what the map knows, over the link by which it is heard, and answers where it may go.
+"""Publishes the map to a robot over its live link, and answers its goals with paths.
 
-Costmap, objects, markers and `map -> odom` are published as the map grows; a goal (`geometry_msgs/PoseStamped` on
-`/goal_pose`, as RViz sends it) is answered with a `nav_msgs/Path` on `/plan` from where the camera is. Names and QoS
-are those of Nav2 and RViz. Nothing here ever holds the map up: what cannot be sent in time is dropped and counted.
-
-What waits to be sent to a robot: bounded, sent in a thread of its own, and every message is counted by its fate.
+Costmap, objects, markers and `map -> odom` follow the map; a `geometry_msgs/PoseStamped` on `/goal_pose` is answered
+with a `nav_msgs/Path` on `/plan`. Names and QoS are the ones of Nav2 and RViz. Nothing here delays the map: a thread
+sends from a bounded queue, and late messages are dropped and counted.
 """
 
 from __future__ import annotations
@@ -23,24 +21,7 @@ from hickory_stream.navigation.costmap import Costmap, Followed
 from hickory_stream.navigation.free_space import FreeSpace
 from hickory_stream.navigation.search import NoPath, plan
 from hickory_stream.navigation.stand_ins import SeenSurface
-from hickory_stream.sinks.ros_messages import (
-    DETECTIONS,
-    FRAME_ID,
-    GRID,
-    MARKERS,
-    PATH,
-    TRANSFORMS,
-    UPDATE,
-    definition_of,
-    detections_message,
-    goal_of,
-    grid_message,
-    hash_of,
-    markers_message,
-    path_message,
-    transform_message,
-    warm_up,
-)
+from hickory_stream.sinks import ros_messages as ros
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -59,25 +40,22 @@ _CLOSE_S = 2.0
 
 
 class ReturnLink(Protocol):
-    """The way back to a robot: a live route that can publish. `send` may take long, and never raises."""
+    """A live route that can publish. `send` may block, and never raises."""
 
     def offer(self, name: str, type_name: str, *, definition: str, type_hash: str, is_latched: bool) -> None:
-        """Announce a topic, now and whenever the link comes back; of a latched one the last message is kept."""
-        ...
+        """Announce a topic, and again after a reconnection; a latched topic keeps its last message."""
 
     def send(self, name: str, data: bytes) -> bool:
-        """Publish a message of an offered topic; return False where nobody is there to take it."""
-        ...
+        """Publish a message of an offered topic; return False without a subscriber."""
 
     def listen(self, name: str, hear: Callable[[bytes], None]) -> None:
-        """Have what is published under a name handed over as it comes, on a thread of the link's."""
-        ...
+        """Call `hear` with each message of a topic, on a thread of the link."""
 
 
 class Outbox:
-    """Sends messages in their order; where they take too much room the oldest go.
+    """Sends messages in order; when they take too much memory, the oldest are dropped and `overtaken` gets their names.
 
-    `overtaken` is told the name of a message that was dropped. Fates: `sent`, `unheard` (nobody there), `dropped`.
+    Fates: `sent`, `unheard` (no subscriber), `dropped`.
     """
 
     def __init__(
@@ -95,7 +73,7 @@ class Outbox:
         self._thread.start()
 
     def put(self, name: str, data: bytes, *, is_urgent: bool = False) -> None:
-        """Have a message sent; an urgent one before all others."""
+        """Queue a message; urgent ones go first."""
         dropped: list[str] = []
         with self._changed:
             if is_urgent:
@@ -113,7 +91,7 @@ class Outbox:
             self._overtaken(old)
 
     def fates(self) -> dict[str, dict[str, int]]:
-        """Return by topic how many messages had which fate so far."""
+        """Return the number of messages by topic and fate."""
         with self._changed:
             found: dict[str, dict[str, int]] = {}
             for (name, fate), number in sorted(self._fates.items()):
@@ -121,7 +99,7 @@ class Outbox:
             return found
 
     def close(self) -> None:
-        """Send what waits, for a moment, and end; what is left then is counted as dropped."""
+        """Send the queue for a moment, then count the rest as dropped."""
         with self._changed:
             self._is_over = True
             self._changed.notify()
@@ -149,30 +127,27 @@ OBJECTS_TOPIC, MARKERS_TOPIC = "/hickory_stream/objects", "/hickory_stream/marke
 PLAN_TOPIC, GOAL_TOPIC = "/plan", "/goal_pose"
 PARTS = ("costmap", "objects", "markers", "tf", "plan")
 _TOPICS = {
-    "costmap": ((MAP_TOPIC, GRID, True), (UPDATES_TOPIC, UPDATE, False)),
-    "objects": ((OBJECTS_TOPIC, DETECTIONS, False),),
-    "markers": ((MARKERS_TOPIC, MARKERS, True),),
-    "tf": ((TF_TOPIC, TRANSFORMS, False),),
-    "plan": ((PLAN_TOPIC, PATH, False),),
+    "costmap": ((MAP_TOPIC, ros.GRID, True), (UPDATES_TOPIC, ros.UPDATE, False)),
+    "objects": ((OBJECTS_TOPIC, ros.DETECTIONS, False),),
+    "markers": ((MARKERS_TOPIC, ros.MARKERS, True),),
+    "tf": ((TF_TOPIC, ros.TRANSFORMS, False),),
+    "plan": ((PLAN_TOPIC, ros.PATH, False),),
 }
 _OBJECTS_EVERY_S = 0.5
-# Who comes late has the last whole grid, and no windows from before: it is never older than this.
+# Maximum age of the whole grid, which a late subscriber gets without earlier windows.
 _WHOLE_EVERY_S = 5.0
-# A goal is planned in the newest map in any case; the less there is to catch up with then, the sooner it is answered.
+# A goal is planned in the newest map; frequent updates shorten the answer.
 _FOLLOWED_EVERY_S = 1.0
 _GOALS = 4
-# As AMCL does it (transform_tolerance): whoever looks the transform up is a little later than the keyframe.
+# As in AMCL (transform_tolerance): look-ups come a little later than the keyframe.
 _TF_AHEAD_NS = 1_000_000_000
 _CELL_M = 0.05
 
 
 class PublishSink:
-    """A `Sink` that publishes over a link; `parts` are some of `PARTS`.
+    """Publishes `parts` of `PARTS` over a link; raises `InputError` for an unknown part.
 
-    `odom_frame` is the frame of the robot's poses. `counts` says what became of every message and goal.
-
-    Raises:
-        InputError: there is no such part.
+    `odom_frame` is the frame of the robot's poses.
     """
 
     def __init__(
@@ -182,7 +157,6 @@ class PublishSink:
         *,
         odom_frame: str,
         parts: Collection[str] = PARTS,
-        cell_m: float = _CELL_M,
     ) -> None:
         unknown = sorted(set(parts) - set(PARTS))
         if unknown:
@@ -190,8 +164,8 @@ class PublishSink:
         self._parts = frozenset(parts)
         self._odom_frame = odom_frame or "odom"
         self._seen = SeenSurface()
-        self._costmap = Costmap(robot, cell_m=cell_m, seen=self._seen)
-        self._space = followed_space(robot, cell_m=cell_m, seen=self._seen)
+        self._costmap = Costmap(robot, cell_m=_CELL_M, seen=self._seen)
+        self._space = followed_space(robot, cell_m=_CELL_M, seen=self._seen)
         self._lock = threading.Lock()
         self._map_from_odom = np.eye(4)
         self._robot_at: NDArray[np.float64] | None = None
@@ -200,20 +174,20 @@ class PublishSink:
         self._told_s = self._whole_s = self._followed_s = -np.inf
         self._goals: queue.Queue[bytes | None] = queue.Queue(_GOALS)
         self._goal_fates = {"answered": 0, "no_path": 0, "refused": 0, "dropped": 0}
-        warm_up()
+        ros.warm_up()
         self._outbox = Outbox(link, self._overtaken)
         for part in PARTS:
             for name, type_name, is_latched in _TOPICS[part] if part in self._parts else ():
-                definition, type_hash = definition_of(type_name), hash_of(type_name)
+                definition, type_hash = ros.definition_of(type_name), ros.hash_of(type_name)
                 link.offer(name, type_name, definition=definition, type_hash=type_hash, is_latched=is_latched)
         self._planner: threading.Thread | None = None
         if "plan" in self._parts:
             self._planner = threading.Thread(target=self._answer_goals, name="publish-plan", daemon=True)
             self._planner.start()
-            link.listen(GOAL_TOPIC, self._hear)
+            link.listen(GOAL_TOPIC, self._goals_put)
 
     def show(self, report: FrameReport) -> None:
-        """Publish what changed with the report's snapshot."""
+        """Publish the changes of the report's snapshot."""
         snapshot = report.snapshot
         if snapshot is None:
             return
@@ -229,7 +203,7 @@ class PublishSink:
             if "plan" in self._parts and time.monotonic() - self._followed_s >= _FOLLOWED_EVERY_S:
                 self._follow()
         if "tf" in self._parts:
-            data = transform_message(report.stamp_ns + _TF_AHEAD_NS, self._odom_frame, map_from_odom)
+            data = ros.transform_message(report.stamp_ns + _TF_AHEAD_NS, self._odom_frame, map_from_odom)
             self._outbox.put(TF_TOPIC, data)
         if "costmap" in self._parts:
             if time.monotonic() - self._whole_s >= _WHOLE_EVERY_S:
@@ -237,25 +211,25 @@ class PublishSink:
                 self._costmap.begin_again()
             update = self._costmap.update(snapshot)
             if update is not None:
-                self._outbox.put(MAP_TOPIC if update.is_whole else UPDATES_TOPIC, grid_message(update)[1])
+                self._outbox.put(MAP_TOPIC if update.is_whole else UPDATES_TOPIC, ros.grid_message(update)[1])
         is_last = report.frame is None
         if is_last or time.monotonic() - self._told_s >= _OBJECTS_EVERY_S:
             self._told_s = time.monotonic()
             self._tell_objects(snapshot)
 
     def counts(self) -> dict[str, Any]:
-        """Return by topic how many messages had which fate, and what became of goals."""
+        """Return the number of messages by topic and fate, and of goals by outcome."""
         return {"topics": self._outbox.fates(), "goals": dict(self._goal_fates)}
 
     def close(self) -> None:
-        """Send what waits, for a moment, and end."""
+        """Send the queue for a moment, and end."""
         if self._planner is not None:
             self._goals_put(None)
             self._planner.join(2.0)
         self._outbox.close()
 
     def _follow(self) -> None:
-        """Have the grid of the planner be that of the newest snapshot; called with the lock."""
+        # Updates the planner's grid to the newest snapshot; the lock is held.
         if self._unfollowed is not None:
             self._space.update(self._unfollowed)
             self._unfollowed = None
@@ -263,22 +237,17 @@ class PublishSink:
 
     def _tell_objects(self, snapshot: MapSnapshot) -> None:
         if "objects" in self._parts:
-            self._outbox.put(OBJECTS_TOPIC, detections_message(snapshot))
+            self._outbox.put(OBJECTS_TOPIC, ros.detections_message(snapshot))
         if "markers" in self._parts:
-            self._outbox.put(MARKERS_TOPIC, markers_message(snapshot))
+            self._outbox.put(MARKERS_TOPIC, ros.markers_message(snapshot))
 
     def _overtaken(self, name: str) -> None:
         # A window that is missing leaves old cells in the robot's grid.
         if name in (MAP_TOPIC, UPDATES_TOPIC):
             self._costmap.begin_again()
 
-    # ---- goals -------------------------------------------------------------------------------------------------------
-
-    def _hear(self, data: bytes) -> None:
-        self._goals_put(data)
-
     def _goals_put(self, data: bytes | None) -> None:
-        """Have a goal answered; of too many the oldest are dropped: the robot wants to know of its last one."""
+        # Of too many goals the oldest are dropped.
         while True:
             try:
                 self._goals.put_nowait(data)
@@ -299,15 +268,14 @@ class PublishSink:
                 logger.warning("a goal was refused: %s", answer)
                 continue
             self._goal_fates["answered" if answer is not None else "no_path"] += 1
-            self._outbox.put(PLAN_TOPIC, path_message(self._stamp_ns, answer), is_urgent=True)
+            self._outbox.put(PLAN_TOPIC, ros.path_message(self._stamp_ns, answer), is_urgent=True)
 
     def _answer(self, data: bytes) -> Path | str | None:
-        """Return the path to a goal, None where there is none, or why nothing can be said."""
-        goal = goal_of(data)
+        goal = ros.goal_of(data)
         if goal is None:
             return f"{GOAL_TOPIC} was sent {len(data)} bytes that are no PoseStamped with a finite place"
-        if goal.frame not in (FRAME_ID, self._odom_frame):
-            return f"found the frame {goal.frame!r}, expected {FRAME_ID} or {self._odom_frame}"
+        if goal.frame not in (ros.FRAME_ID, self._odom_frame):
+            return f"found the frame {goal.frame!r}, expected {ros.FRAME_ID} or {self._odom_frame}"
         with self._lock:
             self._follow()
             space, start = self._space.grid, self._robot_at
@@ -315,7 +283,7 @@ class PublishSink:
                 return "nothing was mapped yet"
             try:
                 place = goal.place
-                if goal.frame != FRAME_ID:
+                if goal.frame != ros.FRAME_ID:
                     place = (self._map_from_odom @ np.array([*place, 0.0, 1.0]))[:2]
                 found = plan(space, start, place)
             except HickoryError as error:
@@ -327,7 +295,7 @@ class PublishSink:
 
 
 def followed_space(robot: Robot, *, cell_m: float, seen: SeenSurface) -> Followed[FreeSpace]:
-    """Return the free space of a robot that follows the snapshots of a live run."""
+    """Return the free space of a robot, updated from the snapshots of a live run."""
     num_layers = len(robot.postures) * robot.num_headings
     return Followed(
         lambda frame, floor_m: FreeSpace(robot, frame, floor_m),

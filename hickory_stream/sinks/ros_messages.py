@@ -1,6 +1,6 @@
-"""Messages of ROS 2 as bytes (CDR), made of the map's records: what Nav2 and RViz read. No ROS is needed to make them.
+"""ROS 2 messages as bytes (CDR) from the map's records, without ROS.
 
-`vision_msgs` and `map_msgs` are no part of ROS's core: their definitions are those of Humble and later.
+`vision_msgs` and `map_msgs` are not in ROS's core: their definitions here are the ones of Humble and later.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ OBSERVED_ONLY, SURE = "observed_only", "objects"
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Goal:
-    """Where a robot is asked to go: `place` (2,), metres, in a frame."""
+    """A goal of a robot: `place` (2,), metres, in a frame."""
 
     frame: str
     place: NDArray[np.float64]
@@ -57,7 +57,7 @@ class Goal:
 
 @cache
 def store() -> Any:
-    """Return the types of ROS 2 Humble, `vision_msgs` and `map_msgs` among them."""
+    """Return the types of ROS 2 Humble with `vision_msgs` and `map_msgs`."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     found = get_typestore(Stores.ROS2_HUMBLE)
@@ -69,23 +69,23 @@ def store() -> Any:
 
 
 def definition_of(type_name: str) -> str:
-    """Return the definition of a type and of those in it, as `ros2msg`."""
+    """Return the definition of a type and its parts as `ros2msg`."""
     text, _ = store().generate_msgdef(type_name, ros_version=2)
     return str(text)
 
 
 def hash_of(type_name: str) -> str:
-    """Return the RIHS01 hash of a type, by which rmw_zenoh names it."""
+    """Return the RIHS01 hash of a type, which names it in rmw_zenoh."""
     return str(store().hash_rihs01(type_name))
 
 
 def encoded(type_name: str, message: Any) -> bytes:
-    """Return a message of that type as CDR."""
+    """Return a message of a type as CDR."""
     return bytes(store().serialize_cdr(message, type_name))
 
 
 def warm_up() -> None:
-    """Have the encoders made beforehand: each takes up to a second, once, and a robot waits for what they encode."""
+    """Make all encoders in advance: each takes up to a second, once."""
     nothing = MapSnapshot(revision=0, stamp_ns=0, submaps=(), objects=())
     frame = GridFrame(origin_m=np.zeros(2), cell_m=1.0, rows=1, columns=1)
     for is_whole in (True, False):
@@ -119,10 +119,7 @@ def grid_message(update: CostmapUpdate) -> tuple[str, bytes]:
 
 
 def detections_message(snapshot: MapSnapshot) -> bytes:
-    """Return the objects: id, upright box and its pose; the class says whether a layer 4 was made yet.
-
-    The score is 1: what the map holds it is sure of, or it says `observed_only`.
-    """
+    """Return the objects with id, upright box and pose; the class says whether layer 4 exists, the score is 1."""
     header = _header(snapshot.stamp_ns)
     found = []
     for tracked, obstacle, pose in _with_poses(snapshot):
@@ -136,7 +133,7 @@ def detections_message(snapshot: MapSnapshot) -> bytes:
 
 
 def markers_message(snapshot: MapSnapshot) -> bytes:
-    """Return the boxes and ids of the objects for RViz: all of them, and before that the order to forget the others."""
+    """Return the boxes and ids of all objects for RViz, after an order to delete earlier ones."""
     header = _header(snapshot.stamp_ns)
     markers = [_marker(header, SURE, 0, _CUBE, _DELETE_ALL)]
     for tracked, obstacle, pose in _with_poses(snapshot):
@@ -151,7 +148,7 @@ def markers_message(snapshot: MapSnapshot) -> bytes:
 
 
 def transform_message(stamp_ns: int, odom_frame: str, map_from_odom: NDArray[np.float64]) -> bytes:
-    """Return where the frame of the odometry is in the map."""
+    """Return the pose of the odometry frame in the map."""
     translation, rotation = _vector(map_from_odom[:3, 3]), _quaternions(map_from_odom[None, :3, :3])[0]
     placed = _new("geometry_msgs/msg/Transform", translation=translation, rotation=rotation)
     stamped = _new(
@@ -161,7 +158,7 @@ def transform_message(stamp_ns: int, odom_frame: str, map_from_odom: NDArray[np.
 
 
 def path_message(stamp_ns: int, path: Path | None) -> bytes:
-    """Return a path, each pose looking along its leg; without poses where there is none, as Nav2 has it."""
+    """Return a path, each pose facing along its leg; without poses if there is none, as in Nav2."""
     header = _header(stamp_ns)
     poses = []
     if path is not None:
@@ -173,7 +170,7 @@ def path_message(stamp_ns: int, path: Path | None) -> bytes:
 
 
 def goal_of(data: bytes) -> Goal | None:
-    """Return what a PoseStamped asks for; None for bytes that are none, or a place that is not finite."""
+    """Return the goal of a PoseStamped; None for invalid bytes or a position that is not finite."""
     try:
         message = store().deserialize_cdr(data, GOAL)
     except Exception:  # noqa: BLE001 - a stranger's bytes break the decoder in whatever way
@@ -185,7 +182,7 @@ def goal_of(data: bytes) -> Goal | None:
 
 
 def goal_message(stamp_ns: int, place: NDArray[np.float64], frame: str = FRAME_ID) -> bytes:
-    """Return a PoseStamped: what `goal_of` reads."""
+    """Return a PoseStamped for `goal_of`."""
     return encoded(GOAL, _new(GOAL, header=_header(stamp_ns, frame), pose=_pose(np.array([*place, 0.0]))))
 
 
@@ -254,7 +251,6 @@ def _pose(position: NDArray[np.float64], rotation: Any = None) -> Any:
 
 
 def _with_poses(snapshot: MapSnapshot) -> Iterator[tuple[TrackedObject, Obstacle, Any]]:
-    """Yield each object with what a robot is to keep off and the pose of its box."""
     objects = snapshot.objects
     turned = _quaternions(np.array([tracked.box.world_from_box[:3, :3] for tracked in objects]).reshape(-1, 3, 3))
     for tracked, obstacle, rotation in zip(objects, early_obstacles(objects), turned, strict=True):
@@ -266,7 +262,7 @@ def _yaw(angle_rad: float) -> Any:
 
 
 def _quaternions(rotations: NDArray[np.float64]) -> list[Any]:
-    """Return the quaternions of (N, 3, 3) rotations: one call for all, since each takes SciPy 0.2 ms."""
+    # One call for all (N, 3, 3) rotations, since each takes SciPy 0.2 ms.
     from scipy.spatial.transform import Rotation
 
     of_all = Rotation.from_matrix(rotations).as_quat().tolist() if len(rotations) else []

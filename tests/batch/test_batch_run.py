@@ -127,7 +127,7 @@ def test_what_was_mapped_before_is_not_mapped_again_and_new_logs_may_follow(plan
 def test_on_a_full_disk_nothing_more_is_begun_and_the_same_command_goes_on(planned: Callable[..., BatchPlan]) -> None:
     plan = planned("a", "full", "b", workers=1)
     result = run_batch(plan)
-    assert result.stopped == "the disk is full: free space, then the same command goes on"
+    assert result.stopped == "the disk is full: free space, then continue with the same command"
     assert [row.outcome.state for row in result.rows] == ["mapped", "disk full", "failed"]
     assert not result.is_whole
     assert run_batch(plan).rows[0].was_there

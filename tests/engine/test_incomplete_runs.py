@@ -105,7 +105,7 @@ def test_reasons_are_grouped_and_objects_counted() -> None:
     often = replace(rare, reason="slow", object_ids=tuple(range(8)), folders=(Path("m/failed/000000"),) * 8)
     assert failures_line((often, rare), 12) == (
         "the shape jobs of 9 of 12 objects failed: 8 x slow (objects 0, 1, 2, 3, 4 and 3 more); 1 x torn (object 7). "
-        "Their input lies in m/failed; `hickory-stream reconstruct m/failed/000000` repeats one"
+        "Their input lies in m/failed; repeat one with `hickory-stream reconstruct m/failed/000000`"
     )
     assert failures_line((), 12) == ""
 

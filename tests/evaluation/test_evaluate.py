@@ -140,7 +140,7 @@ def test_the_page_shows_the_object_and_what_was_made_of_it(tmp_path: Path) -> No
     for caption in ("best view", "true mesh", "2: mesh", "3: superquadrics", "4: inflated"):
         assert f"<figcaption>{caption}</figcaption>" in page
     assert "http" not in page  # it needs no network
-    assert "Why objects are missed cannot be told: " in page
+    assert "No reasons for missed objects: " in page
     assert "the map keeps no history; play the log again" in page
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from hickory_stream.cli import main
 from hickory_stream.graph.trajectories import ways_of
-from hickory_stream.inspection.graph_summary import summary_of, told
+from hickory_stream.inspection.graph_summary import summary_of, summary_text
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.writer import create_map_folder, reopen_map_folder
@@ -159,7 +159,7 @@ def test_inspect_has_a_line_on_the_graph_and_its_loops_as_json(
     assert main(["inspect", str(graph_map)]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("pose graph: "))
     assert re.match(r"pose graph: 60 submaps, 9 loops \(6 accepted, 2 rejected, 1 withdrawn\); submaps moved", line)
-    assert line == told(summary_of(GRAPH))
+    assert line == summary_text(summary_of(GRAPH))
     assert main(["inspect", str(graph_map), "--json"]) == 0
     graph = json.loads(capsys.readouterr().out)["graph"]
     assert (graph["num_submaps"], graph["num_withdrawn"]) == (60, 1)

@@ -11,7 +11,7 @@ import pytest
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.inspection import supports
-from hickory_stream.inspection.supports import ObjectBody, _body, supports_of, told
+from hickory_stream.inspection.supports import ObjectBody, _body, support_text, supports_of
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.rigid_motion import moved_object
@@ -37,7 +37,7 @@ def snapshot() -> MapSnapshot:
 
 def test_an_object_rests_on_the_floor_and_another_on_it(snapshot: MapSnapshot) -> None:
     found = supports_of(snapshot, CONFIG)
-    assert {body: told(supports) for body, supports in found.items()} == {1: "the floor", 2: "#1"}
+    assert {body: support_text(supports) for body, supports in found.items()} == {1: "the floor", 2: "#1"}
     (on_it,) = (support for support in found[2] if support.relation is Relation.RESTS_ON)
     assert on_it.height_m == pytest.approx(0.4, abs=VOXEL_M)
 
@@ -49,14 +49,14 @@ def test_a_correction_of_the_poses_changes_no_relation(snapshot: MapSnapshot) ->
         submaps=(replace(submap, world_from_submap=PLACE),),
         objects=tuple(moved_object(item, PLACE) for item in snapshot.objects),
     )
-    assert {i: told(s) for i, s in supports_of(moved, CONFIG).items()} == {1: "the floor", 2: "#1"}
+    assert {i: support_text(s) for i, s in supports_of(moved, CONFIG).items()} == {1: "the floor", 2: "#1"}
 
 
 def test_an_object_without_points_has_no_relations(snapshot: MapSnapshot) -> None:
     bare = replace(snapshot.objects[0], points_world=np.empty((0, 3), np.float32), colors=np.empty((0, 3), np.uint8))
     found = supports_of(replace(snapshot, objects=(bare, snapshot.objects[1])), CONFIG)
     assert found[1] == ()
-    assert told(found[1]) == "-"
+    assert support_text(found[1]) == "-"
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_an_object_without_points_has_no_relations(snapshot: MapSnapshot) -> Non
     ],
 )
 def test_what_holds_an_object_is_told_in_a_few_words(relation: Relation, by: int | None, text: str) -> None:
-    assert told((Support(body=1, relation=relation, by=by),)) == text
+    assert support_text((Support(body=1, relation=relation, by=by),)) == text
 
 
 def test_only_what_may_touch_the_objects_of_a_submap_is_looked_at_and_relations_stay(
@@ -87,4 +87,4 @@ def test_only_what_may_touch_the_objects_of_a_submap_is_looked_at_and_relations_
     monkeypatch.setattr(supports, "_body", counted)
     found = supports_of(both, CONFIG)
     assert looked_at == [1, 2, 11, 12]
-    assert {i: told(s) for i, s in found.items()} == {1: "the floor", 2: "#1", 11: "the floor", 12: "#11"}
+    assert {i: support_text(s) for i, s in found.items()} == {1: "the floor", 2: "#1", 11: "the floor", 12: "#11"}

@@ -247,4 +247,4 @@ def test_the_command_writes_tum_and_the_errors(tmp_path: Path, capsys: pytest.Ca
     assert rows.shape == (scenes.NUM_FRAMES, 8)
     np.testing.assert_allclose(np.linalg.norm(rows[:, 4:], axis=1), 1.0, atol=1e-6)
     assert main(["odometry", str(log), "--profile", "registered", "--odometry", "topic", "--truth", str(out)]) == 0
-    assert "6 poses on a way of" in capsys.readouterr().out
+    assert "6 poses on a path of" in capsys.readouterr().out

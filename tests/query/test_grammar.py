@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hickory_stream.errors import InputError
 from hickory_stream.query import vocabulary
 from hickory_stream.query.grammar import question_of
-from hickory_stream.query.question import told
+from hickory_stream.query.question import phrase_of
 
 WORDS = sorted(
     {
@@ -44,7 +44,7 @@ WORDS = sorted(
     ],
 )
 def test_a_question_means(text: str, meaning: str) -> None:
-    assert told(question_of(text).thing) == meaning
+    assert phrase_of(question_of(text).thing) == meaning
 
 
 def test_a_question_that_counts_is_told_from_one_that_looks() -> None:
@@ -75,6 +75,6 @@ def test_what_is_no_question_is_refused_in_one_line(text: str, complaint: str) -
 @given(st.lists(st.sampled_from(WORDS), max_size=12))
 def test_words_in_any_order_are_a_question_or_refused(words: list[str]) -> None:
     try:
-        assert told(question_of(" ".join(words)).thing)
+        assert phrase_of(question_of(" ".join(words)).thing)
     except InputError:
         pass

@@ -8,7 +8,7 @@ import pytest
 from hickory_stream.errors import InputError
 from hickory_stream.query.grammar import question_of
 from hickory_stream.query.looks import squared
-from hickory_stream.query.question import told
+from hickory_stream.query.question import phrase_of
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ from hickory_stream.query.question import told
     ],
 )  # fmt: skip
 def test_words_that_geometry_does_not_tell_are_looks(text: str, meaning: str) -> None:
-    assert told(question_of(text, with_looks=True).thing) == meaning
+    assert phrase_of(question_of(text, with_looks=True).thing) == meaning
 
 
 @pytest.mark.parametrize("text", ["a mug #", "50 mugs", "% of it"])

@@ -1,1 +1,1 @@
-"""Commands that look at a log."""
+"""Commands that examine a log."""

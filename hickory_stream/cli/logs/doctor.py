@@ -1,4 +1,4 @@
-"""`hickory-stream doctor`: examine a log, or a robot, before it is mapped."""
+"""`hickory-stream doctor`: examine a log, or a robot, before mapping it."""
 
 from __future__ import annotations
 
@@ -21,24 +21,15 @@ if TYPE_CHECKING:
 _LIVE_S = 10.0
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    doctor = commands.add_parser(
-        "doctor",
-        parents=[common],
-        help="examine a log or a robot: status 0 sound, 3 usable with losses, 2 unusable",
-    )
-    doctor.set_defaults(run=run)
-    doctor.add_argument("source", nargs="+", metavar="LOG", help="what play or live would be given")
-    doctor.add_argument(
-        "--seconds", type=float, default=_LIVE_S, metavar="S", help="how long a live route is listened to (10)"
-    )
+def add(commands: Commands) -> None:
+    doctor = commands.add("doctor", run)
+    doctor.add_argument("source", nargs="+", metavar="LOG", help="arguments of play or live")
+    doctor.add_argument("--seconds", type=float, default=_LIVE_S, metavar="S", help="duration for a live route (10)")
     add_output(doctor, "--html", type=Path, metavar="PAGE", help="write a page with plots")
     add_source_options(doctor)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from players.doctor.diagnosis import examine
     from players.doctor.report import diagnosis_page, diagnosis_text
     from players.live.examine import examine_live

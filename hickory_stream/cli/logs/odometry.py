@@ -1,9 +1,10 @@
-"""`hickory-stream odometry`: estimate where the camera was, without mapping anything."""
+"""`hickory-stream odometry`: estimate the camera's trajectory without mapping."""
 
 from __future__ import annotations
 
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,24 +25,19 @@ if TYPE_CHECKING:
     Trajectory = tuple[list[int], list[NDArray[np.float64]]]
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    odometry = commands.add_parser(
-        "odometry", parents=[common], help="estimate the poses of a log from LiDAR or depth, and compare with truth"
-    )
-    odometry.set_defaults(run=run)
-    odometry.add_argument("source", nargs="+", metavar="LOG", help="as for play")
+def add(commands: Commands) -> None:
+    odometry = commands.add("odometry", run)
+    odometry.add_argument("source", nargs="+", metavar="LOG", help="logs as for play")
     add_output(
-        odometry, "-o", "--out", type=Path, metavar="FILE", help="write the camera's poses (TUM: stamp, place, xyzw)"
+        odometry, "-o", "--out", type=Path, metavar="FILE", help="write the camera's poses (TUM: stamp, position, xyzw)"
     )
     odometry.add_argument(
-        "--truth", type=Path, metavar="FILE|LOG", help="true poses of the camera (TUM, CSV), or a log that has them"
+        "--truth", type=Path, metavar="FILE|LOG", help="true poses of the camera (TUM, CSV), or a log with poses"
     )
     add_source_options(odometry)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.base.atomic_files import write_output
     from players import open_source
     from players.opening import open_estimating
@@ -63,8 +59,8 @@ def run(options: argparse.Namespace) -> int:
     finally:
         source.close()
     if not poses:
-        told = ", ".join(f"{name} {count}" for name, count in sorted(ledger.items())) or "nothing"
-        raise RecordingError(f"{source.info.uri}: no frame could be placed ({told}); choose another --odometry")
+        text = ", ".join(f"{name} {count}" for name, count in sorted(ledger.items())) or "nothing"
+        raise RecordingError(f"{source.info.uri}: no frame got a pose ({text}); choose another --odometry")
     error = _error(stamps_ns, poses, true) if true is not None else None
     if options.out is not None:
         with disk_refusals(options.out, "poses"):
@@ -73,13 +69,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         errors = None
         if error is not None:
-            errors = {
-                "ate_m": error.ate_m,
-                "rpe_m": error.rpe_m,
-                "rpe_deg": error.rpe_deg,
-                "way_m": error.way_m,
-                "num_poses": error.num_poses,
-            }
+            errors = asdict(error)
         said = {"poses": len(poses), "pose": by, **counts, "seconds": spent_s, "error": errors}
         print(output("odometry", said))
         return 0
@@ -91,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
     if error is not None:
         print(
             f"ATE {error.ate_m:.4f} m (RMSE, aligned), RPE {error.rpe_m:.4f} m and {error.rpe_deg:.3f} degrees from "
-            f"pose to pose; {error.num_poses} poses on a way of {error.way_m:.1f} m"
+            f"pose to pose; {error.num_poses} poses on a path of {error.way_m:.1f} m"
         )
     if options.out is not None:
         print(written_text(options.out))
@@ -99,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def tum_text(stamps_ns: list[int], poses: list[NDArray[np.float64]]) -> str:
-    """Return poses (4, 4) as TUM has them, a line each: seconds, place, quaternion with w last."""
+    """Return poses (4, 4) in TUM format, one a line: seconds, position, quaternion with w last."""
     from hickory_stream.geometry.rigid import quaternion_from_rotation
 
     lines = ["# stamp tx ty tz qx qy qz qw: the camera (x right, y down, z forward) in the world"]
@@ -112,7 +102,6 @@ def tum_text(stamps_ns: list[int], poses: list[NDArray[np.float64]]) -> str:
 
 
 def _truth(path: Path) -> Trajectory:
-    """Return the stamps and the poses of a file, or those of the frames of a log."""
     import numpy as np
 
     from players import SourceOptions, open_source

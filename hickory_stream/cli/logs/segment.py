@@ -1,4 +1,4 @@
-"""`hickory-stream segment`: what perception makes of one frame, as a picture."""
+"""`hickory-stream segment`: draw the masks and features of one frame."""
 
 from __future__ import annotations
 
@@ -22,31 +22,27 @@ if TYPE_CHECKING:
     from players.profile import Profile
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    segment = commands.add_parser(
-        "segment", parents=[common, configured], help="segment one frame and draw masks, rejected masks and features"
-    )
-    segment.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    segment = commands.add("segment", run, configured=True)
     segment.add_argument("image", type=Path, metavar="IMAGE", help="colour or grey, JPEG or PNG")
     segment.add_argument("depth", type=Path, metavar="DEPTH", help="16-bit PNG, 0 = no return, or .npy in metres")
     add_output(segment, "-o", "--out", type=Path, default=Path("segments.png"), metavar="PNG")
     segment.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="in pixels; default: a camera of 60 degrees")
     segment.add_argument(
-        "--profile",
-        help="unit of depth, cameras and registration of a kind of source; --intrinsics are then those of depth",
+        "--profile", help="depth unit, cameras and registration of a kind of log; --intrinsics are then of depth"
     )
-    segment.add_argument("--depth-units", type=float, default=None, metavar="N", help="per metre; default 1000")
+    segment.add_argument(
+        "--depth-units", type=float, default=None, metavar="N", help="depth units per metre; default 1000"
+    )
     segment.add_argument(
         "--down",
         default="0,1,0",
         metavar="X,Y,Z",
-        help="where down is, in the camera (x right, y down, z forward); default: held level",
+        help="down direction in the camera (x right, y down, z forward); default: level",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     import numpy as np
 
     from hickory_stream.engine.reading import sensed
@@ -64,9 +60,9 @@ def run(options: argparse.Namespace) -> int:
     write_picture(options.out, picture)
     masks = int(perceived.segmentation.instances.max(initial=0))
     if options.json:
-        told: dict[str, Any] = {"picture": str(options.out), "masks": masks, "objects": len(perceived.observations)}
-        told["rejected"] = [{"box_px": r.box_px, "reason": r.reason} for r in perceived.rejected]
-        print(output("segment", told))
+        report: dict[str, Any] = {"picture": str(options.out), "masks": masks, "objects": len(perceived.observations)}
+        report["rejected"] = [{"box_px": r.box_px, "reason": r.reason} for r in perceived.rejected]
+        print(output("segment", report))
     else:
         print(
             f"{options.out}: {masks} masks, {len(perceived.observations)} objects, {len(perceived.rejected)} rejected"
@@ -75,7 +71,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _frame(options: argparse.Namespace) -> Frame:
-    """Return the two images as a frame whose world has its origin in the camera, and z up."""
     import numpy as np
 
     from hickory_stream.geometry.depth_sensor import DepthSensor
@@ -120,24 +115,22 @@ def _frame(options: argparse.Namespace) -> Frame:
 
 
 def _depth_camera(options: argparse.Namespace, profile: Profile, width: int, height: int) -> Camera:
-    """Return the depth camera: as told, as the folder of the image has it, or as the profile does."""
     from players.logs.folder_layouts import INTRINSICS
     from players.logs.folder_text import read_intrinsics
 
     if options.intrinsics is not None:
         return _camera(options.intrinsics, width, height)
     beside = options.depth.parent / INTRINSICS
-    # Without a way between the cameras, depth is registered to colour and has its camera.
+    # Without an offset between the cameras, depth is registered to colour and has its camera.
     own = profile.depth or (profile.color if not any(profile.color_from_depth_m) else None)
     intrinsics = read_intrinsics(beside) if beside.is_file() else own
     if intrinsics is None:
         raise CalibrationError(
-            f"profile {profile.name}: its colour camera is not its depth camera; give that one's --intrinsics"
+            f"profile {profile.name}: its depth camera differs from its colour camera; give --intrinsics of depth"
         )
     if not (intrinsics.cx < width and intrinsics.cy < height):
         raise CalibrationError(
-            f"profile {profile.name}: its depth camera is not one of {width} x {height} pixels; give that one's "
-            "--intrinsics"
+            f"profile {profile.name}: its depth camera has not {width} x {height} pixels; give --intrinsics of depth"
         )
     return intrinsics.camera((width, height))
 
@@ -167,7 +160,7 @@ def _read_color(path: Path) -> NDArray[np.uint8]:
 
     image = cv2.imdecode(np.frombuffer(_bytes_of(path), dtype=np.uint8), cv2.IMREAD_COLOR)
     if image is None:
-        raise RecordingError(f"{path} is no image that can be read; expected JPEG or PNG")
+        raise RecordingError(f"{path} is no readable image; expected JPEG or PNG")
     return np.ascontiguousarray(image[..., ::-1])
 
 
@@ -217,7 +210,7 @@ def _numbers(text: str, count: int, option: str, form: str) -> list[float]:
 
 
 def _upright(down_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return world_from_camera (4, 4) of a camera at the origin of a world that is z up, by where down is in it."""
+    """Return world_from_camera (4, 4) of a camera at the origin of a z-up world, from the down direction."""
     import numpy as np
 
     length = float(np.linalg.norm(down_camera))

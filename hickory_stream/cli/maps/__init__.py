@@ -1,1 +1,1 @@
-"""Commands that ask, draw, export, compare and align finished maps."""
+"""Commands that query, draw, export, compare and align finished maps."""

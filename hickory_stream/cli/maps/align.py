@@ -1,14 +1,13 @@
-"""`hickory-stream align`: find where two maps overlap, or say why not."""
+"""`hickory-stream align`: find where two maps overlap, or say why none was found."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import NO_ALIGNMENT
-from hickory_stream.cli.output_files import add_output, disk_refusals, write_picture
-from hickory_stream.errors import InputError
-from hickory_stream.outputs import output
+from hickory_stream.cli.commands import NO_ALIGNMENT, Commands
+from hickory_stream.cli.output_files import add_output, check_ending, disk_refusals, write_picture
+from hickory_stream.outputs import output, picked
 
 if TYPE_CHECKING:
     import argparse
@@ -18,31 +17,24 @@ if TYPE_CHECKING:
 
     from hickory_stream.alignment.answer import Alignment, NoAlignment, Rival
     from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.saved_map import SavedMap
 
 METHODS = ("sq", "sq-paper", "bbox", "roman-one", "roman-xl", "semantic", "ransac")
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    align = commands.add_parser(
-        "align", parents=[common], help="find the transform between two maps that overlap; exit status 3: they do not"
-    )
-    align.set_defaults(run=run)
-    align.add_argument("a", type=Path, metavar="A", help="the map whose frame the answer is in")
+def add(commands: Commands) -> None:
+    align = commands.add("align", run)
+    align.add_argument("a", type=Path, metavar="A", help="the map that defines the frame of the answer")
     align.add_argument("b", type=Path, metavar="B")
     align.add_argument("--method", choices=METHODS, default="sq", help="sq (default), or another method for comparison")
     add_output(align, "-o", "--out", type=Path, metavar="PNG|RRD", help="draw both maps joined by their pairs")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.alignment.answer import Alignment
     from hickory_stream.alignment.methods import align_by
 
-    if options.out is not None and options.out.suffix not in (".png", ".rrd"):
-        raise InputError(f"found -o {options.out}, expected a name that ends in .png or .rrd")
+    check_ending(options.out, ".png", ".rrd")
     map_a, map_b = load_objects(options.a), load_objects(options.b)
     answer = align_by(options.method, map_a, map_b)
     if options.out is not None:
@@ -59,20 +51,20 @@ def load_objects(folder: Path) -> ObjectMap:
 
 
 def objects_of(saved: SavedMap) -> ObjectMap:
-    """Return the objects of an opened map, with the name of what made their features."""
+    """Return the objects of an opened map, with the name of their feature extractor."""
     from hickory_stream.alignment.object_map import object_map
 
     return object_map(saved.snapshot, saved.manifest.extractor)
 
 
 def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
-    """Return an answer for machines."""
+    """Return an answer as JSON data."""
     import numpy as np
 
     from hickory_stream.alignment.answer import Alignment
 
     against = answer.contradictions
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "aligned": isinstance(answer, Alignment),
         "notes": list(answer.notes),
         "expected": against.num_expected,
@@ -80,41 +72,21 @@ def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
         "missing_in_b": list(against.ids_a),
         "missing_in_a": list(against.ids_b),
         "rivals": [
-            {
-                "a_from_b": rival.a_from_b.tolist(),
-                "covariance": rival.covariance.tolist(),
-                "center_a": rival.center_a.tolist(),
-                "num_pairs": rival.num_pairs,
-                "log10_chance": rival.log10_chance,
-                "margin": rival.margin,
-            }
+            picked(rival, "a_from_b", "covariance", "center_a", "num_pairs", "log10_chance", "margin")
             for rival in answer.rivals
         ],
     }
     if isinstance(answer, Alignment):
-        return told | {
-            "a_from_b": answer.a_from_b.tolist(),
-            "covariance": answer.covariance.tolist(),
-            "center_a": answer.center_a.tolist(),
-            "translation_sigma_m": answer.translation_sigma_m,
+        return report | {
+            **picked(answer, "a_from_b", "covariance", "center_a", "translation_sigma_m"),
             "rotation_sigma_deg": float(np.degrees(answer.rotation_sigma_rad)),
-            "log10_chance": answer.log10_chance,
-            "margin": answer.margin,
-            "is_level": answer.is_level,
-            "is_refined": answer.is_refined,
+            **picked(answer, "log10_chance", "margin", "is_level", "is_refined"),
             "pairs": [
-                {
-                    "a": pair.id_a,
-                    "b": pair.id_b,
-                    "semantic": pair.semantic,
-                    "geometric": pair.geometric,
-                    "rank": pair.rank,
-                    "residual_m": pair.residual_m,
-                }
+                {"a": pair.id_a, "b": pair.id_b, **picked(pair, "semantic", "geometric", "rank", "residual_m")}
                 for pair in answer.pairs
             ],
         }
-    return told | {
+    return report | {
         "refusal": answer.refusal.value,
         "reason": answer.reason,
         "hypotheses": [
@@ -129,7 +101,7 @@ def answer_json(answer: Alignment | NoAlignment) -> dict[str, Any]:
 
 
 def answer_text(answer: Alignment | NoAlignment) -> str:
-    """Return an answer for people."""
+    """Return an answer as text."""
     import numpy as np
 
     from hickory_stream.alignment.answer import Alignment
@@ -150,7 +122,7 @@ def answer_text(answer: Alignment | NoAlignment) -> str:
         f"  uncertainty {100 * answer.translation_sigma_m:.1f} cm, {np.degrees(answer.rotation_sigma_rad):.2f} deg"
         f"{', refined on surfaces' if answer.is_refined else ''}{'' if answer.is_level else ', maps tilted'}",
         f"  expected false alarms 10^{answer.log10_chance:.1f}; {_separation_text(answer)}",
-        f"  of {against.num_expected} objects whose place the other map saw, {against.num_missing} are missing",
+        f"  of {against.num_expected} objects in observed places of the other map, {against.num_missing} are missing",
     ]
     return "\n".join([*lines, *notes])
 

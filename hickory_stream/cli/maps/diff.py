@@ -1,7 +1,6 @@
-"""`hickory-stream diff`: what happened to the objects between two moments of a run, or between two maps of a place.
+"""`hickory-stream diff`: changes of objects between two moments of a run, or between two maps of one place.
 
-Two maps are aligned first. With `--other` they are in one world already, as a live map and that of its recording are,
-and objects are the same whose boxes overlap by half.
+`align` relates the two maps first, except with `--other`: both maps then share one world, and boxes match at IoU 0.5.
 """
 
 from __future__ import annotations
@@ -10,8 +9,8 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.exit_status import NO_ALIGNMENT
-from hickory_stream.cli.output_files import add_output, disk_refusals
+from hickory_stream.cli.commands import NO_ALIGNMENT, Commands
+from hickory_stream.cli.output_files import add_output, check_ending, disk_refusals
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -20,16 +19,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from hickory_stream.changes.stationarity import StayCount
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.saved_map import SavedMap
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    diff = commands.add_parser(
-        "diff", parents=[common], help="what happened between two moments of a run, or from one map to another"
-    )
-    diff.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    diff = commands.add("diff", run)
     diff.add_argument("map", type=Path, metavar="MAP")
     diff.add_argument(
         "first",
@@ -42,28 +36,26 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         "--other",
         type=Path,
         metavar="MAP",
-        help="compare the ends of two maps instead, e.g. of a session and its replay",
+        help="compare the ends of two maps instead, e.g. of a live run and its replay",
     )
     add_output(diff, "-o", "--out", type=Path, metavar="HTML", help="write a page with plan and pictures")
-    # No output that must not be there yet: what it says is built on.
+    # Not `add_output`: an existing file is updated.
     diff.add_argument(
         "--stationarity",
         type=Path,
         metavar="FILE",
-        help="two maps: note how probable it is that each object stays, building on what the file says of the first",
+        help="two maps: update the probability that each object stays, from the file of the first map",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.base.atomic_files import write_output
     from hickory_stream.changes.run_page import run_page
     from hickory_stream.changes.within_run import changes_within_run
     from hickory_stream.cli.option_values import open_map_at
     from hickory_stream.map_folder.history.time_travel import stamp_of
 
-    if options.out is not None and options.out.suffix != ".html":
-        raise InputError(f"found -o {options.out}, expected a name that ends in .html")
+    check_ending(options.out, ".html")
     if options.first is not None and options.second is None and Path(options.first).is_dir():
         return _between_days(options, Path(options.first))
     if options.stationarity is not None:
@@ -71,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None and options.other is not None:
         raise InputError("found -o with --other, expected MAP MAP2 -o page.html, or MAP T1 T2 -o page.html")
     if (options.other is None) != (options.second is not None) or (options.other is not None and options.first):
-        raise InputError("found neither T1 and T2 nor --other MAP, or both; expected one of them")
+        raise InputError("expected either T1 and T2, or --other MAP")
     saved = open_map_at(options.map)
     if options.other is not None:
         return _compare(options, saved, open_map_at(options.other))
@@ -94,7 +86,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _between_days(options: argparse.Namespace, later: Path) -> int:
-    """Say what became of every object from one map of a place to a later one."""
     from hickory_stream.alignment.align import align
     from hickory_stream.alignment.answer import Alignment
     from hickory_stream.base.atomic_files import write_output
@@ -114,7 +105,7 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
     for saved in (first, second):
         if not any(len(submap.observed_space.free) for submap in saved.snapshot.submaps):
             raise InputError(
-                f"{saved.folder} has no observed space, without which nothing can be called gone; map its log again"
+                f"{saved.folder} has no observed space, which proves that objects are gone; map its log again"
             )
     before: Mapping[int, StayCount] = {}
     if options.stationarity is not None and options.stationarity.exists():
@@ -140,13 +131,13 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
     if options.stationarity is not None:
         digest = second.manifest.digest
         if digest is None:
-            raise InputError(f"{second.folder} is not finished: its objects may still change")
+            raise InputError(f"{second.folder} is not finished; wait for the end of its run")
         known = Stationarity(digest=digest, counts=after_comparison(before, found))
         with disk_refusals(options.stationarity, "file"):
             write_output(options.stationarity, write_stationarity(known))
     if options.json:
-        told = {"a_from_b": found.a_from_b.tolist(), "sigma_m": found.sigma_m}
-        print(output("diff-days", told | {"objects": [dataclasses.asdict(one) for one in found.changes]}, indent=1))
+        report = {"a_from_b": found.a_from_b.tolist(), "sigma_m": found.sigma_m}
+        print(output("diff-days", report | {"objects": [dataclasses.asdict(one) for one in found.changes]}, indent=1))
     else:
         print(changes_text(found))
         if known is not None:
@@ -156,7 +147,6 @@ def _between_days(options: argparse.Namespace, later: Path) -> int:
 
 
 def _compare(options: argparse.Namespace, first: SavedMap, second: SavedMap) -> int:
-    """Say which objects of two maps are the same, and which are in one alone."""
     from hickory_stream.evaluation.match import STRICT_IOU, match_boxes
 
     ours, theirs = first.snapshot.objects, second.snapshot.objects
@@ -168,7 +158,7 @@ def _compare(options: argparse.Namespace, first: SavedMap, second: SavedMap) -> 
     if options.json:
         print(output("diff-maps", {"both": both, "only_in_a": only_a, "only_in_b": only_b}, indent=1))
         return 0
-    print(f"{len(both)} objects are in both (boxes overlap by {STRICT_IOU:g} and more)")
+    print(f"{len(both)} objects are in both (box overlap {STRICT_IOU:g} and more)")
     for path, ids in ((options.map, only_a), (options.other, only_b)):
         print(f"{len(ids)} only in {path}" + (f": {', '.join(map(str, ids))}" if ids else ""))
     return 0

@@ -15,18 +15,15 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    evaluate = commands.add_parser("evaluate", parents=[common], help="compare a map with truth")
-    evaluate.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    evaluate = commands.add("evaluate", run)
     evaluate.add_argument("map", type=Path, metavar="MAP", nargs="?")
-    evaluate.add_argument("--truth", type=Path, metavar="DIR", help="the truth folder of the log that was played")
-    evaluate.add_argument("--explain", action="store_true", help="say what every figure means")
+    evaluate.add_argument("--truth", type=Path, metavar="DIR", help="truth folder of the log")
+    evaluate.add_argument("--explain", action="store_true", help="define every figure")
     add_output(evaluate, "--html", type=Path, metavar="PAGE", help="write a page with pictures, worst objects first")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.evaluation.explain import DEFINITIONS, as_json, format_evaluation
 
     if options.explain:

@@ -1,4 +1,4 @@
-"""`hickory-stream explain`: why something is not in a map, or how it came to be there."""
+"""`hickory-stream explain`: why a map lacks an object, or how an object came into it."""
 
 from __future__ import annotations
 
@@ -18,31 +18,22 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    explain = commands.add_parser("explain", parents=[common], help="say why something is not in a map")
-    explain.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    explain = commands.add("explain", run)
     explain.add_argument("map", type=Path, metavar="MAP")
     what = explain.add_mutually_exclusive_group(required=True)
-    what.add_argument(
-        "--at-pixel", metavar="FRAME,U,V", help="what a pixel shows: a frame of the timeline `frame`, column and row"
-    )
-    what.add_argument("--point", metavar="X,Y,Z", help="a place in the map, metres")
-    what.add_argument(
-        "--truth", type=Path, metavar="DIR", help="all true objects that are missed, and all false objects"
-    )
-    explain.add_argument("--object", type=int, metavar="ID", help="this true object alone, keyframe by keyframe")
-    explain.add_argument(
-        "--log", nargs="+", metavar="LOG", help="the log, for the depth of a pixel that the journal does not have"
-    )
+    what.add_argument("--at-pixel", metavar="FRAME,U,V", help="pixel: a frame of the timeline `frame`, column and row")
+    what.add_argument("--point", metavar="X,Y,Z", help="position in the map, metres")
+    what.add_argument("--truth", type=Path, metavar="DIR", help="all missed true objects, and all false objects")
+    explain.add_argument("--object", type=int, metavar="ID", help="only this true object, by keyframe")
+    explain.add_argument("--log", nargs="+", metavar="LOG", help="the log, for depth that the journal lacks")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     if options.object is not None and options.truth is None:
         raise InputError(f"found --object {options.object} without --truth DIR, expected both")
     if options.log is not None and options.at_pixel is None:
-        raise InputError("found --log without --at-pixel: the journal has all that is needed for a point and for truth")
+        raise InputError("found --log without --at-pixel: a point and truth need the journal only")
     return _truth(options) if options.truth is not None else _place(options)
 
 
@@ -95,7 +86,6 @@ def _place(options: argparse.Namespace) -> int:
 
 
 def _three_numbers(text: str, option: str, expected: str) -> tuple[float, float, float]:
-    """Return the numbers of a text like 1,2,3; raises `InputError`."""
     try:
         a, b, c = (float(part) for part in text.split(","))
     except ValueError as error:
@@ -106,15 +96,13 @@ def _three_numbers(text: str, option: str, expected: str) -> tuple[float, float,
 
 
 def _depth_reader(path: Path, logs: list[str]) -> Callable[[int], NDArray[np.float32]]:
-    """Return what gives the depth of the frame of a stamp, from a log that is played as the map's was."""
-
     def depth_of(stamp_ns: int) -> NDArray[np.float32]:
         from hickory_stream.map_folder.manifest import read_manifest
         from players import open_from_note
 
         recorded = read_manifest(path).run.get("source")
         if not isinstance(recorded, dict):
-            raise MapFolderError(f"{path} does not say how its log was played, so that --log is of no use")
+            raise MapFolderError(f"{path} has no record of its log; leave out --log")
         source = open_from_note({**recorded, "uris": logs})
         try:
             for raw in source.frames():
@@ -122,6 +110,6 @@ def _depth_reader(path: Path, logs: list[str]) -> Callable[[int], NDArray[np.flo
                     return raw.decode().depth_m
         finally:
             source.close()
-        raise InputError(f"{', '.join(logs)} has no frame of the stamp {stamp_ns}ns: it is not the log of {path}")
+        raise InputError(f"{', '.join(logs)} has no frame of the stamp {stamp_ns}ns; name the log of {path}")
 
     return depth_of

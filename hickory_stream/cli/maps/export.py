@@ -1,4 +1,4 @@
-"""`hickory-stream export`: a map in a format that other programs read."""
+"""`hickory-stream export`: write a map in a format of other programs."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.base.atomic_files import write_output
 from hickory_stream.base.json_text import dumps_exactly
-from hickory_stream.cli.maps.floor import add_floor_argument, floor_of_option
 from hickory_stream.cli.option_values import (
     add_allow_unverified,
+    add_at,
+    add_floor_argument,
     add_texture_argument,
+    floor_of_option,
     open_verified_map_at,
     robot_of_option,
 )
@@ -31,23 +33,20 @@ if TYPE_CHECKING:
     from hickory_stream.textures.textured_mesh import TexturedMesh
 
 
-# Structure above is ceiling to a robot.
+# Higher structure does not matter to a robot.
 _WALL_HEIGHT_M = 2.0
-_MOST_TOLD = 3
+_MAX_LISTED = 3
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    export = commands.add_parser("export", parents=[common], help="write a map in another format")
-    export.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    export = commands.add("export", run)
     export.add_argument("map", type=Path, metavar="MAP")
     export.add_argument(
         "--format",
         choices=sorted((*_WRITERS, *_SEVERAL)),
         default="json",
-        help="json (default): all records; ply: layer 1 of all objects; glb: layer 2, one named node an object, y up, "
-        "_SEEN per vertex; nav2: a grid for map_server (YAML and PGM); mjcf, urdf: a folder for simulators, layer 2 to "
-        "see, layer 4 to touch",
+        help="json (default): all records; ply: layer 1; glb: layer 2, a named node an object, y up, _SEEN per vertex; "
+        "nav2: a grid for map_server (YAML and PGM); mjcf, urdf: a simulator folder, layer 2 visual, layer 4 collision",
     )
     add_output(
         export,
@@ -57,22 +56,15 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         metavar="FILE",
         help="default: MAP with the ending of the format, yaml for nav2",
     )
-    export.add_argument(
-        "--robot", metavar="NAME|FILE", help="nav2: whose heights count; its footprint does not. nav2 needs it"
-    )
-    export.add_argument(
-        "--cell", type=float, default=0.05, metavar="M", help="nav2: the side of a cell, default 0.05 m"
-    )
-    export.add_argument(
-        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
-    )
-    add_floor_argument(export, "nav2, mjcf, urdf: which storey, of a map with several")
+    export.add_argument("--robot", metavar="NAME|FILE", help="nav2: robot whose height range counts (required)")
+    export.add_argument("--cell", type=float, default=0.05, metavar="M", help="nav2: side of a cell, default 0.05 m")
+    add_at(export)
+    add_floor_argument(export, "nav2, mjcf, urdf: storey of a map with several")
     add_texture_argument(export, "glb, mjcf, urdf: the side of an object's texture", DEFAULT_TEXTURE_PX)
     add_allow_unverified(export)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     saved, doubt = open_verified_map_at(options)
     ending = "yaml" if options.format == "nav2" else options.format
     out = options.out or options.map.with_suffix(f".{ending}")
@@ -90,19 +82,19 @@ def run(options: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"cannot write {out}: {error.strerror}; choose another --out") from error
     if options.json:
-        told = {"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}
-        told |= {"unproven": doubt or None}
-        print(output("export", told if len(files) == 1 else told | {"files": len(files)}))
+        report = {"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}
+        report |= {"unproven": doubt or None}
+        print(output("export", report if len(files) == 1 else report | {"files": len(files)}))
     else:
         if doubt:
             sys.stderr.write(f"note: layer 4 is not proven: {doubt}\n")
-        # A file that was named is told of with those of all commands.
-        told_of = [path for path in files if path != options.out]
-        if len(told_of) > _MOST_TOLD:
+        # `main` reports the named file.
+        unnamed = [path for path in files if path != options.out]
+        if len(unnamed) > _MAX_LISTED:
             size = sum(len(data) for data in files.values()) / 1024**2
             print(f"{out}: {len(files)} files, {size:.2f} MiB")
         else:
-            print("".join(f"{written_text(path)}\n" for path in told_of), end="")
+            print("".join(f"{written_text(path)}\n" for path in unnamed), end="")
     return 0
 
 
@@ -112,7 +104,7 @@ def _json(saved: SavedMap, options: argparse.Namespace) -> bytes:
     from hickory_stream.map_folder.manifest import json_of, read_file
 
     if saved.is_sealed and options.at is None:
-        # The document as it was saved: it names points and voxels by their content, which need not be read for that.
+        # The saved document names points and voxels by their hashes, so that these need not be read.
         document = json_of(saved.folder, OBJECTS, read_file(saved.folder, OBJECTS))
     else:
         document, _ = encode_snapshot(saved.snapshot)
@@ -133,7 +125,6 @@ def _ply(saved: SavedMap, _options: argparse.Namespace) -> bytes:
 def _texture_of(
     saved: SavedMap, tracked: TrackedObject, options: argparse.Namespace, mesh: Mesh
 ) -> TexturedMesh | None:
-    """Return the textured mesh of an object, None where colours per vertex were asked for."""
     if not options.texture:
         return None
     from hickory_stream.map_folder.textured_objects import textured_object
@@ -141,11 +132,11 @@ def _texture_of(
     try:
         return textured_object(saved.views, tracked, mesh, options.texture, is_past=options.at is not None)
     except MapFolderError as error:
-        raise MapFolderError(f"{error}, or write object {tracked.id} without it: --texture 0") from error
+        raise MapFolderError(f"{error}, or write object {tracked.id} without texture: --texture 0") from error
 
 
 def _glb(saved: SavedMap, options: argparse.Namespace) -> bytes:
-    """Return a scene of glTF, which is y up; `_SEEN` of a vertex is 1 where the surface was seen, 0 where completed."""
+    # glTF is y up; `_SEEN` of a vertex is 1 where the surface was seen, 0 where it was completed.
     import numpy as np
     import trimesh
 
@@ -167,7 +158,7 @@ def _glb(saved: SavedMap, options: argparse.Namespace) -> bytes:
             pose = gltf_from_world @ tracked.shape.world_from_object
             scene.add_geometry(shown, node_name=name, geom_name=name, transform=pose)
     if not scene.geometry:
-        raise InputError(f"{saved.folder} holds no meshes; export --format ply writes the points")
+        raise InputError(f"{saved.folder} holds no meshes; write the points with --format ply")
     exported: bytes = scene.export(file_type="glb")
     return exported
 
@@ -180,7 +171,7 @@ def _nav2(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path,
     grid = obstacle_grid(saved.snapshot, robot, cell_m=options.cell, floor_m=floor_m)
     picture = out.with_suffix(".pgm")
     if picture == out:
-        raise InputError(f"found --out {out}, expected the name of the YAML file; the picture lies beside it")
+        raise InputError(f"found --out {out}, expected the name of the YAML file, not of its picture")
     return {picture: pgm_of(grid.states()), out: yaml_of(grid.frame, picture.name).encode()}
 
 

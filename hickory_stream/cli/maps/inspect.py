@@ -1,11 +1,11 @@
-"""`hickory-stream inspect`: show what a map holds."""
+"""`hickory-stream inspect`: list the objects and layers of a map."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.option_values import open_map_at, parse_place
+from hickory_stream.cli.option_values import add_at, open_map_at, parse_place
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -15,26 +15,25 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    inspect = commands.add_parser("inspect", parents=[common], help="show what a map holds")
-    inspect.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    inspect = commands.add("inspect", run)
     inspect.add_argument("map", type=Path, metavar="MAP")
     inspect.add_argument(
         "--sort",
         choices=("id", "distance", "volume", "height", "sightings"),
         default="id",
-        help="the order of the objects; distance is from --near, or the map's origin",
+        help="order of the objects; distance is from --near, or the map's origin",
     )
-    inspect.add_argument("--near", metavar="X,Y[,R]", help="only objects within R metres of here, where R is given")
-    inspect.add_argument("--min-size", type=float, default=0.0, metavar="M", help="only objects with a side this long")
     inspect.add_argument(
-        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
+        "--near", metavar="X,Y[,R]", help="only objects within R metres of this position, if R is given"
     )
+    inspect.add_argument(
+        "--min-size", type=float, default=0.0, metavar="M", help="only objects with a side of this length or more"
+    )
+    add_at(inspect)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.inspection.inspect import as_json, chosen, format_table, summarize
 
     near, within_m = _near(options.near)
@@ -47,7 +46,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _near(text: str | None) -> tuple[tuple[float, float], float | None]:
-    """Return the place of a text like 1,2 or 1,2,0.5, and how far from it things are looked at; raises `InputError`."""
     if text is None:
         return (0.0, 0.0), None
     place, _, radius = text.rpartition(",") if text.count(",") == 2 else (text, "", "")

@@ -1,4 +1,4 @@
-"""`hickory-stream merge`: make one map of several."""
+"""`hickory-stream merge`: combine several maps into one."""
 
 from __future__ import annotations
 
@@ -6,31 +6,22 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.exit_status import NO_ALIGNMENT
+from hickory_stream.cli.commands import NO_ALIGNMENT, Commands
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.commands import Commands
 
-
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    merge = commands.add_parser(
-        "merge", parents=[common], help="make one map of several that overlap; the inputs are not changed"
-    )
-    merge.set_defaults(run=run)
-    merge.add_argument(
-        "maps", type=Path, metavar="A B", nargs="+", help="maps; the result is in the frame of the first that is in it"
-    )
-    merge.add_argument("-o", "--out", type=Path, required=True, metavar="MAP", help="the map folder to make")
-    merge.add_argument("--overwrite", action="store_true", help="replace the map that is there")
+def add(commands: Commands) -> None:
+    merge = commands.add("merge", run)
+    merge.add_argument("maps", type=Path, metavar="A B", nargs="+", help="maps; the first merged one defines the frame")
+    merge.add_argument("-o", "--out", type=Path, required=True, metavar="MAP", help="map folder to write")
+    merge.add_argument("--overwrite", action="store_true", help="replace an existing map")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.cli.option_values import open_map_at
     from hickory_stream.engine.merged_map import outcome_text, write_merged_map
     from hickory_stream.map_folder.saved_map import check_unaltered
@@ -40,10 +31,10 @@ def run(options: argparse.Namespace) -> int:
     if len(paths) < 2:
         raise InputError(f"found {len(paths)} map, expected at least two: merge A B [C ...] -o MAP")
     if options.out.resolve() in [path.resolve() for path in paths]:
-        raise InputError(f"-o {options.out} is one of the inputs, which are never changed; choose another folder")
+        raise InputError(f"-o {options.out} is one of the inputs; choose another folder")
     inputs = [open_map_at(path, warns=False) for path in paths]
     for saved in inputs:
-        # Their certificates become those of the merged map, which has a digest of its own.
+        # Their certificates are copied into the merged map.
         check_unaltered(saved)
     quiet = options.json
 
@@ -69,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
             merged,
             inputs,
             overwrite=options.overwrite,
-            progress=lambda done, total: tell(f"shapes made anew: {done} of {total}"),
+            progress=lambda done, total: tell(f"shapes rebuilt: {done} of {total}"),
         )
         both = sum(len(group) > 1 for group in merged.provenance.values())
         result |= {"objects": len(merged.objects), "united": both, "digest": manifest.digest}
@@ -79,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
         for outcome in outcomes:
             print(f"{outcome['a']} and {outcome['b']}: {outcome['outcome']}")
         for path in left_out:
-            print(f"{path} was left out: it is aligned with none of the maps that were merged")
+            print(f"{path} was left out: it aligns with none of the merged maps")
         print(f"{options.out}: {result['objects']} objects, {result['united']} of them in several maps" if is_any else
               "nothing was merged")  # fmt: skip
     return 0 if is_any else NO_ALIGNMENT

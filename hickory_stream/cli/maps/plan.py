@@ -1,4 +1,4 @@
-"""`hickory-stream plan`: a way through a map for a robot, or why there is none."""
+"""`hickory-stream plan`: a path through a map for a robot, or why there is none."""
 
 from __future__ import annotations
 
@@ -6,11 +6,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import NO_PATH
-from hickory_stream.cli.maps.floor import add_floor_argument, floor_of_option
-from hickory_stream.cli.maps.stationarity import add_stationarity, movable_objects
-from hickory_stream.cli.option_values import add_allow_unverified, open_verified_map_at, parse_place, robot_of_option
-from hickory_stream.cli.output_files import add_output, disk_refusals, write_picture
+from hickory_stream.cli.commands import NO_PATH, Commands
+from hickory_stream.cli.option_values import (
+    add_allow_unverified,
+    add_at,
+    add_floor_argument,
+    add_stationarity,
+    floor_of_option,
+    movable_objects,
+    open_verified_map_at,
+    parse_place,
+    robot_of_option,
+)
+from hickory_stream.cli.output_files import add_output, check_ending, disk_refusals, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -20,7 +28,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.navigation.free_space import FreeSpace
     from hickory_stream.navigation.search import NoPath
@@ -32,18 +39,17 @@ MOST_BERTH_M = 5.0
 PLANNERS = ("rrt", "rrt-connect", "rrt-star")
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    plan = commands.add_parser(
-        "plan", parents=[common], help="plan a path through a map for a robot; exit status 3: there is none"
-    )
-    plan.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    plan = commands.add("plan", run)
     plan.add_argument("map", type=Path, metavar="MAP")
     plan.add_argument("--start", required=True, metavar="X,Y", help="metres in the map, e.g. -1,0.5")
     plan.add_argument(
-        "--goal", required=True, metavar="X,Y|object:ID", help="a place, or the nearest one beside an object of the map"
+        "--goal",
+        required=True,
+        metavar="X,Y|object:ID",
+        help="a position, or the nearest one beside an object of the map",
     )
-    add_floor_argument(plan, "which storey, of a map with several")
+    add_floor_argument(plan, "storey of a map with several")
     add_robot_arguments(plan)
     plan.add_argument("--planner", choices=PLANNERS, default="rrt-connect")
     plan.add_argument("--seed", type=int, default=0, help="the same seed gives the same path")
@@ -53,29 +59,23 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         type=float,
         default=0.3,
         metavar="M",
-        help="how far to keep off objects that tend to move, where there is a way (default 0.3 m)",
+        help="distance to objects that tend to move, if a path allows it (default 0.3 m)",
     )
     add_output(plan, "-o", "--out", type=Path, metavar="PNG|RRD", help="draw the grid, the objects and the path")
-    plan.add_argument(
-        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
-    )
+    add_at(plan)
     add_allow_unverified(plan)
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what says which robot plans, and on what grid."""
-    parser.add_argument("--robot", metavar="NAME|FILE", help="which one drives: jackal, b2, point, or a TOML file")
-    parser.add_argument("--cell", type=float, default=0.033, metavar="M", help="the side of a cell, default 0.033 m")
+    """Add the options of the robot and its grid."""
+    parser.add_argument("--robot", metavar="NAME|FILE", help="robot: jackal, b2, point, or a TOML file")
+    parser.add_argument("--cell", type=float, default=0.033, metavar="M", help="side of a cell, default 0.033 m")
     parser.add_argument(
-        "--unknown",
-        choices=("blocked", "free"),
-        default="blocked",
-        help="whether unobserved space is avoided (default)",
+        "--unknown", choices=("blocked", "free"), default="blocked", help="treatment of unobserved space (blocked)"
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     import numpy as np
 
     from hickory_stream.navigation.berth import keep_off, passed_by
@@ -83,8 +83,7 @@ def run(options: argparse.Namespace) -> int:
     from hickory_stream.navigation.search import NoPath, SearchConfig, plan
     from hickory_stream.storeys import on_storey
 
-    if options.out is not None and options.out.suffix not in (".png", ".rrd"):
-        raise InputError(f"found -o {options.out}, expected a name that ends in .png or .rrd")
+    check_ending(options.out, ".png", ".rrd")
     start = np.array(parse_place(options.start, "--start"))
     wanted = _object_id(options.goal)
     place = None if wanted is not None else np.array(parse_place(options.goal, "--goal"))
@@ -136,23 +135,23 @@ def run(options: argparse.Namespace) -> int:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Proof:
-    """What the answer rests on: objects avoided by `boxes`, those with an `uncertified` layer 4, why none is proven.
+    """How far a plan rests on proven geometry."""
 
-    `observed_only`: in a live run, objects that were seen and have no layer 4 yet: what was seen is avoided.
-    `doubt` is "" where the map is the one that was saved. `movable` are the objects that tend to move, `passed` those
-    of them that the path comes so near that they may be in its way by now.
-    """
-
+    #: objects avoided by their boxes
     boxes: list[int]
+    #: objects of a live run that have no layer 4 yet
     observed_only: list[int]
+    #: objects whose layer 4 is not certified
     uncertified: list[int]
+    #: why nothing is proven, "" where the map is as it was saved
     doubt: str
+    #: objects that tend to move
     movable: list[int]
+    #: movable objects within reach of the path
     passed: list[int]
 
 
 def _as_driven(saved: SavedMap, at: str | None) -> tuple[MapSnapshot, SeenSurface | None]:
-    """Return the map that the robot is to keep off, and what was seen and is not sure in a live run that goes on."""
     from hickory_stream.map_folder.history.live_map import is_live, live_map
 
     if not is_live(saved):
@@ -166,7 +165,6 @@ def _listed(ids: list[int]) -> str:
 
 
 def _object_id(goal: str) -> int | None:
-    """Return the id of a goal like object:12, None where it is a place; raises `InputError`."""
     kind, colon, number = goal.partition(":")
     if not colon:
         return None
@@ -176,7 +174,6 @@ def _object_id(goal: str) -> int | None:
 
 
 def _floor_of(snapshot: MapSnapshot, floor_m: float | None, object_id: int | None) -> float:
-    """Return the floor to plan on: the one that was named, or that of the goal; raises `InputError`."""
     from hickory_stream.storeys import floor_beneath, floors_of
 
     floors_m = floors_of(snapshot)
@@ -187,7 +184,7 @@ def _floor_of(snapshot: MapSnapshot, floor_m: float | None, object_id: int | Non
     if floor_m is not None and floor_of_option(snapshot, floor_m) != beneath_m:
         raise InputError(
             f"found --floor {floor_m:g}, but object {object_id} is on the floor at z = {beneath_m:.2f} m; "
-            "a path lies on one floor"
+            "choose that floor, or leave out --floor"
         )
     return beneath_m
 
@@ -195,7 +192,6 @@ def _floor_of(snapshot: MapSnapshot, floor_m: float | None, object_id: int | Non
 def _beside(
     space: FreeSpace, snapshot: MapSnapshot, start: NDArray[np.float64], object_id: int | None
 ) -> NDArray[np.float64] | NoPath:
-    """Return where the robot can stand beside an object, or why it cannot; raises `InputError` where it is unknown."""
     from hickory_stream.navigation.free_space import place_beside
     from hickory_stream.navigation.search import NoPath, NoPathReason, refused_start
 
@@ -215,7 +211,7 @@ def _beside(
 def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, Any]:
     from hickory_stream.navigation.search import NoPath
 
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "robot": space.robot.name,
         "objects_by_box": proof.boxes,
         "objects_observed_only": proof.observed_only,
@@ -227,8 +223,8 @@ def _as_json(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> dict[str, 
     }
     if isinstance(answer, NoPath):
         blockers = [{"object": b.object_id, "distance_m": round(b.distance_m, 4)} for b in answer.blockers]
-        return told | {"found": False, "reason": answer.reason.value, "text": answer.text, "blockers": blockers}
-    return told | {
+        return report | {"found": False, "reason": answer.reason.value, "text": answer.text, "blockers": blockers}
+    return report | {
         "found": True,
         "length_m": answer.length_m,
         "passes_movable": proof.passed,
@@ -244,26 +240,26 @@ def _as_text(space: FreeSpace, answer: Way | NoPath, proof: Proof) -> str:
 
     notes = []
     if proof.boxes:
-        told = f"{len(proof.boxes)} objects have no layer 4 of their own, their box is avoided"
-        notes.append(f"note: {told}: {_listed(proof.boxes)}")
+        text = f"{len(proof.boxes)} objects have no layer 4, their boxes are avoided"
+        notes.append(f"note: {text}: {_listed(proof.boxes)}")
     if proof.observed_only:
-        told = f"{len(proof.observed_only)} objects have no layer 4 yet, what was seen of them is avoided"
-        notes.append(f"note: {told}: {_listed(proof.observed_only)}")
+        text = f"{len(proof.observed_only)} objects have no layer 4 yet, their seen points are avoided"
+        notes.append(f"note: {text}: {_listed(proof.observed_only)}")
     if proof.uncertified:
         count = len(proof.uncertified)
         notes.append(f"note: {count} objects have a layer 4 that is not certified: {_listed(proof.uncertified)}")
     if proof.passed:
-        notes.append(f"note: the path passes objects that tend to move, and may stand in it: {_listed(proof.passed)}")
+        notes.append(f"note: the path passes near objects that tend to move: {_listed(proof.passed)}")
     if isinstance(answer, NoPath):
         stirring = [b.object_id for b in answer.blockers if b.object_id in proof.movable]
         if stirring:
-            notes.append(f"note: of what is in the way, these tend to move, look again: {_listed(stirring)}")
+            notes.append(f"note: these blocking objects tend to move, look again: {_listed(stirring)}")
     if proof.doubt:
         notes.append(f"note: layer 4 is not proven: {proof.doubt}")
     if isinstance(answer, NoPath):
         return "\n".join([f"no path ({answer.reason.value}): {answer.text}", *notes])
     legs = f"{answer.length_m:.2f} m in {len(answer.points) - 1} legs"
-    how = "verified along the whole length" if not proof.doubt else "free of obstacles that are themselves NOT proven"
+    how = "verified along the whole length" if not proof.doubt else "free of obstacles, which are NOT proven"
     lines = [f"{legs}, {how} for {space.robot.name}"]
     for i, (x, y) in enumerate(answer.points):
         posture = space.robot.postures[int(answer.postures[min(i, len(answer.postures) - 1)])].name

@@ -1,4 +1,4 @@
-"""`hickory-stream query`: which objects of a map are what a question asks for, or how many there are."""
+"""`hickory-stream query`: objects of a map that answer a question, or their number."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import NO_ANSWER
-from hickory_stream.cli.option_values import open_map_at, parse_place, positive
-from hickory_stream.cli.output_files import add_output, write_picture
+from hickory_stream.cli.commands import NO_ANSWER, Commands
+from hickory_stream.cli.option_values import add_at, open_map_at, parse_place, positive
+from hickory_stream.cli.output_files import add_output, check_ending, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.query.answers import Answer, Answers
     from hickory_stream.query.looks import ObjectLooks
@@ -24,12 +23,8 @@ if TYPE_CHECKING:
 _TOLD_EVERY = 100
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    query = commands.add_parser(
-        "query", parents=[common], help="which objects answer a question; exit status 3: none does"
-    )
-    query.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    query = commands.add("query", run)
     query.add_argument("map", type=Path, metavar="MAP")
     query.add_argument("question", nargs="+", metavar="WORD", help='e.g. "a red box on a table" or "how many chairs"')
     query.add_argument("--top", type=int, default=5, metavar="N", help="show the best N answers, default 5")
@@ -37,29 +32,23 @@ def add(commands: Commands, common: argparse.ArgumentParser, _configured: argpar
         "--from",
         dest="viewer",
         metavar="X,Y",
-        help='from where "in front of" is meant; without it, from where the landmark was seen best',
+        help='viewpoint of "in front of"; default: the best viewpoint of the landmark',
     )
     query.add_argument(
-        "--model",
-        metavar="NAME",
-        help="the image-text network for words that geometry does not tell; default: the only one there is",
+        "--model", metavar="NAME", help="image-text network for words beyond geometry; default: the only one"
     )
     add_output(query, "-o", "--out", type=Path, metavar="PNG", help="draw the map with the answers, and their views")
-    query.add_argument(
-        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
-    )
+    add_at(query)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.config import as_far_as_known
     from hickory_stream.query.answers import ask
     from hickory_stream.query.grammar import UnknownWord
     from hickory_stream.query.map_index import index_of
 
     top = positive(options.top, "--top")
-    if options.out is not None and options.out.suffix != ".png":
-        raise InputError(f"found -o {options.out}, expected a name that ends in .png")
+    check_ending(options.out, ".png")
     viewer = None if options.viewer is None else parse_place(options.viewer, "--from")
     saved = open_map_at(options.map, options.at)
     index = index_of(saved.snapshot, as_far_as_known(saved.manifest.config).mapping)
@@ -77,7 +66,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _looks(saved: SavedMap, index: MapIndex, model: str | None, unknown: InputError, *, is_quiet: bool) -> ObjectLooks:
-    """Return how objects look by the network of a name, or by the only one that is there."""
     from hickory_stream.perception.models.image_text import open_image_text
     from hickory_stream.perception.models.library import find_model, models_folder, read_manifest
     from hickory_stream.perception.models.network import Network, NetworkConfig
@@ -85,8 +73,8 @@ def _looks(saved: SavedMap, index: MapIndex, model: str | None, unknown: InputEr
 
     there = [entry.name for entry in read_manifest(models_folder()).values() if entry.kind == "image-text"]
     if model is None and len(there) != 1:
-        one_of = f"several image-text networks are there ({', '.join(there)}): choose one with --model"
-        none = "an image-text network could tell (`hickory-stream models add FOLDER --kind image-text`)"
+        one_of = f"there are several image-text networks ({', '.join(there)}): choose one with --model"
+        none = "an image-text network may know it (`hickory-stream models add FOLDER --kind image-text`)"
         raise InputError(f"{unknown}; {one_of if there else none}")
     entry, path = find_model(model or there[0], "image-text")
     config = NetworkConfig(warm_up=False)
@@ -95,10 +83,10 @@ def _looks(saved: SavedMap, index: MapIndex, model: str | None, unknown: InputEr
 
     def progress(done: int, total: int) -> None:
         if done == total or done % _TOLD_EVERY == 0:
-            print(f"views looked at by {entry.name}: {done} of {total}", file=sys.stderr)
+            print(f"views processed by {entry.name}: {done} of {total}", file=sys.stderr)
 
-    told = {} if is_quiet else {"progress": progress}
-    return ObjectLooks(saved, index, network, entry.sha256 + preprocessor, **told)
+    text = {} if is_quiet else {"progress": progress}
+    return ObjectLooks(saved, index, network, entry.sha256 + preprocessor, **text)
 
 
 def _as_json(index: MapIndex, answers: Answers, top: int) -> dict[str, Any]:

@@ -13,18 +13,15 @@ if TYPE_CHECKING:
 
     from hickory_stream.cli.commands import Commands
 
-_MESH = "mesh.glb"  # for people to look at, beside the answer
+_MESH = "mesh.glb"  # beside the answer, for inspection
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    reconstruct = commands.add_parser("reconstruct", parents=[common], help="repeat a shape job that failed")
-    reconstruct.set_defaults(run=run)
-    reconstruct.add_argument("view", type=Path, metavar="VIEW", help="the input of a job: a folder in MAP/failed")
+def add(commands: Commands) -> None:
+    reconstruct = commands.add("reconstruct", run)
+    reconstruct.add_argument("view", type=Path, metavar="VIEW", help="input of a job: a folder in MAP/failed")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status: 1 where there is no shape this time, either."""
     from hickory_stream.base.atomic_files import write_atomically
     from hickory_stream.engine.shape_jobs.generators.choose import reconstructor_of
     from hickory_stream.engine.shape_jobs.job_folder import JOB, read_job, write_result
@@ -35,8 +32,8 @@ def run(options: argparse.Namespace) -> int:
 
     folder: Path = options.view
     if folder.is_symlink() or folder.parent.is_symlink():
-        # The answer is written there: a stranger's map must not say where.
-        raise InputError(f"{folder} is reached by a link; name the folder that it leads to: {folder.resolve()}")
+        # The answer is written there: an untrusted map must not choose the place.
+        raise InputError(f"{folder} is a link; name its target: {folder.resolve()}")
     if not (folder / JOB).is_file():
         raise InputError(f"{folder} holds no {JOB}; name a folder of MAP/failed, which keeps the input of failed jobs")
     try:
@@ -44,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     except HickoryError:
         raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{folder} is no readable job: {error}") from error
+        raise InputError(f"{folder} is not a readable job: {error}") from error
     built = build_shape(inputs, reconstructor_of(config), config)
     mesh = folder / _MESH
     try:

@@ -1,4 +1,4 @@
-"""`hickory-stream relocalise`: a running log finds itself in a stored map."""
+"""`hickory-stream relocalise`: locate a running log in a stored map."""
 
 from __future__ import annotations
 
@@ -6,35 +6,28 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import NO_ALIGNMENT
-from hickory_stream.cli.maps.stationarity import add_stationarity, movable_objects
-from hickory_stream.cli.option_values import parse_rate, read_settings
+from hickory_stream.cli.commands import NO_ALIGNMENT, Commands
+from hickory_stream.cli.option_values import add_stationarity, movable_objects, parse_rate, read_settings
 from hickory_stream.cli.source_options import add_source_options, source_options
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.engine.relocalise import Located
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    relocalise = commands.add_parser(
-        "relocalise", parents=[common, configured], help="play a log and find its place in a stored map, live"
-    )
-    relocalise.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    relocalise = commands.add("relocalise", run, configured=True)
     relocalise.add_argument("map", type=Path, metavar="MAP")
-    relocalise.add_argument("source", metavar="LOG", help="what `play` reads")
+    relocalise.add_argument("source", metavar="LOG", help="log as for play")
     relocalise.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
-    relocalise.add_argument("--until-found", action="store_true", help="stop at the first confirmed place")
+    relocalise.add_argument("--until-found", action="store_true", help="stop at the first confirmed position")
     add_stationarity(relocalise)
     add_source_options(relocalise)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.cli.maps.align import objects_of
     from hickory_stream.cli.option_values import open_map_at
     from hickory_stream.engine.relocalise import relocalise, without
@@ -68,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
 def _as_json(located: Located) -> dict[str, Any]:
     from hickory_stream.alignment.answer import Alignment
 
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "event": "located" if isinstance(located.answer, Alignment) else "searching",
         "stamp_ns": located.stamp_ns,
         "objects": located.num_objects,
@@ -76,13 +69,13 @@ def _as_json(located: Located) -> dict[str, Any]:
         "jumped": located.has_jumped,
     }
     if isinstance(located.answer, Alignment):
-        return told | {
+        return report | {
             "map_from_log": located.answer.a_from_b.tolist(),
             "pairs": len(located.answer.pairs),
             "translation_sigma_m": located.answer.translation_sigma_m,
             "log10_chance": located.answer.log10_chance,
         }
-    return told | {"refusal": located.answer.refusal.value, "reason": located.answer.reason}
+    return report | {"refusal": located.answer.refusal.value, "reason": located.answer.reason}
 
 
 def _as_text(located: Located, start_ns: int | None) -> str:
@@ -96,9 +89,7 @@ def _as_text(located: Located, start_ns: int | None) -> str:
         return f"{when}: searching ({answer.refusal.value})"
     x, y, z = answer.a_from_b[:3, 3]
     yaw_deg = np.degrees(np.arctan2(answer.a_from_b[1, 0], answer.a_from_b[0, 0]))
-    state = (
-        "confirmed" if located.is_confirmed else "it said otherwise before" if located.has_jumped else "first answer"
-    )
+    state = "confirmed" if located.is_confirmed else "differs from before" if located.has_jumped else "first answer"
     return (
         f"{when}: the log starts at ({x:.3f}, {y:.3f}, {z:.3f}) m, turned by {yaw_deg:.2f} deg; "
         f"{len(answer.pairs)} pairs, chance 10^{answer.log10_chance:.1f}, {state}"

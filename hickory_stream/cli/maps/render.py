@@ -5,8 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.maps.floor import add_floor_argument, floor_of_option
-from hickory_stream.cli.option_values import add_texture_argument, open_map_at, parse_layers, parse_size
+from hickory_stream.cli.option_values import (
+    add_at,
+    add_floor_argument,
+    add_texture_argument,
+    floor_of_option,
+    open_map_at,
+    parse_layers,
+    parse_size,
+)
 from hickory_stream.cli.output_files import add_output, write_drawing, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
@@ -18,28 +25,23 @@ if TYPE_CHECKING:
     from hickory_stream.map_folder.saved_map import SavedMap
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    render = commands.add_parser("render", parents=[common], help="draw a map; needs no screen")
-    render.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    render = commands.add("render", run)
     render.add_argument("map", type=Path, metavar="MAP")
     add_output(render, "-o", "--out", type=Path, default=Path("map.png"), metavar="PNG")
-    render.add_argument("--layers", default="1,2", help="which layers to draw, e.g. 1,2 (default) or 3,4")
-    render.add_argument(
-        "--at", metavar="T", help="as it was known then: seconds from the first keyframe, or a stamp like 17...ns"
-    )
-    add_floor_argument(render, "draw one storey alone")
-    add_texture_argument(render, "layer 2 with the pixels of the kept views: the side of an object's texture", 0)
+    render.add_argument("--layers", default="1,2", help="layers to draw, e.g. 1,2 (default) or 3,4")
+    add_at(render)
+    add_floor_argument(render, "draw one storey")
+    add_texture_argument(render, "texture of layer 2 from the kept views: side in pixels", 0)
     render.add_argument("--size", default="1600x800", metavar="WxH")
     render.add_argument(
         "--graph",
         action="store_true",
-        help="draw the pose graph instead: the way before and after, loops, residuals; an SVG where the name says so",
+        help="draw the pose graph instead: trajectory before and after, loops, residuals (PNG or SVG)",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     layers = parse_layers(options.layers)
     width, height = parse_size(options.size)
     saved = open_map_at(options.map, options.at)
@@ -52,8 +54,14 @@ def run(options: argparse.Namespace) -> int:
         write_picture(options.out, render_map(saved, layers, (width, height), options.texture, floor_m))
     if options.json:
         shown = [] if options.graph else sorted(layers)
-        told = {"picture": str(options.out), "width": width, "height": height, "layers": shown, "graph": options.graph}
-        print(output("render", told))
+        report = {
+            "picture": str(options.out),
+            "width": width,
+            "height": height,
+            "layers": shown,
+            "graph": options.graph,
+        }
+        print(output("render", report))
     return 0
 
 
@@ -62,5 +70,5 @@ def _draw_graph(saved: SavedMap, out: Path, size: tuple[int, int]) -> None:
 
     ways = recorded_ways(saved)
     if saved.snapshot.graph is None or ways is None:
-        raise InputError(f"{saved.folder} has no pose graph: no loops were searched for when it was made")
+        raise InputError(f"{saved.folder} has no pose graph; map its log again with the search for loops")
     write_drawing(out, render_graph(saved.snapshot.graph, ways, size))

@@ -1,4 +1,4 @@
-"""`hickory-stream verify`: does what a map says of itself hold?"""
+"""`hickory-stream verify`: check the seals and proofs of a map."""
 
 from __future__ import annotations
 
@@ -8,34 +8,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.base.terminal import clear_line
-from hickory_stream.cli.exit_status import NOT_SOUND
-from hickory_stream.outputs import output
+from hickory_stream.cli.commands import NOT_SOUND, Commands
+from hickory_stream.outputs import output, picked
 
 if TYPE_CHECKING:
     import argparse
 
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.map_folder.verify import Verdict
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    verify = commands.add_parser(
-        "verify",
-        parents=[common],
-        help="verify digest, journal, files and layer 4 of a map; exit status 1: they do not hold",
-    )
-    verify.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    verify = commands.add("verify", run)
     verify.add_argument("map", type=Path, metavar="MAP")
     verify.add_argument(
         "--repair",
         action="store_true",
-        help="first restore objects.json from the journal, if that gives the map of the manifest",
+        help="first restore objects.json from the journal, if the digest matches the manifest",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status: 1 where something does not hold, 2 where the map cannot be read."""
     from hickory_stream.map_folder.verify import verify
 
     is_told = not options.json and sys.stderr.isatty()
@@ -46,13 +38,12 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(output("verify", _as_json(options.map, verdict, is_mended=is_mended), indent=1))
     else:
-        mended = [f"{options.map}: objects.json was written anew from the journal"] if is_mended else []
+        mended = [f"{options.map}: objects.json was restored from the journal"] if is_mended else []
         print("\n".join([*mended, *_as_lines(options.map, verdict)]))
     return 0 if verdict.is_sound else NOT_SOUND
 
 
 def _mend(path: Path) -> bool:
-    """Mend a map that is altered or cannot be read; return whether it was."""
     from hickory_stream.errors import MapFolderError
     from hickory_stream.map_folder.saved_map import open_map
     from hickory_stream.map_folder.verify import mend
@@ -61,13 +52,13 @@ def _mend(path: Path) -> bool:
         if not open_map(path, warns=False).is_altered:
             return False
     except MapFolderError:
-        pass  # what is wrong with it is told by `verify`, if it is not mended
+        pass  # `verify` reports it, unless it is mended
     mend(path)
     return True
 
 
 def tell(what: str) -> None:
-    """Draw what is done now over what was done before, on a terminal."""
+    """Replace the progress line on a terminal."""
     clear_line()
     sys.stderr.write(what)
     sys.stderr.flush()
@@ -79,16 +70,12 @@ def _as_json(path: Path, verdict: Verdict, *, is_mended: bool) -> dict[str, Any]
         "map": str(path),
         "is_sound": verdict.is_sound,
         "is_mended": is_mended,
-        "digest": verdict.digest,
-        "recorded_digest": verdict.recorded_digest,
-        "num_objects": verdict.num_objects,
-        "num_proven": verdict.num_proven,
+        **picked(verdict, "digest", "recorded_digest", "num_objects", "num_proven"),
         "findings": [asdict(finding) for finding in verdict.findings],
     }
 
 
 def _as_lines(path: Path, verdict: Verdict) -> list[str]:
-    """Return what was found: the map as a whole, then the objects of which something is not proven, then the sum."""
     from hickory_stream.map_folder.verify import State
 
     lines = []
@@ -98,6 +85,6 @@ def _as_lines(path: Path, verdict: Verdict) -> list[str]:
         elif finding.state is not State.HOLDS:
             lines.append(f"{finding.check:<8} {finding.state:<8} object {finding.object_id}: {finding.text}")
     failed = sum(finding.state is State.FAILS for finding in verdict.findings)
-    told = "sound" if verdict.is_sound else f"NOT SOUND, {failed} {'finding' if failed == 1 else 'findings'} against it"
-    proven = f"layer 4 of {verdict.num_proven} of {verdict.num_objects} objects proven anew"
-    return [*lines, f"{path}: {told}; {proven}"]
+    text = "sound" if verdict.is_sound else f"NOT SOUND, {failed} {'finding' if failed == 1 else 'findings'} against it"
+    proven = f"layer 4 of {verdict.num_proven} of {verdict.num_objects} objects proven again"
+    return [*lines, f"{path}: {text}; {proven}"]

@@ -1,4 +1,4 @@
-"""`hickory-stream batch`: map many logs, each a task of its own, and join their maps."""
+"""`hickory-stream batch`: map many logs, each as a separate task, and merge their maps."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import INCOMPLETE
+from hickory_stream.cli.commands import INCOMPLETE, Commands
 from hickory_stream.cli.option_values import parse_workers, read_settings
 from hickory_stream.cli.output_files import disk_refusals
 from hickory_stream.cli.source_options import add_source_options, source_options
@@ -17,38 +17,22 @@ if TYPE_CHECKING:
     import argparse
 
     from hickory_stream.batch.result import BatchResult
-    from hickory_stream.cli.commands import Commands
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    batch = commands.add_parser(
-        "batch",
-        parents=[common, configured],
-        help="map many logs, each a task of its own; the same command goes on; exit status 3: not all are mapped",
-    )
-    batch.set_defaults(run=run)
-    batch.add_argument("logs", nargs="+", metavar="LOG", help="each is mapped into OUT/maps/NAME.map")
+def add(commands: Commands) -> None:
+    batch = commands.add("batch", run, configured=True)
+    batch.add_argument("logs", nargs="+", metavar="LOG", help="logs, each mapped into OUT/maps/NAME.map")
     batch.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        required=True,
-        metavar="OUT",
-        help="the folder for the maps and batch.html",
+        "-o", "--out", type=Path, required=True, metavar="OUT", help="folder for the maps and batch.html"
     )
     batch.add_argument(
-        "--workers",
-        dest="tasks",
-        metavar="N",
-        help="logs at a time (as many as processors), or dask=tcp://HOST:PORT; they do not change a map",
+        "--workers", dest="tasks", metavar="N", help="logs at a time (as many as processors), or dask=tcp://HOST:PORT"
     )
-    batch.add_argument("--merge", action="store_true", help="align the maps that may overlap; OUT/merged.map of those")
+    batch.add_argument("--merge", action="store_true", help="align and merge overlapping maps into OUT/merged.map")
     add_source_options(batch)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.base.atomic_files import write_output
     from hickory_stream.batch.page import text_of, write_page
     from hickory_stream.batch.run import BatchPlan, run_batch
@@ -66,15 +50,15 @@ def run(options: argparse.Namespace) -> int:
         merges=options.merge,
     )
     result = run_batch(plan, lambda text: _tell(text, as_json=options.json))
-    told = result_json(result)
+    report = result_json(result)
     with disk_refusals(options.out / "result.json", "result"):
-        write_output(options.out / "result.json", output("batch", told, indent=1).encode())
+        write_output(options.out / "result.json", output("batch", report, indent=1).encode())
         write_page(options.out / "batch.html", result)
     if options.json:
-        print(output("batch", told, indent=1))
+        print(output("batch", report, indent=1))
     else:
         print(text_of(result))
-        print(f"{options.out / 'batch.html'}: the same as a page")
+        print(f"{options.out / 'batch.html'}: the same table as a page")
     if result.stopped:
         sys.stderr.write(f"hickory-stream: {result.stopped}\n")
     return 0 if result.is_whole and not result.stopped else INCOMPLETE
@@ -85,7 +69,7 @@ def _tell(text: str, *, as_json: bool) -> None:
 
 
 def result_json(result: BatchResult) -> dict[str, Any]:
-    """Return the result for machines."""
+    """Return the result as JSON data."""
     joined = result.joined
     return {
         "event": "finished",
@@ -102,16 +86,7 @@ def result_json(result: BatchResult) -> dict[str, Any]:
         else {
             "pairs": joined.num_pairs,
             "aligned": [asdict(overlap) for overlap in joined.overlaps],
-            "merged": [
-                {
-                    "map": str(one.path),
-                    "logs": list(one.names),
-                    "digest": one.digest,
-                    "objects": one.num_objects,
-                    "united": one.num_united,
-                }
-                for one in joined.merged
-            ],
+            "merged": [one.as_json("logs") for one in joined.merged],
             "signature_kb": joined.signature_kb,
             "problems": list(joined.problems),
         },

@@ -1,4 +1,4 @@
-"""`hickory-stream demo`: make a small recording, map it and draw the map; needs nothing besides this program."""
+"""`hickory-stream demo`: make a small recording, map it and draw the map."""
 
 from __future__ import annotations
 
@@ -16,25 +16,20 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 _NAME = "room"
-# What `make_recording` leaves, and what comes after.
+# Files of `make_recording`, and of the steps after.
 _PARTS = (f"{_NAME}.mcap", f"{_NAME}.truth", "map", "map.png", "map-superquadrics.png")
 _EVERY = 12
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    demo = commands.add_parser(
-        "demo", parents=[common], help="make a small recording of a synthetic room, map it and draw the map"
-    )
-    demo.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    demo = commands.add("demo", run)
     demo.add_argument("--out", type=Path, default=Path("hickory-demo"), metavar="DIR", help="(default: hickory-demo)")
     demo.add_argument("--seconds", type=float, default=8.0, metavar="S", help="length of the recording (default: 8)")
-    demo.add_argument("--seed", type=int, default=7, help="which room (default: 7)")
-    demo.add_argument("--overwrite", action="store_true", help="replace what an earlier demo left there")
+    demo.add_argument("--seed", type=int, default=7, help="seed of the room (default: 7)")
+    demo.add_argument("--overwrite", action="store_true", help="replace the files of an earlier demo")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     folder: Path = options.out
     _make_room(folder, is_overwritten=options.overwrite)
     log, saved = folder / f"{_NAME}.mcap", folder / "map"
@@ -62,10 +57,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _make_room(folder: Path, *, is_overwritten: bool) -> None:
-    """Make the folder; an earlier demo's parts are removed if so told, and nothing else ever is."""
+    # Removes the parts of an earlier demo if permitted, and no other file.
     there = [folder / name for name in _PARTS if (folder / name).exists()]
     if there and not is_overwritten:
-        raise InputError(f"{there[0]} is there; add --overwrite to replace it, or choose another --out")
+        raise InputError(f"{there[0]} exists; replace it with --overwrite, or choose another --out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path in there:
@@ -78,7 +73,6 @@ def _make_room(folder: Path, *, is_overwritten: bool) -> None:
 
 
 def _record(options: argparse.Namespace, folder: Path) -> None:
-    """Make the recording, in a log and beside it the truth."""
     from hickory_stream.worlds.recording import make_recording
     from hickory_stream.worlds.recording_config import RecordingConfig
 

@@ -1,4 +1,4 @@
-"""`hickory-stream fleet`: map several robots in one run, and join their maps."""
+"""`hickory-stream fleet`: map several robots in one run, and merge their maps."""
 
 from __future__ import annotations
 
@@ -6,51 +6,47 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import INCOMPLETE, STOPPED
+from hickory_stream.cli.commands import INCOMPLETE, STOPPED, Commands
 from hickory_stream.cli.option_values import make_style, read_settings
 from hickory_stream.cli.output_files import disk_refusals
 from hickory_stream.errors import InputError
-from hickory_stream.outputs import output
+from hickory_stream.outputs import output, picked
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-    from hickory_stream.cli.commands import Commands
     from hickory_stream.engine.modes import Progress
     from hickory_stream.fleet.result import FleetResult, RobotResult
     from hickory_stream.progress import ProgressPrinter
 
 
 DEFAULTS: dict[str, Any] = {"fleet": None, "resume": False, "every": None, "processes": None, "most_s": None}
-"""What is not said of a fleet whose robots are named on the command line of `play`."""
+"""Defaults of `fleet` options that `play` lacks."""
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    fleet = commands.add_parser(
-        "fleet", parents=[common, configured], help="map several robots in one run; exit status 3: not all are in one"
+def add(commands: Commands) -> None:
+    fleet = commands.add("fleet", run, configured=True)
+    fleet.add_argument(
+        "fleet", type=Path, nargs="?", metavar="FLEET.toml", help="file with a table [[robot]] for each robot"
     )
-    fleet.set_defaults(run=run)
-    fleet.add_argument("fleet", type=Path, nargs="?", metavar="FLEET.toml", help="a table [[robot]] for each robot")
     fleet.add_argument(
         "--robot", action="append", metavar="NAME=LOG", help="a robot and its log or live URI, instead of a file"
     )
     fleet.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="OUT", help="the folder for NAME.map, fleet.map and fleet.rrd"
+        "-o", "--out", type=Path, required=True, metavar="OUT", help="folder for NAME.map, fleet.map and fleet.rrd"
     )
     there = fleet.add_mutually_exclusive_group()
-    there.add_argument("--overwrite", action="store_true", help="replace the maps that are there")
-    there.add_argument("--resume", action="store_true", help="go on with a fleet that was killed or stopped")
+    there.add_argument("--overwrite", action="store_true", help="replace existing maps")
+    there.add_argument("--resume", action="store_true", help="continue a fleet that was killed or stopped")
     fleet.add_argument("--every", type=int, metavar="N", help="align the maps every N keyframes (10)")
     fleet.add_argument("--processes", type=int, metavar="N", help="robots at a time (as many as processors)")
-    fleet.add_argument("--for", type=float, dest="most_s", metavar="S", help="map live robots for so many seconds")
+    fleet.add_argument("--for", type=float, dest="most_s", metavar="S", help="map live robots for this many seconds")
     fleet.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     fleet.add_argument("--workers", metavar="N", help="child processes of each robot that build shapes")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from dataclasses import replace
 
     from hickory_stream.base.atomic_files import write_output
@@ -85,11 +81,11 @@ def run(options: argparse.Namespace) -> int:
         result = run_fleet(plan, _Watcher(printer, [robot.name for robot in robots], as_json=options.json))
     finally:
         printer.close()
-    told = result_json(result, options.out)
+    report = result_json(result, options.out)
     with disk_refusals(options.out / "fleet.json", "result"):
-        write_output(options.out / "fleet.json", output("fleet", told, indent=1).encode())
+        write_output(options.out / "fleet.json", output("fleet", report, indent=1).encode())
     if options.json:
-        print(output("fleet", told, indent=1))
+        print(output("fleet", report, indent=1))
     else:
         print(result_text(result))
         for merged in result.merged:
@@ -102,8 +98,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 class _Watcher:
-    """Shows how far all robots are, as one run."""
-
     def __init__(self, printer: ProgressPrinter, names: Sequence[str], *, as_json: bool) -> None:
         self._printer = printer
         self._as_json = as_json
@@ -135,12 +129,12 @@ class _Watcher:
         )
 
     def said(self, text: str) -> None:
-        told = output("fleet-said", {"event": "said", "text": text}) if self._as_json else text
-        sys.stderr.write(f"{told}\n")
+        report = output("fleet-said", {"event": "said", "text": text}) if self._as_json else text
+        sys.stderr.write(f"{report}\n")
 
 
 def result_text(result: FleetResult) -> str:
-    """Return a table of the robots for people."""
+    """Return a table of the robots."""
     import numpy as np
 
     rows = [("robot", "keyframes", "objects", "joined with", "pairs", "sigma", "since keyframe")]
@@ -159,41 +153,23 @@ def result_text(result: FleetResult) -> str:
 
 
 def _notes(result: FleetResult) -> list[str]:
-    """Return what is said beside the table: losses, and how to go on with what did not end."""
     lines = [f"{robot.name}: {note}" for robot in result.robots for note in robot.notes]
     unfinished = [robot.name for robot in result.robots if not robot.is_finished and robot.map is not None]
     if unfinished:
-        lines.append(f"{', '.join(unfinished)}: the same command with --resume goes on with the fleet")
+        lines.append(f"{', '.join(unfinished)}: continue with the same command and --resume")
     return [*lines, *(f"note: {note}" for note in result.notes)]
 
 
 def result_json(result: FleetResult, out: Path) -> dict[str, Any]:
-    """Return the result for machines."""
+    """Return the result as JSON data."""
     return {
         "event": "finished",
         "out": str(out),
         "joined": result.is_whole,
         "robots": [_robot_json(robot) for robot in result.robots],
-        "merged": [
-            {
-                "map": str(merged.path),
-                "robots": list(merged.names),
-                "digest": merged.digest,
-                "objects": merged.num_objects,
-                "united": merged.num_united,
-            }
-            for merged in result.merged
-        ],
+        "merged": [merged.as_json("robots") for merged in result.merged],
         "joins": [
-            {
-                "keyframe": event.keyframe,
-                "kind": event.kind,
-                "a": event.a,
-                "b": event.b,
-                "a_from_b": event.a_from_b.tolist(),
-                "pairs": event.num_pairs,
-                "sigma_m": event.sigma_m,
-            }
+            {**picked(event, "keyframe", "kind", "a", "b", "a_from_b", "sigma_m"), "pairs": event.num_pairs}
             for event in result.events
         ],
         "notes": list(result.notes),

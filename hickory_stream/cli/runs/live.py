@@ -11,18 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hickory_stream.base.terminal import clear_line
-from hickory_stream.cli.option_values import make_style, read_settings, robot_of_option, seconds
+from hickory_stream.cli.option_values import make_style, read_settings, resume_command, robot_of_option, seconds
 from hickory_stream.cli.output_files import add_output
 from hickory_stream.cli.runs.play import add_run_options, all_sinks, sinks_beside
 from hickory_stream.cli.runs.summary import finish
 from hickory_stream.cli.source_options import add_source_options, source_options
-from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
     import argparse
-    from types import TracebackType
 
     from hickory_stream.cli.commands import Commands
     from hickory_stream.navigation.robot import Robot
@@ -36,43 +34,44 @@ _STATUS_S = 10.0
 _RECORD_GB = 50.0
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    live = commands.add_parser("live", parents=[common, configured], help="map a robot while it moves")
-    live.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    live = commands.add("live", run, configured=True)
     live.add_argument(
         "uri",
         metavar="URI",
         help="zenoh://HOST[/NAMESPACE], foxglove://HOST, mcap:PIPE, or - for MCAP on standard input",
     )
-    live.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
-    live.add_argument("--overwrite", action="store_true", help="replace the map and the files that are there")
-    live.add_argument("--for", type=float, dest="most_s", metavar="S", help="map for so many seconds, then save")
+    live.add_argument("--out", type=Path, metavar="MAP", help="map folder to write (default: NAME.map)")
+    live.add_argument("--overwrite", action="store_true", help="replace an existing map and files")
+    live.add_argument("--for", type=float, dest="most_s", metavar="S", help="map for this many seconds, then save")
     live.add_argument(
-        "--wait", type=float, default=_PATIENCE_S, metavar="S", help="give up if nothing can be mapped for so long (60)"
+        "--wait",
+        type=float,
+        default=_PATIENCE_S,
+        metavar="S",
+        help="give up after this time without a usable frame (60)",
     )
     live.add_argument(
-        "--status", type=float, default=_STATUS_S, metavar="S", help="show the table of topics so often (10); 0: never"
+        "--status", type=float, default=_STATUS_S, metavar="S", help="interval of the table of topics (10); 0: never"
     )
-    add_output(live, "--record", type=Path, metavar="FILE", help="write every message as it came (MCAP)")
+    add_output(live, "--record", type=Path, metavar="FILE", help="write every received message (MCAP)")
     live.add_argument(
-        "--record-limit", type=float, default=_RECORD_GB, metavar="GB", help="of the disk for that, at most (50)"
+        "--record-limit", type=float, default=_RECORD_GB, metavar="GB", help="maximum size of the recording (50)"
     )
     live.add_argument(
         "--publish",
         action="store_true",
-        help="send costmap, objects, markers and map -> odom over the same link, and answer goals with paths",
+        help="send costmap, objects, markers and map -> odom to the robot, and answer its goals with paths",
     )
+    live.add_argument("--publish-only", metavar="PARTS", help="publish only these parts, e.g. costmap,plan")
     live.add_argument(
-        "--publish-only", metavar="PARTS", help="only some of them, e.g. costmap,plan; with robots that localise"
+        "--publish-robot", metavar="NAME|FILE", help="robot of --publish: jackal, b2, point, or a TOML file"
     )
-    live.add_argument("--publish-robot", metavar="NAME|FILE", help="for which one: jackal, b2, point, or a TOML file")
     add_run_options(live)
     add_source_options(live)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
@@ -94,16 +93,16 @@ def run(options: argparse.Namespace) -> int:
     publishes = _publishes(options)
     route = route_of(options.uri)
     if publishes is not None and not isinstance(route, ReturnLink):
-        raise InputError(f"{options.uri} has no way back to a robot; --publish needs zenoh://, foxglove:// or dds://")
+        raise InputError(f"{options.uri} cannot publish; --publish needs zenoh://, foxglove:// or dds://")
     out = options.out or Path(f"{default_name(options.uri)}.map")
-    # What cannot be had is refused before a map that is there is replaced.
+    # Refuse invalid options before an existing map is replaced.
     beside = sinks_beside(options, settings, is_live=True)
     printer = ProgressPrinter(make_style(options))
     recorder: Recorder | None = None
     source: LiveMapSource | None = None
     try:
         mapper = Mapper(settings.mapper, out=out, overwrite=options.overwrite)
-        # The robot may keep us waiting.
+        # Meanwhile the robot may connect.
         threading.Thread(target=mapper.rehearse, name="rehearse").start()
         recorder = _recorder(options)
         source = open_live(
@@ -147,11 +146,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _publishes(options: argparse.Namespace) -> tuple[Robot, tuple[str, ...]] | None:
-    """Return the robot for which, and what is published; None for nothing.
-
-    Raises:
-        InputError: there is no such robot, or no such part.
-    """
     from hickory_stream.sinks.publish_sink import PARTS
 
     if not options.publish and options.publish_only is None:
@@ -201,18 +195,17 @@ def _recorder(options: argparse.Namespace) -> Recorder | None:
 
 
 def default_name(uri: str) -> str:
-    """Return the name of a map for an address: its letters and digits, `live` where it has none."""
+    """Return the name of a map for an address: its letters and digits, else `live`."""
     return re.sub(r"[^A-Za-z0-9.]+", "-", uri.rpartition("/")[2] or uri).strip("-.") or "live"
 
 
 def _say(text: str, *, as_json: bool) -> None:
-    told = output("live-waiting", {"event": "waiting", "text": text}) if as_json else text
-    sys.stderr.write(f"{told}\n")
+    report = output("live-waiting", {"event": "waiting", "text": text}) if as_json else text
+    sys.stderr.write(f"{report}\n")
 
 
 class _StatusPrinter:
-    """While entered: writes the table of topics to standard error, now and then and at the end."""
-
+    # While entered, writes the table of topics to standard error at intervals and at the end.
     def __init__(self, source: LiveMapSource, every_s: float, *, as_json: bool) -> None:
         self._source = source
         self._every_s = every_s
@@ -224,16 +217,14 @@ class _StatusPrinter:
         if self._every_s > 0:
             self._thread.start()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._is_over.set()
         if self._every_s > 0:
             self._thread.join()
             self._print(self._source.status())
 
     def _run(self) -> None:
-        # What is done after the last frame is no affair of the robot's.
+        # After the last frame the topics do not matter.
         while not self._is_over.wait(self._every_s) and not self._source.has_ended:
             self._print(self._source.status())
 

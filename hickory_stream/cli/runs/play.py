@@ -1,7 +1,4 @@
-"""`hickory-stream play`: map a recorded log.
-
-Keys on a terminal that drive the playback clock: space, arrows and the full stop.
-"""
+"""`hickory-stream play`: map a recorded log; keys of a terminal control the playback clock."""
 
 from __future__ import annotations
 
@@ -10,11 +7,17 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from hickory_stream.cli.option_values import make_style, parse_rate, positive, read_settings, robot_of_option
+from hickory_stream.cli.option_values import (
+    make_style,
+    parse_rate,
+    positive,
+    read_settings,
+    resume_command,
+    robot_of_option,
+)
 from hickory_stream.cli.output_files import add_output
 from hickory_stream.cli.runs.summary import finish
 from hickory_stream.cli.source_options import add_source_options, source_options
-from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -35,7 +38,7 @@ _RATES = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, None)
 
 
 class Keys:
-    """While entered, keys drive a clock; does nothing where standard input is no terminal."""
+    """While entered, keys control a clock; does nothing unless standard input is a terminal."""
 
     def __init__(self, clock: PlaybackClock) -> None:
         self._clock = clock
@@ -43,7 +46,6 @@ class Keys:
         self._ended = threading.Event()
 
     def __enter__(self) -> Self:
-        """Take the terminal out of its line mode; Ctrl-C stays what it is."""
         if sys.platform != "win32" and sys.stdin.isatty():
             import termios
             import tty
@@ -54,7 +56,6 @@ class Keys:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the terminal back."""
         self._ended.set()
         if self._saved is not None:
             import termios
@@ -72,7 +73,7 @@ class Keys:
 
 
 def press(clock: PlaybackClock, keys: bytes) -> None:
-    """Do what the keys say; unknown ones do nothing."""
+    """Apply keys to a clock, and ignore unknown ones."""
     match keys:
         case b" ":
             clock.pause()
@@ -90,7 +91,7 @@ def press(clock: PlaybackClock, keys: bytes) -> None:
             clock.set_rate(_RATES[min(max(place + step, 0), len(_RATES) - 1)])
 
 
-# What `play` has beside what a fleet has, and what it is where it was not said.
+# Options of a single log with their defaults; a fleet refuses them.
 _OF_ONE_LOG = {
     "rate": "max", "live": False, "loop": 1, "start": 0.0, "end": None, "inject": None, "frames": None, "rrd": None,
     "costmap": None, "metrics_port": None, "profile": None, "odometry": "auto", "poses": None, "pose_topic": None,
@@ -98,56 +99,51 @@ _OF_ONE_LOG = {
 }  # fmt: skip
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    play = commands.add_parser("play", parents=[common, configured], help="map a recorded log")
-    play.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    play = commands.add("play", run, configured=True)
     play.add_argument(
         "source",
         nargs="*",
-        help="an MCAP file, a ROS 1 or ROS 2 bag, or a folder of images; several logs are played as one; or, without "
-        "any, --robot NAME=LOG for each robot of a fleet",
+        help="MCAP file, ROS 1 or ROS 2 bag, or folder of images; several are played as one log; "
+        "without a log: --robot NAME=LOG for each robot of a fleet",
     )
-    play.add_argument("--out", type=Path, metavar="MAP", help="the map folder to make (default: NAME.map)")
-    play.add_argument("--overwrite", action="store_true", help="replace the map and the files that are there")
+    play.add_argument("--out", type=Path, metavar="MAP", help="map folder to write (default: NAME.map)")
+    play.add_argument("--overwrite", action="store_true", help="replace an existing map and files")
     play.add_argument("--rate", default="max", help="max (default), or a factor of real time, e.g. 1.0")
     play.add_argument(
         "--live",
         action="store_true",
-        help="play like a live camera: in real time; frames that come too fast are left out",
+        help="play in real time like a live camera, and drop frames when mapping is slower",
     )
     play.add_argument("--loop", type=int, default=1, metavar="N", help="play the log N times in one run")
-    play.add_argument("--start", type=float, default=0.0, metavar="S", help="begin so many seconds into the log")
-    play.add_argument("--end", type=float, metavar="S", help="end so many seconds into the log")
+    play.add_argument("--start", type=float, default=0.0, metavar="S", help="start of the playback in the log")
+    play.add_argument("--end", type=float, metavar="S", help="end of the playback in the log")
     play.add_argument(
         "--inject", metavar="FAULTS", help="inject faults, e.g. drop=0.1,teleport=0.02; see --inject-seed"
     )
-    play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="which frames have faults")
+    play.add_argument("--inject-seed", type=int, default=0, metavar="N", help="seed of the faults")
     play.add_argument("--frames", type=int, metavar="N", help="play only the first N frames")
     add_run_options(play)
     add_source_options(play)
 
 
 def add_run_options(command: argparse.ArgumentParser) -> None:
-    """Add what may be said of a run, whatever is mapped: its workers, and where it is shown."""
-    command.add_argument(
-        "--workers",
-        metavar="N",
-        help="child processes that build shapes, or dask=tcp://HOST:PORT; they do not change the map",
-    )
+    """Add the options of every run: its workers, and where it is shown."""
+    command.add_argument("--workers", metavar="N", help="child processes that build shapes, or dask=tcp://HOST:PORT")
     command.add_argument("--viewer", default="auto", help="auto (default), none, spawn, web or connect=URL")
     add_output(command, "--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
     add_output(
         command, "--costmap", type=Path, metavar="FILE", help="write the growing grid as ROS 2 messages (MCAP) for Nav2"
     )
     command.add_argument(
-        "--costmap-robot", metavar="NAME|FILE", help="at whose heights obstacles count there; --costmap needs it"
+        "--costmap-robot", metavar="NAME|FILE", help="robot of --costmap, whose height range counts (required)"
     )
-    command.add_argument("--metrics-port", type=int, metavar="N", help="answer Prometheus on 127.0.0.1:N/metrics")
+    command.add_argument(
+        "--metrics-port", type=int, metavar="N", help="serve Prometheus metrics on 127.0.0.1:N/metrics"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.progress import ProgressPrinter
@@ -184,7 +180,7 @@ def run(options: argparse.Namespace) -> int:
         sys.stderr.write(f"{source.info.kind}: {source.info.uri}\n")
         sys.stderr.writelines(f"  {role}: {stream}\n" for role, stream in source.info.streams)
 
-    # What cannot be had is refused before a map that is there is replaced.
+    # Refuse invalid options before an existing map is replaced.
     beside = sinks_beside(options, settings, is_live=options.live)
     printer = ProgressPrinter(style, clock.describe)
     keys = Keys(clock)
@@ -212,7 +208,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _play_fleet(options: argparse.Namespace) -> int:
-    """Map several robots as `fleet` does; the options of a single log are refused."""
     from argparse import Namespace
 
     from hickory_stream.cli.runs import fleet
@@ -221,17 +216,16 @@ def _play_fleet(options: argparse.Namespace) -> int:
         f"--{name.replace('_', '-')}" for name, default in _OF_ONE_LOG.items() if getattr(options, name) != default
     ]
     if alone:
-        raise InputError(f"found {alone[0]}, which is for a single log; leave it out, or use `fleet FLEET.toml`")
+        raise InputError(f"found {alone[0]}, which needs a single log; leave it out, or use `fleet FLEET.toml`")
     if options.out is None:
         raise InputError("found no --out, expected --out OUT: the folder for the robots' maps and the merged one")
     return fleet.run(Namespace(**{**vars(options), **fleet.DEFAULTS}))
 
 
 def sinks_beside(options: argparse.Namespace, settings: Settings, *, is_live: bool) -> list[Sink]:
-    """Return the sinks of `--metrics-port` and `--costmap`, where in a live run nothing waits to be sure.
+    """Return the sinks of `--metrics-port` and `--costmap`; raises `InputError` for a port or file that cannot be used.
 
-    Raises:
-        InputError: what they are told cannot be had.
+    A live costmap shows unconfirmed objects too.
     """
     made: list[Sink] = []
     if options.metrics_port is not None:
@@ -239,8 +233,8 @@ def sinks_beside(options: argparse.Namespace, settings: Settings, *, is_live: bo
 
         metrics = MetricsSink(options.metrics_port, settings.rerun.bind)
         url = f"http://{settings.rerun.bind}:{metrics.port}/metrics"
-        told = output("metrics", {"event": "metrics", "url": url}) if options.json else f"metrics: {url}"
-        sys.stderr.write(f"{told}\n")
+        report = output("metrics", {"event": "metrics", "url": url}) if options.json else f"metrics: {url}"
+        sys.stderr.write(f"{report}\n")
         made.append(metrics)
     if options.costmap is not None:
         from hickory_stream.sinks.costmap_sink import CostmapSink
@@ -258,10 +252,7 @@ def all_sinks(
     *,
     status: Callable[[], str] | None = None,
 ) -> Callable[[MapFolder], list[tuple[Sink, bool]]]:
-    """Return what makes the sinks of a run; it hands over those `beside`, which until then are the caller's.
-
-    `status` says how a live route is, for the viewer.
-    """
+    """Return a function that makes all sinks of a run, and takes ownership of `beside`."""
 
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
         made = make_sinks(folder, settings, viewer, options.rrd, status)
@@ -275,7 +266,7 @@ def all_sinks(
 def make_sinks(
     folder: MapFolder, settings: Settings, viewer: Any, rrd: Path | None, status: Callable[[], str] | None = None
 ) -> list[tuple[Sink, bool]]:
-    """Return the sinks of a playback, each with whether the run must stop when it fails."""
+    """Return the sinks of a playback, each with whether its failure stops the run."""
     from hickory_stream.sinks.disk_sink import DiskSink
     from hickory_stream.sinks.rerun.sink import RerunSink
     from hickory_stream.sinks.rerun.viewer import ViewerKind

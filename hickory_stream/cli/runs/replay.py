@@ -1,4 +1,4 @@
-"""`hickory-stream replay`: go through a recorded run again, from its map folder alone."""
+"""`hickory-stream replay`: repeat a recorded run from its map folder."""
 
 from __future__ import annotations
 
@@ -15,18 +15,13 @@ if TYPE_CHECKING:
     from hickory_stream.map_folder.saved_map import SavedMap
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    replay = commands.add_parser(
-        "replay", parents=[common, configured], help="repeat a recorded run from its journal, and compare the map"
-    )
-    replay.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    replay = commands.add("replay", run, configured=True)
     replay.add_argument("map", type=Path, metavar="MAP")
-    add_output(replay, "--rrd", type=Path, metavar="FILE", help="write a Rerun recording of it")
+    add_output(replay, "--rrd", type=Path, metavar="FILE", help="write a Rerun recording")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status: 1 where the map that comes out is another one."""
     from hickory_stream.cli.option_values import open_map_at, read_settings
     from hickory_stream.map_folder.digest import map_digest
     from hickory_stream.map_folder.history.replay import replay
@@ -46,14 +41,14 @@ def run(options: argparse.Namespace) -> int:
         said = {"event": "replayed", "digest": digest, "recorded_digest": recorded, "saved_digest": saved.digest}
         print(output("replay", {**said, "is_same": is_same, "objects": len(snapshot.objects)}))
     elif recorded is None:
-        print(f"{options.map}: {len(snapshot.objects)} objects; its run never ended, so that there is no digest yet")
+        print(f"{options.map}: {len(snapshot.objects)} objects; its run did not end, so that no digest is recorded")
     else:
-        told = f"another map: {recorded[:16]} was recorded" if digest != recorded else _told(saved)
-        print(f"{options.map}: {len(snapshot.objects)} objects, digest {digest[:16]}, {told}")
+        text = f"another map: {recorded[:16]} was recorded" if digest != recorded else _told(saved)
+        print(f"{options.map}: {len(snapshot.objects)} objects, digest {digest[:16]}, {text}")
     return 0 if is_same or (recorded is None and not saved.is_altered) else 1
 
 
 def _told(saved: SavedMap) -> str:
     if not saved.is_altered:
         return "the same map"
-    return f"the map that was saved; what is in the folder now is another one, with the digest {saved.digest[:16]}"
+    return f"the saved map; the folder was changed since, its digest is {saved.digest[:16]}"

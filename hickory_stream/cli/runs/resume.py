@@ -1,4 +1,4 @@
-"""`hickory-stream resume`: go on with a playback that was interrupted."""
+"""`hickory-stream resume`: continue an interrupted playback."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hickory_stream.cli.option_values import make_style, read_settings
+from hickory_stream.cli.option_values import make_style, read_settings, resume_command
 from hickory_stream.cli.runs.play import make_sinks
 from hickory_stream.cli.runs.summary import finish
-from hickory_stream.cli.unfinished import resume_command
 from hickory_stream.errors import MapFolderError
 from hickory_stream.outputs import output
 
@@ -21,24 +20,19 @@ if TYPE_CHECKING:
     from hickory_stream.ports import Sink
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    resume = commands.add_parser(
-        "resume", parents=[common, configured], help="go on with an interrupted playback, to the same map"
-    )
-    resume.set_defaults(run=run)
+def add(commands: Commands) -> None:
+    resume = commands.add("resume", run, configured=True)
     resume.add_argument("map", type=Path, metavar="MAP")
-    resume.add_argument("--source", nargs="+", metavar="LOG", help="where the log is now, if it was moved")
+    resume.add_argument("--source", nargs="+", metavar="LOG", help="new location of the log")
     resume.add_argument(
         "--use-current-workers",
         action="store_true",
-        help="build shapes as this machine is configured, though the map names another interpreter or cluster",
+        help="build shapes with the workers of this configuration instead of the recorded ones",
     )
     resume.add_argument("--viewer", default="none", help="none (default), auto, spawn, web or connect=URL")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.play import play
     from hickory_stream.map_folder.history.recorded_config import resumed_config
@@ -55,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     if is_live or was_sought(options.map):
         digest = save_live(options.map)
         said = {"event": "saved", "map": str(options.map), "finished_cleanly": False, "digest": digest}
-        why = "its frames are gone" if is_live else "the log was sought in, so that it cannot be continued"
+        why = "its frames are gone" if is_live else "a playback with jumps cannot be continued"
         print(output("resume-saved", said) if options.json else f"{options.map}: saved as of its last step; {why}")
         return 0
     recorded = manifest.run.get("source")
@@ -63,8 +57,8 @@ def run(options: argparse.Namespace) -> int:
     if options.source is not None:
         note["uris"] = options.source
     if "uris" not in note:
-        raise MapFolderError(f"{options.map} does not say what it was made of; resume it from Python (Mapper.resuming)")
-    # Before the log is opened: what is refused is refused at once.
+        raise MapFolderError(f"{options.map} has no record of its source; resume it from Python (Mapper.resuming)")
+    # Refuse an invalid configuration before the log is opened.
     resumed_config(options.map, settings.mapper.run, ignores_recorded=options.use_current_workers)
     source = open_from_note(note)
     if not options.json:

@@ -1,4 +1,4 @@
-"""The summary of a run that has ended: what it made, which shapes failed, and which outputs are incomplete."""
+"""The summary of a run that has ended: its map, failed shapes and incomplete outputs."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.cli.exit_status import INCOMPLETE, STOPPED
-from hickory_stream.cli.unfinished import resume_command
+from hickory_stream.cli.commands import INCOMPLETE, STOPPED
+from hickory_stream.cli.option_values import resume_command
 from hickory_stream.outputs import output
 
 if TYPE_CHECKING:
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from hickory_stream.engine.play import Played
     from hickory_stream.engine.shape_jobs.job_folder import FailedShapes
 
-_IDS_TOLD = 5
+_IDS_LISTED = 5
 
 
 def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
-    """Say what a run has made, and return the exit status."""
+    """Print the summary of a run, and return the exit status."""
     from hickory_stream.engine.shape_jobs.job_folder import failed_shapes
-    from hickory_stream.inspection.graph_summary import summary_of, told
+    from hickory_stream.inspection.graph_summary import summary_of, summary_text
     from hickory_stream.map_folder.history.registration_history import registration_summary
     from hickory_stream.map_folder.manifest import read_json
     from hickory_stream.mapping.floor_warnings import floor_warnings
@@ -45,7 +45,10 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
             "digest": played.digest,
             "objects": len(objects),
             "objects_with_shape": num_shaped,
-            "failed_shapes": [_as_dict(failure) for failure in failures],
+            "failed_shapes": [
+                {"reason": one.reason, "objects": list(one.object_ids), "inputs": list(map(str, one.folders))}
+                for one in failures
+            ],
             "lost_outputs": list(played.lost_outputs),
             "damage": _damage(ledger),
             "notes": list(notes),
@@ -56,17 +59,17 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
     else:
         print(f"{out}: {len(objects)} objects, {num_shaped} with all four layers")
         if played.is_reproducible and played.processor:
-            print(f"the same again on this kind of processor: {played.processor}")
+            print(f"reproducible on this kind of processor: {played.processor}")
         if ledger.get("messages"):
             from players.doctor.report import ledger_table
 
             print(ledger_table(ledger["messages"]))
         if not played.finished_cleanly:
-            print(f"stopped, and saved; go on with: {resume_command(out)}")
+            print(f"stopped, and saved; continue with: {resume_command(out)}")
         if registration is not None and registration.text():
             print(registration.text())
         if played.snapshot is not None and played.snapshot.graph is not None:
-            print(told(summary_of(played.snapshot.graph)))
+            print(summary_text(summary_of(played.snapshot.graph)))
         lines = (*notes, _damage(ledger), failures_line(failures, len(objects)), *played.lost_outputs)
         sys.stderr.writelines(f"{line}\n" for line in lines if line)
     if played.was_stopped:
@@ -75,7 +78,7 @@ def finish(options: argparse.Namespace, out: Path, played: Played) -> int:
 
 
 def failures_line(failures: tuple[FailedShapes, ...], num_objects: int) -> str:
-    """Return in one line how many objects have no shape because their jobs failed, and why; "" where none has."""
+    """Return how many objects lack a shape because their jobs failed, and why; "" if none does."""
     if not failures:
         return ""
     number = sum(len(failure.object_ids) for failure in failures)
@@ -83,27 +86,18 @@ def failures_line(failures: tuple[FailedShapes, ...], num_objects: int) -> str:
     first = failures[0].folders[0]
     return (
         f"the shape jobs of {number} of {num_objects} objects failed: {reasons}. Their input lies in {first.parent}; "
-        f"`hickory-stream reconstruct {first}` repeats one"
+        f"repeat one with `hickory-stream reconstruct {first}`"
     )
 
 
 def _ids(failure: FailedShapes) -> str:
-    ids = ", ".join(str(object_id) for object_id in failure.object_ids[:_IDS_TOLD])
-    more = len(failure.object_ids) - _IDS_TOLD
+    ids = ", ".join(str(object_id) for object_id in failure.object_ids[:_IDS_LISTED])
+    more = len(failure.object_ids) - _IDS_LISTED
     noun = "object" if len(failure.object_ids) == 1 else "objects"
     return f"{noun} {ids}" + (f" and {more} more" if more > 0 else "")
 
 
-def _as_dict(failure: FailedShapes) -> dict[str, Any]:
-    return {
-        "reason": failure.reason,
-        "objects": list(failure.object_ids),
-        "inputs": [str(folder) for folder in failure.folders],
-    }
-
-
 def _damage(ledger: dict[str, Any]) -> str:
-    """Return in one line that the log was damaged, "" where it was sound."""
     from players.doctor.report import damage_line
 
     return damage_line(ledger["messages"]) if ledger.get("messages") else ""

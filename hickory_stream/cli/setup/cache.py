@@ -1,4 +1,4 @@
-"""`hickory-stream cache`: what is kept to save time, and removing it."""
+"""`hickory-stream cache`: show or remove cached data."""
 
 from __future__ import annotations
 
@@ -14,19 +14,11 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    del configured
-    cache = commands.add_parser(
-        "cache",
-        help="show or clear what is kept to save time: compiled kernels, shapes, recordings",
-    )
-    actions = cache.add_subparsers(required=True, metavar="ACTION")
-    show = actions.add_parser("show", parents=[common], help="print the folder and the sizes by kind")
-    show.set_defaults(run=_show)
-    cleared = actions.add_parser("clear", parents=[common], help="remove all of it, or some kinds")
+def add(commands: Commands) -> None:
+    actions = commands.group("cache")
+    actions.add("show", _show)
+    cleared = actions.add("clear", _clear)
     cleared.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(KINDS)}; default: all")
-    cleared.set_defaults(run=_clear)
 
 
 def _show(options: argparse.Namespace) -> int:
@@ -42,14 +34,14 @@ def _show(options: argparse.Namespace) -> int:
     for kind, (number, size) in totals.items():
         print(f"  {kind:<12}{number:>7} entries {size / 1e6:>9.1f} MB")
     total_mb = sum(size for _, size in totals.values()) / 1e6
-    print(f"  {'together':<12}{'':>15} {total_mb:>9.1f} MB of at most {cap_mb():g} (HICKORY_CACHE_MB)")
+    print(f"  {'total':<12}{'':>15} {total_mb:>9.1f} MB of at most {cap_mb():g} (HICKORY_CACHE_MB)")
     return 0
 
 
 def _clear(options: argparse.Namespace) -> int:
     unknown = [kind for kind in options.kinds if kind not in KINDS]
     if unknown:
-        raise InputError(f"there is no cache of {unknown[0]!r}; kinds are {', '.join(KINDS)}")
+        raise InputError(f"found kind {unknown[0]!r}, expected some of {', '.join(KINDS)}")
     kinds = [kind for kind in KINDS if kind in options.kinds or not options.kinds]
     num_bytes = clear(kinds)
     if options.json:

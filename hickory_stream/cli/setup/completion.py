@@ -1,4 +1,4 @@
-"""`hickory-stream completion`: print a script that completes the command line in a shell."""
+"""`hickory-stream completion`: print a shell completion script."""
 
 from __future__ import annotations
 
@@ -12,15 +12,12 @@ if TYPE_CHECKING:
 SHELLS = ("bash", "zsh", "fish")
 
 
-def add(commands: Commands, _common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    completion = commands.add_parser("completion", help="print a script that completes the command line in a shell")
-    completion.set_defaults(run=run, debug=False)
+def add(commands: Commands) -> None:
+    completion = commands.add_plain("completion", run=run, debug=False)
     completion.add_argument("shell", choices=SHELLS)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     import shtab
 
     for _, command in commands_of(options.parser):

@@ -14,16 +14,12 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    config = commands.add_parser("config", help="show or check a configuration").add_subparsers(
-        required=True, metavar="ACTION"
-    )
-    dump = config.add_parser("dump", parents=[common, configured], help="print the whole configuration as TOML")
-    dump.set_defaults(run=_dump)
-    check = config.add_parser("check", parents=[common], help="check a configuration file")
+def add(commands: Commands) -> None:
+    config = commands.group("config")
+    config.add("dump", _dump, configured=True)
+    check = config.add("check", _check)
     check.add_argument("config", type=Path, metavar="TOML")
-    check.set_defaults(run=_check, set=None)
+    check.set_defaults(set=None)
 
 
 def _dump(options: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""`hickory-stream generators`: the programs that make shapes on this machine."""
+"""`hickory-stream generators`: list or check the shape generators of this machine."""
 
 from __future__ import annotations
 
@@ -15,19 +15,12 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    actions = commands.add_parser("generators", help="programs that make shapes").add_subparsers(
-        required=True, metavar="ACTION"
-    )
-    listing = actions.add_parser(
-        "list", parents=[common], help="the generators of $HICKORY_GENERATORS, and what they lack"
-    )
-    listing.set_defaults(run=_list)
-    check = actions.add_parser("check", parents=[common], help="start a generator and give it a built-in object")
-    check.set_defaults(run=_check)
-    check.add_argument("name", metavar="NAME", help="its TOML, or its name in the folder of generators")
-    add_output(check, "-o", "--out", type=Path, metavar="PNG", help="draw what it made, placed over what it was shown")
+def add(commands: Commands) -> None:
+    actions = commands.group("generators")
+    actions.add("list", _list)
+    check = actions.add("check", _check)
+    check.add_argument("name", metavar="NAME", help="TOML file, or name in the folder of generators")
+    add_output(check, "-o", "--out", type=Path, metavar="PNG", help="draw its mesh over the input")
 
 
 def _list(options: argparse.Namespace) -> int:
@@ -42,15 +35,15 @@ def _list(options: argparse.Namespace) -> int:
             rows.append({"name": path.stem, "file": str(path), "licence": "", "acceptance": "", "state": str(error)})
             continue
         state = "; ".join(f"lacks {missing}" for missing in missing_of(spec)) or "ok"
-        told = {"licence": spec.licence, "acceptance": spec.acceptance, "state": state}
-        rows.append({"name": path.stem, "file": str(path), **told})
+        report = {"licence": spec.licence, "acceptance": spec.acceptance, "state": state}
+        rows.append({"name": path.stem, "file": str(path), **report})
     if options.json:
         print(output("generators-list", {"folder": str(folder), "generators": rows}))
         return 0
     for row in rows:
         print(f"{row['name']}  {row['licence']}  {row['state']}")
     if not rows:
-        print(f"no generators in {folder}; put a TOML there (hickory_stream/engine/shape_jobs/generators/README.md)")
+        print(f"no generators in {folder}; add a TOML file (hickory_stream/engine/shape_jobs/generators/README.md)")
     return 0
 
 
@@ -59,12 +52,12 @@ def _check(options: argparse.Namespace) -> int:
     from hickory_stream.engine.shape_jobs.generators.spec import find_spec, read_spec
 
     path = find_spec(options.name)
-    told, picture = checked(read_spec(path), path)
+    text, picture = checked(read_spec(path), path)
     if options.out is not None and picture is not None:
         write_picture(options.out, picture)
-        told["picture"] = str(options.out)
+        text["picture"] = str(options.out)
     if options.json:
-        print(output("generators-check", told))
+        print(output("generators-check", text))
     else:
-        print("\n".join(f"{key:<12}{value}" for key, value in told.items()))
-    return 0 if told["is_usable"] else 1
+        print("\n".join(f"{key:<12}{value}" for key, value in text.items()))
+    return 0 if text["is_usable"] else 1

@@ -1,4 +1,4 @@
-"""`hickory-stream models`: the networks of this machine."""
+"""`hickory-stream models`: list, add or check the networks of this machine."""
 
 from __future__ import annotations
 
@@ -21,32 +21,25 @@ if TYPE_CHECKING:
     from hickory_stream.perception.models.network import Network
     from hickory_stream.perception.perceive import PerceptionConfig
 
-# What `check` asks an image-text network of the built-in picture.
+# Texts of `check` for the built-in picture.
 _TEXTS = ("a photo of a cup of coffee.", "a photo of a dog.")
 _KINDS = ("fastsam", "dinov2", "oneformer", "semantic", "image-text")
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    actions = commands.add_parser("models", help="the networks of this machine").add_subparsers(
-        required=True, metavar="ACTION"
-    )
-    where = actions.add_parser("where", parents=[common], help="print the folder of models ($HICKORY_MODELS)")
-    where.set_defaults(run=_where)
-    listing = actions.add_parser("list", parents=[common], help="what is there, and whether its hash is right")
-    listing.set_defaults(run=_list)
-    adding = actions.add_parser("add", parents=[common], help="copy an ONNX file there, with an entry in the manifest")
-    adding.set_defaults(run=_add)
-    adding.add_argument("file", type=Path, metavar="ONNX", help="the network; of an image-text pair, its folder")
+def add(commands: Commands) -> None:
+    actions = commands.group("models")
+    actions.add("where", _where)
+    actions.add("list", _list)
+    adding = actions.add("add", _add)
+    adding.add_argument("file", type=Path, metavar="ONNX", help="network; of an image-text pair, the folder")
     adding.add_argument("--kind", required=True, choices=_KINDS)
-    adding.add_argument("--name", help="what the configuration calls it; default: the stem of the file")
-    adding.add_argument("--source", default="added by hand", help="where the weights come from")
+    adding.add_argument("--name", help="name in the configuration; default: the file name without ending")
+    adding.add_argument("--source", default="added by hand", help="origin of the weights")
     adding.add_argument("--licence", default="not stated")
-    adding.add_argument("--labels", type=Path, metavar="FILE", help="names of its classes, one a line, by their ids")
-    check = actions.add_parser("check", parents=[common, configured], help="run a model on a built-in picture")
-    check.set_defaults(run=_check)
+    adding.add_argument("--labels", type=Path, metavar="FILE", help="class names, one a line, by id")
+    check = actions.add("check", _check, configured=True)
     check.add_argument("name", metavar="NAME")
-    add_output(check, "-o", "--out", type=Path, metavar="PNG", help="draw what it gives")
+    add_output(check, "-o", "--out", type=Path, metavar="PNG", help="draw the result")
 
 
 def _where(options: argparse.Namespace) -> int:
@@ -90,7 +83,7 @@ def _add(options: argparse.Namespace) -> int:
     if options.kind == "image-text":
         return _add_image_text(options)
     labels = _read_labels(options.labels) if options.labels is not None else ()
-    # A file that cannot be opened is refused now, not in the first run.
+    # Refuses an unreadable file now, not in the first run.
     network = Network(options.file, NetworkConfig(provider="cpu", warm_up=False))
     height, width = network.require_image_input(options.kind)
     name = options.name or options.file.stem
@@ -119,11 +112,11 @@ def _add_image_text(options: argparse.Namespace) -> int:
     from hickory_stream.perception.models.network import Network, NetworkConfig
 
     if options.labels is not None:
-        raise ConfigError("found --labels, which an image-text network has no use for: it is asked in words")
+        raise ConfigError("found --labels for an image-text network, which has no classes; leave it out")
     files = published_files(options.file)
     config = NetworkConfig(provider="cpu", warm_up=False)
     vision = Network(files["vision"], config)
-    # A pair that cannot be opened is refused now, not with the first question.
+    # Refuses an unreadable pair now, not with the first question.
     ImageTextNetwork(
         vision,
         Network(files["text"], config),
@@ -157,9 +150,9 @@ def _add_image_text(options: argparse.Namespace) -> int:
 def _tell_added(entry: ModelEntry, as_json: bool) -> int:
     from hickory_stream.perception.models.library import models_folder
 
-    told = {"name": entry.name, "file": str(models_folder() / entry.file), "sha256": entry.sha256}
-    text = f"{told['file']} is the model {entry.name}, sha256 {entry.sha256}"
-    print(output("models-add", told) if as_json else text)
+    report = {"name": entry.name, "file": str(models_folder() / entry.file), "sha256": entry.sha256}
+    text = f"{report['file']} is the model {entry.name}, sha256 {entry.sha256}"
+    print(output("models-add", report) if as_json else text)
     return 0
 
 
@@ -174,28 +167,27 @@ def _check(options: argparse.Namespace) -> int:
     # The search for one that is not there says what to do.
     entry, path = find_model(options.name, entry.kind if entry is not None else _guess(options.name))
     network = Network(path, config.network)
-    told, picture = _tried(entry, network, config)
-    told = {
+    report, picture = _tried(entry, network, config)
+    report = {
         "name": entry.name,
         "kind": entry.kind,
         "provider": network.provider,
         "providers": list(available_providers()),
         "warm_up_ms": None if network.warm_up_s is None else round(1e3 * network.warm_up_s, 1),
         "run_ms": round(1e3 * network.last_s, 1),
-        **told,
+        **report,
     }
     if options.out is not None:
         write_picture(options.out, picture)
-        told["picture"] = str(options.out)
+        report["picture"] = str(options.out)
     if options.json:
-        print(output("models-check", told))
+        print(output("models-check", report))
     else:
-        print("\n".join(f"{key:<12}{value}" for key, value in told.items()))
+        print("\n".join(f"{key:<12}{value}" for key, value in report.items()))
     return 0
 
 
 def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tuple[dict[str, Any], NDArray[np.uint8]]:
-    """Return what a model gives on the built-in picture, in figures and drawn."""
     from dataclasses import replace
 
     import numpy as np
@@ -215,8 +207,8 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
             return {"masks": len(masks), "not_finite": num_not_finite}, masks_picture(rgb, masks)
         case "dinov2":
             patches = DinoExtractor(network, config.dinov2, warm_up=warm_up).extract(rgb)
-            told = {"patches": list(patches.shape[:2]), "dim": patches.shape[2]}
-            return told, features_picture(patches, (rgb.shape[1], rgb.shape[0]))
+            report = {"patches": list(patches.shape[:2]), "dim": patches.shape[2]}
+            return report, features_picture(patches, (rgb.shape[1], rgb.shape[0]))
         case "oneformer" | "semantic":
             model = GraphSemantics(
                 network,
@@ -244,7 +236,6 @@ def _tried(entry: ModelEntry, network: Network, config: PerceptionConfig) -> tup
 
 
 def _guess(name: str) -> Any:
-    """Return the kind that a name that is not there was probably meant to have."""
     return next((kind for kind in _KINDS if kind in name.lower()), "fastsam")
 
 

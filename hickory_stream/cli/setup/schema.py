@@ -1,4 +1,4 @@
-"""`hickory-stream schema`: the form of what a command prints with `--json`, as JSON Schema."""
+"""`hickory-stream schema`: print the JSON Schema of a `--json` output."""
 
 from __future__ import annotations
 
@@ -13,21 +13,16 @@ if TYPE_CHECKING:
     from hickory_stream.cli.commands import Commands
 
 
-def add(commands: Commands, common: argparse.ArgumentParser, _configured: argparse.ArgumentParser) -> None:
-    """Add the command to the command line."""
-    schema = commands.add_parser("schema", parents=[common], help="print the JSON Schema of what --json prints")
-    schema.set_defaults(run=run)
-    schema.add_argument(
-        "name", nargs="?", metavar="OUTPUT", help="the value of the key `output`; all of them by default"
-    )
+def add(commands: Commands) -> None:
+    schema = commands.add("schema", run)
+    schema.add_argument("name", nargs="?", metavar="OUTPUT", help="value of the key `output`; default: all")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit status."""
     from hickory_stream.outputs import OUTPUTS, output_schema
 
     if options.name is not None and options.name not in OUTPUTS:
-        raise InputError(f"found no output {options.name}; there are {', '.join(OUTPUTS)}")
+        raise InputError(f"found no output {options.name}, expected one of {', '.join(OUTPUTS)}")
     schemas = {name: output_schema(name) for name in OUTPUTS} if options.name is None else output_schema(options.name)
     print(dumps(schemas, indent=1))
     return 0

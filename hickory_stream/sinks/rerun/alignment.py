@@ -1,7 +1,7 @@
-"""Two maps and their alignment as a Rerun recording: laid over one another, and one lifted off with a line per pair.
+"""Two aligned maps as a Rerun recording: overlaid, and one lifted above the other with a line per pair.
 
-Map a is blue, map b orange, what has no partner is pale. Where the maps lie over one another both are translucent: what
-they share are surfaces in nearly one place, which otherwise fight for the pixels.
+Map a is blue, map b orange, objects without a partner are pale. Overlaid maps are translucent, since their shared
+surfaces nearly coincide.
 """
 
 from __future__ import annotations
@@ -32,11 +32,7 @@ _ALPHA = 140
 
 
 def write_alignment(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment | NoAlignment) -> None:
-    """Write an .rrd: map b lies where the alignment puts it and above that, or beside map a where there is none.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write an .rrd; without an alignment map b stands beside map a. Raises `OSError` on a disk error."""
     import rerun as rr
 
     from hickory_stream.sinks.rerun.blueprint import side_by_side
@@ -58,7 +54,6 @@ def write_alignment(path: Path, map_a: ObjectMap, map_b: ObjectMap, answer: Alig
 def _log_joined(
     stream: Any, map_a: ObjectMap, map_b: ObjectMap, answer: Alignment
 ) -> dict[str, tuple[list[str], NDArray[np.float64]]]:
-    """Log both maps twice, with the lines between them; return what the two views show."""
     in_a, in_b = {pair.id_a for pair in answer.pairs}, {pair.id_b for pair in answer.pairs}
     corners_a, corners_b = _corners(map_a, np.eye(4)), _corners(map_b, answer.a_from_b)
     both = np.concatenate([corners_a, corners_b])
@@ -85,7 +80,6 @@ def _log_pairs(
     lifted: NDArray[np.float64],
     in_view: NDArray[np.float64],
 ) -> None:
-    """Log a line for each pair, and its label above the object of the lifted map."""
     import rerun as rr
 
     from hickory_stream.sinks.rerun.eye import SIDE_ASPECT, eye_on
@@ -115,24 +109,13 @@ def _log_map(
     matched: set[int],
     alpha: int,
 ) -> None:
-    """Log layer 3 of every object, its box where it has none."""
-    import rerun as rr
-
-    from hickory_stream.geometry.rigid import quaternion_from_rotation
-    from hickory_stream.sinks.rerun.meshes import superquadric_mesh
+    from hickory_stream.sinks.rerun.meshes import superquadric_mesh, wire_box
 
     r, g, b = (round(c + (205 - c) * _PALE) for c in color)
     for object_id, shape, box in zip(objects.ids.tolist(), objects.shapes, objects.boxes, strict=True):
         own = color if object_id in matched else (r, g, b)
         if shape is None:
-            pose = frame_from_map @ box.world_from_box
-            item: Any = rr.Boxes3D(
-                centers=[pose[:3, 3]],
-                half_sizes=[box.half_extents_m],
-                quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(pose[:3, :3]))],
-                colors=own,
-                fill_mode=rr.components.FillMode.MajorWireframe,
-            )
+            item = wire_box(frame_from_map @ box.world_from_box, box.half_extents_m, own)
         else:
             item = superquadric_mesh(moved(shape, frame_from_map), own, alpha=alpha, is_shaded=False)
         stream.log(f"{path}/{object_id}", item, static=True)
@@ -144,7 +127,6 @@ def _corners(objects: ObjectMap, frame_from_map: NDArray[np.float64]) -> NDArray
 
 
 def _beside(map_a: ObjectMap, map_b: ObjectMap) -> NDArray[np.float64]:
-    """Return the shift that puts map b to the right of map a."""
     pose = np.eye(4)
     if len(map_a) and len(map_b):
         pose[0, 3] = map_a.centroids[:, 0].max() - map_b.centroids[:, 0].min() + _GAP

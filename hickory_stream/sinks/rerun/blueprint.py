@@ -1,4 +1,4 @@
-"""The default arrangement of the viewer: all four layers, the camera, the plots and the decisions on one screen."""
+"""Default layout of the viewer: all four layers, the camera, the plots and the decisions."""
 
 from __future__ import annotations
 
@@ -26,10 +26,7 @@ ROBOT = "robot"
 
 
 def default_blueprint(corners: NDArray[np.float64], *, num_views: int, is_live: bool = False) -> rrb.Blueprint:
-    """Return the arrangement, with all of (N, 3) points in view where there are any, and as many best views.
-
-    `is_live`: with a view of how the robot's topics are.
-    """
+    """Return the layout with (N, 3) points in view and `num_views` thumbnails; `is_live` adds the robot's topics."""
     main, side = (eye_on(corners, aspect).controls() if len(corners) else None for aspect in (MAIN_ASPECT, SIDE_ASPECT))
     width_px, height_px = sheet_px(num_views)
     layers = _map_view("Layers 1 and 2: points, boxes, meshes", [POINTS_LAYER, MESH_LAYER], main, is_main=True)
@@ -76,7 +73,7 @@ def default_blueprint(corners: NDArray[np.float64], *, num_views: int, is_live: 
 
 
 def one_map(name: str, corners: NDArray[np.float64], *, timeline: str) -> rrb.Blueprint:
-    """Return the arrangement of a single view of everything, with (N, 3) points in it, on a timeline of its own."""
+    """Return the layout of a single view with (N, 3) points in it, on its own timeline."""
     return rrb.Blueprint(
         _bare_view(name, ["/**"], corners, WHOLE_ASPECT),
         rrb.BlueprintPanel(state="collapsed"),
@@ -87,7 +84,7 @@ def one_map(name: str, corners: NDArray[np.float64], *, timeline: str) -> rrb.Bl
 
 
 def side_by_side(views: dict[str, tuple[list[str], NDArray[np.float64]]]) -> rrb.Blueprint:
-    """Return the arrangement of still views beside one another: by name, the entities and (N, 3) points in view."""
+    """Return the layout of still views side by side: by name, the entities and (N, 3) points in view."""
     aspect = WHOLE_ASPECT if len(views) == 1 else SIDE_ASPECT
     return rrb.Blueprint(
         rrb.Horizontal(*(_bare_view(name, paths, corners, aspect) for name, (paths, corners) in views.items())),

@@ -1,4 +1,4 @@
-"""The initial viewpoint of the viewer: above a corner of the room, so near that the map fills the view."""
+"""Initial viewpoint of the viewer: above a corner, as near as shows the whole map."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _RIM = 0.9
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Eye:
-    """A place (3,) in the world, and what it looks at."""
+    """A position (3,) in the world, and its target (3,)."""
 
     position: NDArray[np.float64]
     target: NDArray[np.float64]
@@ -36,13 +36,13 @@ class Eye:
         )
 
     def project(self, points_world: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (N, 2) places of (N, 3) points in the view, x right and y down, as shares of its height."""
+        """Return (N, 2) image positions of (N, 3) points, x right and y down, as fractions of the view's height."""
         local = (np.asarray(points_world) - self.position) @ ROTATION
         return np.asarray(local[:, :2] / (2 * _HALF_TANGENT * np.maximum(local[:, 2:], 1e-3)))
 
 
 def eye_on(points_world: NDArray[np.float64], aspect: float) -> Eye:
-    """Return the nearest eye that has (N, 3) points in a view `aspect` times as wide as high, or wider."""
+    """Return the nearest eye with (N, 3) points in a view of `aspect` (width to height) or wider."""
     position = nearest_eye(points_world, ROTATION, (aspect * _RIM * _HALF_TANGENT, _RIM * _HALF_TANGENT))
     # What the eye turns about when it is dragged: the middle of what it sees.
     depth = float(np.mean((points_world - position) @ ROTATION[:, 2]))

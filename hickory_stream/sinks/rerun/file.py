@@ -1,4 +1,4 @@
-"""The .rrd file: written in the caller's thread, complete, until it reaches its cap or the disk refuses."""
+"""The .rrd file, written in the caller's thread until it reaches its cap or the disk fails."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ logger = logging.getLogger(__name__)
 
 
 class RrdFile:
-    """Writes items to a file; from `cap_mb` on the light ones only, so that the plots and decisions stay complete."""
+    """Writes items to a file; beyond `cap_mb` only light ones, so that plots and decisions stay complete."""
 
     def __init__(self, path: Path, *, recording_id: str, cap_mb: float) -> None:
         self._path = path
@@ -33,15 +33,11 @@ class RrdFile:
             raise ViewerError(f"{path} cannot be written ({error}); name a file in an existing folder") from error
 
     def send_blueprint(self, blueprint: Any) -> None:
-        """Store an arrangement; the last one that was stored is shown."""
+        """Store a layout; the viewer shows the last one."""
         self._stream.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def write(self, moment: Moment, items: list[LogItem]) -> None:
-        """Write the items, without the heavy ones once the cap was reached.
-
-        Raises:
-            OutputError: the disk refused; what was written is removed.
-        """
+        """Write the items, only light ones beyond the cap; a disk error removes the file, raises `OutputError`."""
         if self._piped.error is not None:
             self.close()
         if not self._is_full and self._num_bytes() >= self._cap_mb * 1e6:
@@ -55,11 +51,7 @@ class RrdFile:
         emit(self._stream, moment, (i for i in items if i.weight is Weight.LIGHT or not self._is_full))
 
     def close(self) -> None:
-        """Write what is buffered, and the footer.
-
-        Raises:
-            OutputError: the disk refused; what was written is removed. Raised once.
-        """
+        """Write the buffer and the footer; raises `OutputError` on a disk error, once, and removes the file."""
         if self._is_lost:
             return
         try:

@@ -1,8 +1,7 @@
-"""A fleet in Rerun: every robot in a colour of its own, and one frame for those that were joined.
+"""A fleet in Rerun: each robot has a colour, and joined robots share a frame.
 
-A robot's objects hang on its entity, in its own frame; when it is joined, that entity moves. Robots that are in no
-other's frame stand beside those that are. The timeline `keyframe` counts every robot's own keyframes, since clocks need
-not agree; `log_time` has the stamps.
+Objects hang on the entity of their robot, which moves when the robot is joined. Unjoined frames stand side by side. The
+timeline `keyframe` counts each robot's own keyframes, since clocks may differ; `log_time` has the stamps.
 """
 
 from __future__ import annotations
@@ -16,13 +15,12 @@ import numpy as np
 from hickory_stream.geometry.display import shaded
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, quaternion_from_rotation
 from hickory_stream.sinks.rerun.file import RrdFile
-from hickory_stream.sinks.rerun.items import KEYFRAME, LogItem, Moment, Span, Weight
+from hickory_stream.sinks.rerun.items import KEYFRAME, LogItem, Moment, Span, Weight, clear_item
 from hickory_stream.sinks.rerun.viewer import start_viewer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-    from types import TracebackType
 
     from numpy.typing import NDArray
 
@@ -34,9 +32,9 @@ _CLOSE_TIMEOUT_S = 2.0
 _COLORS = ((58, 140, 226), (238, 138, 48), (72, 186, 106), (222, 84, 120), (160, 120, 226), (214, 196, 64),
            (64, 192, 196), (196, 140, 104))  # fmt: skip
 _SHADES = (1.0, 0.78, 1.35)
-# Frames that stand beside one another do so in steps: a map that grows does not move the others each time.
+# Distance between frames is in steps, so that a growing map rarely moves the others.
 _GAP_M, _STEP_M = 1.0, 2.0
-# What several robots have mapped are surfaces in nearly one place, which otherwise fight for the pixels.
+# Surfaces that several robots mapped nearly coincide.
 _ALPHA = 170
 _PATH_RADIUS, _LABEL_ABOVE_M = -2.0, 0.4
 TEXTS, OBJECTS, FRAMES = "fleet/joins", "plots/objects", "plots/frames"
@@ -44,9 +42,9 @@ TEXTS, OBJECTS, FRAMES = "fleet/joins", "plots/objects", "plots/frames"
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ShownRobot:
-    """A robot at one moment: what is new of its path (N, 4, 4), its objects, and where its frame lies.
+    """A robot at one moment: its objects and the new part of its path, `world_from_camera` (N, 4, 4).
 
-    `frame` is the name of the robot in whose frame it is, `frame_from_robot` (4, 4) its place there.
+    `frame` names the robot that defines its frame; `frame_from_robot` (4, 4) is its place there.
     """
 
     name: str
@@ -58,11 +56,9 @@ class ShownRobot:
 
 
 class FleetRecording:
-    """Writes the recording of a fleet, and shows it in a viewer; entered with `with`, and whole when that is left.
+    """Writes the recording of a fleet while entered, and shows it in a viewer.
 
-    Raises:
-        ViewerError: the file cannot be written, or the viewer that was asked for cannot be had.
-        OutputError: the disk refused.
+    Raises `ViewerError` if the file or the viewer is not available, `OutputError` on a disk error.
     """
 
     def __init__(self, path: Path, names: Sequence[str], config: RerunConfig, viewer: ViewerChoice) -> None:
@@ -89,22 +85,18 @@ class FleetRecording:
 
     @property
     def web_url(self) -> str | None:
-        """The page that shows the fleet in a browser, where there is one."""
+        """Address of the page of a web viewer."""
         return None if self._viewer is None else self._viewer.web_url
 
     def __enter__(self) -> Self:
-        """Return the recording."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Finish the file, which is removed where the fleet has failed, and give the viewer a moment."""
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             self._file.send_blueprint(_blueprint(self._corners, self._ever))
             self._file.close()
         finally:
-            if error is not None and self._path.is_file():
+            if kind is not None and self._path.is_file():
                 self._path.unlink(missing_ok=True)
             if self._feed is not None:
                 self._feed.close(_CLOSE_TIMEOUT_S)
@@ -113,7 +105,7 @@ class FleetRecording:
                 self._viewer.process.wait(_CLOSE_TIMEOUT_S)
 
     def show(self, keyframe: int, robots: Sequence[ShownRobot], texts: Sequence[str]) -> None:
-        """Log the robots after so many keyframes, and what happened: robots that were joined."""
+        """Log the robots after `keyframe` keyframes, and events such as joins."""
         import rerun as rr
 
         if self._last is None and robots:
@@ -170,32 +162,25 @@ class FleetRecording:
         path.extend(robot.world_from_camera[:, :3, 3])
         if path:
             line = rr.LineStrips3D([np.array(path)], colors=color, radii=_PATH_RADIUS)
-            told = f"{robot.name}, alone" if is_alone else robot.name
+            text = f"{robot.name}, alone" if is_alone else robot.name
             above = path[-1] + np.array([0.0, 0.0, _LABEL_ABOVE_M])
-            label = rr.Points3D([above], colors=color, radii=-6.0, labels=[told], show_labels=True)
+            label = rr.Points3D([above], colors=color, radii=-6.0, labels=[text], show_labels=True)
             items.append(LogItem(path=f"{root}/path", archetypes=(line,), span=Span.LASTING))
             items.append(LogItem(path=f"{root}/robot", archetypes=(label,), span=Span.LASTING))
         count = rr.Scalars([float(len(robot.objects))])
         return [*items, LogItem(path=f"{OBJECTS}/{robot.name}", archetypes=(count,))]
 
     def _object_items(self, robot: ShownRobot, root: str, color: tuple[int, int, int]) -> list[LogItem]:
-        """Return what has changed of a robot's objects."""
-        import rerun as rr
-
-        def cleared(object_id: int) -> LogItem:
-            path = f"{root}/objects/{object_id}"
-            return LogItem(path=path, archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
-
         shown, items = self._shown[robot.name], []
         for gone in sorted(shown.keys() - {item.id for item in robot.objects}):
             del shown[gone]
-            items.append(cleared(gone))
+            items.append(clear_item(f"{root}/objects/{gone}"))
         for item in robot.objects:
             before = shown.get(item.id)
             if before is not None and _looks_the_same(before, item):
                 continue
             if before is not None and before.superquadrics is None:
-                items.append(cleared(item.id))  # of its box, which the shape does not replace
+                items.append(clear_item(f"{root}/objects/{item.id}"))  # of its box, which the shape does not replace
             drawn = _drawn(item, shaded(color, _SHADES[item.id % 3]))
             items.append(
                 LogItem(path=f"{root}/objects/{item.id}", archetypes=(drawn,), weight=Weight.HEAVY, span=Span.LASTING)
@@ -205,25 +190,16 @@ class FleetRecording:
 
 
 def color_of_robot(place: int) -> tuple[int, int, int]:
-    """Return the colour of a robot by its place in the fleet."""
+    """Return the colour of a robot by its index in the fleet."""
     return shaded(_COLORS[place % len(_COLORS)], (1.0, 0.7, 1.5)[place // len(_COLORS) % 3])
 
 
 def _drawn(item: TrackedObject, color: tuple[int, int, int]) -> Any:
-    """Return layer 3 of an object, or its sketch, or its box: what is known of it."""
-    import rerun as rr
-
-    from hickory_stream.sinks.rerun.meshes import superquadric_mesh
+    from hickory_stream.sinks.rerun.meshes import superquadric_mesh, wire_box
 
     if item.superquadrics is not None:
         return superquadric_mesh(item.superquadrics, color, alpha=_ALPHA, is_shaded=False)
-    return rr.Boxes3D(
-        centers=[item.box.center],
-        half_sizes=[item.box.half_extents_m],
-        quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(item.box.world_from_box[:3, :3]))],
-        colors=color,
-        fill_mode=rr.components.FillMode.MajorWireframe,
-    )
+    return wire_box(item.box.world_from_box, item.box.half_extents_m, color)
 
 
 def _looks_the_same(a: TrackedObject, b: TrackedObject) -> bool:
@@ -234,7 +210,7 @@ def _looks_the_same(a: TrackedObject, b: TrackedObject) -> bool:
 
 
 def _places(robots: Sequence[ShownRobot]) -> dict[str, NDArray[np.float64]]:
-    """Return where every robot's frame is drawn, scene_from_robot (4, 4): frames stand beside one another along x."""
+    # scene_from_robot (4, 4) by robot: frames stand side by side along x.
     places: dict[str, NDArray[np.float64]] = {}
     next_m, middle = 0.0, np.zeros(3)
     for i, frame in enumerate(dict.fromkeys(robot.frame for robot in robots)):
@@ -258,7 +234,7 @@ def _corners_of(objects: Sequence[TrackedObject]) -> NDArray[np.float64]:
 
 
 def _blueprint(corners: NDArray[np.float64], ever: NDArray[np.float64]) -> Any:
-    """Return the arrangement: (N, 3) corners of the map in the end, and of all there was at any time."""
+    # (N, 3) corners of the final map, and of all that was shown at any time.
     import rerun.blueprint as rrb
 
     from hickory_stream.sinks.rerun.blueprint import BACKGROUND

@@ -1,6 +1,6 @@
-"""The log items of one frame: the camera, its colour, depth, masks and 2D boxes, and its trajectory so far.
+"""Log items of one frame: camera, colour, depth, masks, 2D boxes and trajectory.
 
-Between keyframes only the pose and the still-compressed colour are logged; the masks of the last keyframe stay.
+Between keyframes only the pose and the compressed colour are logged; the masks of the last keyframe stay.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def camera_items(report: FrameReport) -> list[LogItem]:
 
 
 def color_items(report: FrameReport, jpeg_quality: int) -> list[LogItem]:
-    """Return the colour as the log had it, or encoded here where a keyframe has no compressed colour."""
+    """Return the compressed colour of the log; a keyframe without one is encoded here."""
     if report.color_bytes is not None:
         image = rr.EncodedImage(contents=report.color_bytes, media_type=_media_type(report.color_bytes))
     elif report.frame is not None:
@@ -59,7 +59,7 @@ def color_items(report: FrameReport, jpeg_quality: int) -> list[LogItem]:
 
 
 def depth_items(frame: Frame) -> list[LogItem]:
-    """Return the depth as a 16-bit PNG in millimetres, 0 = no return; what is beyond 65 m is left out."""
+    """Return the depth as a 16-bit PNG in millimetres, 0 for no return and beyond 65 m."""
     millimetres = np.nan_to_num(frame.depth_m * _MILLIMETRES, nan=0.0, posinf=0.0, neginf=0.0)
     millimetres[(millimetres < 0) | (millimetres > 65535)] = 0.0
     # Run lengths only: depth is noise to a compressor, and a better one takes five times as long.
@@ -93,7 +93,6 @@ def mask_items(report: FrameReport) -> list[LogItem]:
 
 
 def _numbers(report: FrameReport) -> Any:
-    """Return the numbers of the objects in a keyframe, each once, in its largest mask, set apart from one another."""
     largest: dict[int, Observation] = {}
     for observation, object_id in zip(report.observations, report.object_ids, strict=False):
         if object_id is not None:
@@ -116,14 +115,13 @@ def _numbers(report: FrameReport) -> Any:
 
 
 def _innermost_px(observation: Observation) -> tuple[float, float]:
-    """Return the place of a mask that is farthest from its edge."""
     within = cv2.distanceTransform(np.pad(observation.mask, 1).astype(np.uint8), cv2.DIST_L2, 3)
     _, _, _, (x, y) = cv2.minMaxLoc(within)
     return observation.box_px[0] + x - 0.5, observation.box_px[1] + y - 0.5
 
 
 def rejected_items(report: FrameReport) -> list[LogItem]:
-    """Return the masks of a keyframe that became no observation: where they are, and as boxes with the reasons."""
+    """Return the rejected masks of a keyframe: their pixels, and boxes with the reasons."""
     image = np.zeros((report.camera.height, report.camera.width), dtype=np.uint16)
     for rejected in report.rejected:
         x0, y0, x1, y1 = rejected.box_px
@@ -139,25 +137,20 @@ def rejected_items(report: FrameReport) -> list[LogItem]:
     )
     return [
         LogItem(
-            path=f"{CAMERA}/rejected/masks",
-            archetypes=(rr.SegmentationImage(image, opacity=0.6),),
-            weight=Weight.HEAVY,
+            path=f"{CAMERA}/rejected/masks", archetypes=(rr.SegmentationImage(image, opacity=0.6),), weight=Weight.HEAVY
         ),
         LogItem(path=f"{CAMERA}/rejected/boxes", archetypes=(boxes,)),
     ]
 
 
 class FeatureColors:
-    """Shows patch features as colour: their three main components, found in the first frame and kept from then on.
-
-    The same feature then has the same colour in every frame.
-    """
+    """Patch features as colour: three principal components, found in the first frame and kept."""
 
     def __init__(self) -> None:
         self._components: Components | None = None
 
     def items(self, report: FrameReport) -> list[LogItem]:
-        """Return the features of a keyframe as an image of its size; nothing where none were computed."""
+        """Return the features of a keyframe as an image; nothing if it has none."""
         if report.patches is None or report.patches.size == 0:
             return []
         if self._components is None or self._components.dim != report.patches.shape[2]:
@@ -169,13 +162,13 @@ class FeatureColors:
 
 
 class ClassColors:
-    """Gives the masks the colours of their objects, as new ids come up."""
+    """Colours of the masks by object id."""
 
     def __init__(self) -> None:
         self._known: set[int] = set()
 
     def items(self, object_ids: Iterable[int | None]) -> list[LogItem]:
-        """Return the annotations of all ids so far when there is a new one among these."""
+        """Return the annotations of all ids so far if one of these is new."""
         new = {i % _UNASSIGNED for i in object_ids if i is not None} - self._known
         if not new and self._known:
             return []
@@ -186,7 +179,7 @@ class ClassColors:
 
 
 class Trajectory:
-    """The way of the camera as pieces of a line: only the last piece is logged again, so that the cost stays linear."""
+    """Trajectory of the camera in pieces: only the last piece is logged again, so that the cost stays linear."""
 
     def __init__(self) -> None:
         self._piece = 0
@@ -194,7 +187,7 @@ class Trajectory:
         self._ended: list[LogItem] = []
 
     def add(self, world_from_camera: NDArray[np.float64]) -> None:
-        """Take the camera's next place."""
+        """Add the camera's next pose."""
         if len(self._points) == _SEGMENT_LENGTH:
             self._ended.append(self._piece_item())
             self._points = self._points[-1:]
@@ -218,7 +211,6 @@ def encoded_jpeg(rgb: NDArray[np.uint8], quality: int) -> Any:
 
 
 def _media_type(data: bytes) -> str | None:
-    """Return the type by the file's first bytes; None lets the viewer find out."""
     if data.startswith(b"\xff\xd8"):
         return "image/jpeg"
     return "image/png" if data.startswith(b"\x89PNG") else None

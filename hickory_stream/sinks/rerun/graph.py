@@ -1,4 +1,4 @@
-"""The pose graph on the timeline: the way before and after, submaps, loops, residuals and uncertainty."""
+"""The pose graph on the timeline: trajectory before and after, submaps, loops, residuals and uncertainty."""
 
 from __future__ import annotations
 
@@ -18,13 +18,8 @@ if TYPE_CHECKING:
     from hickory_stream.records import EdgeStatus, FrameReport, GraphEdge, PoseGraphRecord
 
 GRAPH = "world/graph"
-_BEFORE, _AFTER, _LOOP, _REFUSED, _NODE = (
-    (232, 150, 60),
-    (90, 170, 255),
-    (70, 210, 120),
-    (150, 150, 150),
-    (176, 200, 236),
-)
+_BEFORE, _AFTER, _LOOP = (232, 150, 60), (90, 170, 255), (70, 210, 120)
+_REFUSED, _NODE = (150, 150, 150), (176, 200, 236)
 _WIDTH, _NODE_PX = -1.5, -4.0
 # Lines have no dashes in Rerun: a loop that is not believed is drawn as so many pieces with gaps.
 _DASHES = 12
@@ -34,7 +29,7 @@ _STATUSES: tuple[EdgeStatus, ...] = ("accepted", "rejected", "withdrawn")
 
 
 class GraphLines:
-    """Remembers where the camera was at each keyframe, and logs the graph when there is another one."""
+    """Logs the pose graph when it changes, with the camera's position at each keyframe."""
 
     def __init__(self) -> None:
         self._stamps_ns: list[int] = []
@@ -42,7 +37,7 @@ class GraphLines:
         self._logged: PoseGraphRecord | None = None
 
     def items(self, report: FrameReport) -> list[LogItem]:
-        """Return the items of a keyframe: nothing while its map has no graph, or the one that was logged last."""
+        """Return the items of a keyframe; nothing while the graph is missing or unchanged."""
         snapshot = report.snapshot
         if snapshot is None or not snapshot.submaps:
             return []
@@ -80,7 +75,6 @@ def _nodes(graph: PoseGraphRecord) -> rr.Points3D:
 
 
 def _loops(graph: PoseGraphRecord, status: EdgeStatus) -> rr.LineStrips3D:
-    """Return the loops of a status, with their scores, and why they are not believed."""
     places = {node.submap_id: node.place[:3, 3] for node in graph.nodes}
     strips: list[NDArray[np.float64]] = []
     labels: list[str] = []
@@ -106,7 +100,7 @@ def _label(loop: GraphEdge) -> str:
 
 
 def _numbers(graph: PoseGraphRecord) -> list[LogItem]:
-    """Return the numbers of a graph: the residuals of believed loops, how uncertain and how far moved submaps are."""
+    # Residuals of accepted loops, uncertainty, and displacement of moved submaps.
     believed = [loop for loop in graph.loops if loop.status == "accepted"]
     moves = [float(np.linalg.norm(node.place[:3, 3] - node.uncorrected[:3, 3])) for node in graph.nodes]
     values = {
@@ -131,6 +125,6 @@ def _curves() -> list[LogItem]:
         "residual_rad": "largest residual of a loop [rad]",
     }
     return [
-        LogItem(path=f"{PLOTS}/graph/{name}", archetypes=(rr.SeriesLines(names=told, widths=1.5),), span=Span.STATIC)
-        for name, told in names.items()
+        LogItem(path=f"{PLOTS}/graph/{name}", archetypes=(rr.SeriesLines(names=text, widths=1.5),), span=Span.STATIC)
+        for name, text in names.items()
     ]

@@ -1,8 +1,7 @@
 """Log items, independent of the stream that they are written to.
 
-A report becomes a list of items once; the file and the live viewer each take from it what they can carry. An item says
-whether it is heavy (may be left out when space or time runs short) and whether it lasts (an object's cloud is missed
-until the next one comes, an image or a number of a plot is not).
+Heavy items may be left out when space or time runs short. Lasting items (a cloud) matter until the next one comes;
+others (an image, a plot value) only for their moment.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ LOG_TIME, FRAME, KEYFRAME = "log_time", "frame", "keyframe"
 
 
 class Weight(Enum):
-    """What an item costs."""
+    """Cost of an item."""
 
     LIGHT = auto()
     HEAVY = auto()
 
 
 class Span(Enum):
-    """How long an item matters: for its moment, until its entity is logged again, or regardless of time (static)."""
+    """Duration of an item: its moment, until its entity is logged again, or always (static)."""
 
     MOMENT = auto()
     LASTING = auto()
@@ -39,7 +38,7 @@ class Span(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Moment:
-    """A place on the three timelines; `keyframe` is None between keyframes, and such rows are not on that timeline."""
+    """A place on the three timelines; `keyframe` is None between keyframes."""
 
     stamp_ns: int
     frame: int
@@ -48,7 +47,7 @@ class Moment:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LogItem:
-    """Rerun archetypes for one entity. `is_clear`: it empties the entity and everything below it."""
+    """Rerun archetypes for one entity; `is_clear` empties the entity and everything below it."""
 
     path: str
     archetypes: tuple[Any, ...]
@@ -57,13 +56,20 @@ class LogItem:
     is_clear: bool = False
 
 
+def clear_item(path: str) -> LogItem:
+    """Return the item that empties an entity and everything below it."""
+    import rerun as rr
+
+    return LogItem(path=path, archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
+
+
 def moment_of(report: FrameReport) -> Moment:
     """Return the moment of a report."""
     return Moment(stamp_ns=report.stamp_ns, frame=report.index, keyframe=report.keyframe_index)
 
 
 def emit(stream: Any, moment: Moment, items: Iterable[LogItem]) -> None:
-    """Log items to a RecordingStream; sets every timeline, since Rerun's time is sticky and per thread."""
+    """Log items to a RecordingStream; sets every timeline, since Rerun's time is sticky per thread."""
     stream.reset_time()
     # A float of epoch seconds would lose some 100 ns.
     stream.set_time(LOG_TIME, timestamp=np.datetime64(moment.stamp_ns, "ns"))
@@ -75,10 +81,7 @@ def emit(stream: Any, moment: Moment, items: Iterable[LogItem]) -> None:
 
 
 def new_stream(recording_id: str, *, batch_s: float | None = None) -> Any:
-    """Return a RecordingStream without the SDK's own timelines: they show when we logged, not when it happened.
-
-    `batch_s`: for how long rows of one entity are gathered before they are written, None for the SDK's 0.2 s.
-    """
+    """Return a RecordingStream without the SDK's timelines; `batch_s` overrides its batching time of 0.2 s."""
     import rerun as rr
 
     batching = rr.ChunkBatcherConfig()

@@ -1,6 +1,6 @@
-"""The labels of the objects: above each one, joined to it by a line, without overlap in the initial view.
+"""Labels above the objects, joined to them by a line, without overlap in the initial view.
 
-A label in a 3D view hangs below its point, over everything else that is drawn: the points have to be apart.
+The viewer draws a label below its point and over everything else, so the points have to be apart.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import rerun as rr
 from hickory_stream.geometry.display import color_of_id, readable_on_dark, rises
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, eye_on
-from hickory_stream.sinks.rerun.items import LogItem, Span
+from hickory_stream.sinks.rerun.items import LogItem, Span, clear_item
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,9 +32,9 @@ _STILL_M = 0.02
 
 
 class ObjectLabels:
-    """Knows where the number of each object is shown, and returns what has to be logged to keep them apart.
+    """Places the numbers of objects, and returns the items that keep them apart.
 
-    At most once per `period_ns`, unless there are new objects; `finish` catches up. Tentative tracks have none.
+    Updates once per `period_ns` unless objects are new; `finish` catches up. Tentative tracks have no label.
     """
 
     def __init__(self, *, period_ns: int) -> None:
@@ -44,16 +44,13 @@ class ObjectLabels:
         self._shown_ns = 0
 
     def update(self, objects: tuple[TrackedObject, ...], stamp_ns: int) -> list[LogItem]:
-        """Return the items that bring the viewer to these objects."""
+        """Return the items that show these objects."""
         self._objects = tuple(o for o in objects if o.phase is not Phase.TENTATIVE)
         ids = {o.id for o in self._objects}
         gone = sorted(self._shown.keys() - ids)
         for object_id in gone:
             del self._shown[object_id]
-        items = [
-            LogItem(path=f"{LABELS}/{i}", archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
-            for i in gone
-        ]
+        items = [clear_item(f"{LABELS}/{i}") for i in gone]
         # A log that starts over has stamps before the last one: abs() lets it through.
         if ids == self._shown.keys() and abs(stamp_ns - self._shown_ns) < self._period_ns:
             return items
@@ -61,7 +58,7 @@ class ObjectLabels:
         return items + self.finish()
 
     def finish(self) -> list[LogItem]:
-        """Return the labels that have to move since they were last logged."""
+        """Return the labels that are out of date."""
         if not self._objects:
             return []
         eye = eye_on(np.concatenate([o.box.corners_world() for o in self._objects]), MAIN_ASPECT)
@@ -77,15 +74,12 @@ class ObjectLabels:
 
 
 def label_size(text: str) -> tuple[float, float]:
-    """Return the width and height of a label as shares of the height of a view of usual size."""
+    """Return width and height of a label as fractions of the height of a typical view."""
     return _WIDTH + _WIDTH_PER_LETTER * len(text), _HEIGHT
 
 
 def label_threads(tops: NDArray[np.float64], texts: Sequence[str], eye: Eye) -> NDArray[np.float64]:
-    """Return (N, 3, 3) for labels above (N, 3) points: the point, where its label begins, and where it ends.
-
-    No two labels overlap when seen by the eye.
-    """
+    """Return (N, 3, 3) for labels above (N, 3) points: the point, start and end of its label, without overlap."""
     if len(tops) == 0:
         return np.empty((0, 3, 3))
     seen = eye.project(tops)
@@ -97,7 +91,7 @@ def label_threads(tops: NDArray[np.float64], texts: Sequence[str], eye: Eye) -> 
 
 
 def label_item(path: str, thread: NDArray[np.float64], text: str, color: tuple[int, int, int]) -> LogItem:
-    """Return a label and its thread, as `label_threads` has them."""
+    """Return a label and its thread from `label_threads`."""
     color = readable_on_dark(color)
     point = rr.Points3D(thread[2:], radii=-0.1, colors=color, labels=text, show_labels=True)
     line = rr.LineStrips3D([thread[:2]], radii=-0.5, colors=color)
@@ -105,6 +99,5 @@ def label_item(path: str, thread: NDArray[np.float64], text: str, color: tuple[i
 
 
 def _top_of(seen: TrackedObject) -> NDArray[np.float64]:
-    """Return the middle of the top of an object's box."""
     corners = seen.box.corners_world()
     return np.array([*seen.box.center[:2], corners[:, 2].max()])

@@ -1,8 +1,7 @@
 """Live logging to a viewer: a bounded queue and a daemon thread that empties it.
 
-Rerun's own queue to a viewer that does not read grows to some 300 MB and then blocks for ever. Here everything that may
-block does so on a thread that nobody waits for, and each entry is flushed before the next, so that what a viewer cannot
-take waits, and is dropped, in our queue.
+Rerun's own queue grows to 300 MB for a stalled viewer and then blocks for ever. This thread flushes each entry before
+the next, so that entries wait, and are dropped, in the queue here.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Entry:
-    """Items of one moment that travel together: one heavy item, or all light ones."""
+    """Items of one moment: one heavy item, or all light ones."""
 
     moment: Moment
     items: tuple[LogItem, ...]
@@ -41,8 +40,8 @@ class Entry:
 class LiveQueue:
     """A bounded queue that drops the oldest heavy entry first.
 
-    The last item of each lasting entity is remembered: one that was dropped is handed out again when the queue has run
-    empty, and a viewer that comes late gets them all. That memory is bounded by the map.
+    It keeps the last item of each lasting entity: dropped ones are sent when the queue is empty, all of them to a late
+    viewer. The map bounds that memory.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -54,7 +53,7 @@ class LiveQueue:
         self._dropped: Counter[Weight] = Counter()
 
     def put(self, moment: Moment, items: list[LogItem]) -> None:
-        """Take the items of a moment; never waits."""
+        """Queue the items of a moment; never waits."""
         heavy = [Entry(moment=moment, items=(i,), weight=i.weight) for i in items if i.weight is Weight.HEAVY]
         light = tuple(i for i in items if i.weight is Weight.LIGHT)
         with self._changed:
@@ -66,7 +65,7 @@ class LiveQueue:
             self._changed.notify()
 
     def take(self, timeout_s: float) -> Entry | None:
-        """Return the next entry, else one that was dropped and is missed, else None after the timeout."""
+        """Return the next entry, else a dropped one that is still missing, else None after the timeout."""
         with self._changed:
             if not self._entries and not self._missing:
                 self._changed.wait(timeout_s)
@@ -79,12 +78,12 @@ class LiveQueue:
             return None
 
     def start_over(self) -> None:
-        """Hand out every lasting item again, for a viewer that has just connected."""
+        """Send every lasting item again, for a new viewer."""
         with self._changed:
             self._missing = set(self._latest)
 
     def dropped(self) -> Mapping[str, int]:
-        """Return how many entries were dropped, by weight."""
+        """Return the number of dropped entries by weight."""
         with self._changed:
             return {weight.name.lower(): self._dropped[weight] for weight in Weight}
 
@@ -112,7 +111,7 @@ class LiveQueue:
 
 
 class LiveFeed:
-    """Feeds a viewer from a thread of its own; connects when somebody listens, and again when the viewer was lost."""
+    """Feeds a viewer from its own thread; connects when a viewer listens, and reconnects."""
 
     def __init__(self, *, url: str, recording_id: str, capacity: int, blueprint: Any) -> None:
         self._url = url
@@ -130,11 +129,11 @@ class LiveFeed:
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """How many entries the viewer did not get in time, by weight."""
+        """Number of dropped entries by weight."""
         return self._queue.dropped()
 
     def close(self, timeout_s: float) -> None:
-        """Give the viewer this long to take what is queued, then leave it."""
+        """Send the queue until the timeout, then disconnect."""
         self._ending.set()
         self._thread.join(timeout_s)
         if self._thread.is_alive():
@@ -154,12 +153,12 @@ class LiveFeed:
             self._was_told = True
             try:
                 self._feed()
-            except RuntimeError as error:  # what the SDK raises for a viewer that is lost
+            except RuntimeError as error:  # the SDK lost the viewer
                 logger.warning("the viewer at %s was lost (%s); waiting for it to come back", self._url, error)
 
     def _tell_once(self) -> None:
         if not self._was_told:
-            logger.warning("nobody answers at %s: nothing is shown until a viewer listens there", self._url)
+            logger.warning("no viewer answers at %s: nothing is shown until one listens there", self._url)
             self._was_told = True
 
     def _feed(self) -> None:

@@ -1,4 +1,4 @@
-"""Meshes for the viewer: layer 2 where its object lies, superquadrics, cells of a floor."""
+"""Meshes for the viewer: layer 2, superquadrics, cells of a floor."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import rerun as rr
 from hickory_stream.base.confined import read_within
 from hickory_stream.geometry.codecs.mesh_file import mesh_of_file
 from hickory_stream.geometry.display import shaded
+from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.geometry.superquadric import outward_normals
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.map_folder.layout import SHAPES, VIEWS
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def placed_mesh(path: Path, world_from_object: NDArray[np.float64]) -> Any:
-    """Return a layer-2 mesh in the world; not as the GLB itself, which has no normals and would be drawn flat."""
+    """Return a layer-2 mesh in the world with normals: the viewer draws a GLB without them flat."""
     mesh = mesh_of_file(read_within(path.parent, path.name))
     vertices = mesh.vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
     return rr.Mesh3D(
@@ -36,10 +37,9 @@ def placed_mesh(path: Path, world_from_object: NDArray[np.float64]) -> Any:
 
 
 def textured_layer2(folder: Path, tracked: TrackedObject, texture_px: int) -> Any:
-    """Return layer 2 in the world with a texture of at most so many pixels on a side; the object must have a shape.
+    """Return layer 2 in the world with a texture of at most `texture_px` a side; the object must have a shape.
 
-    Raises:
-        OSError, ValueError, MapFolderError: the mesh or a view in the map's folder is missing or damaged.
+    Raises `OSError`, `ValueError` or `MapFolderError` if the mesh or a view is missing or damaged.
     """
     from hickory_stream.map_folder.textured_objects import textured_object
 
@@ -62,7 +62,7 @@ def textured_layer2(folder: Path, tracked: TrackedObject, texture_px: int) -> An
 def superquadric_mesh(
     primitives: Superquadrics, color: tuple[int, int, int], *, alpha: int = 255, is_shaded: bool = True
 ) -> Any:
-    """Return all primitives of an object as one mesh; where `is_shaded`, neighbours in the list differ in shade."""
+    """Return all primitives of an object as one mesh; `is_shaded` alternates their brightness."""
     parts = [display_mesh(primitives, i) for i in range(len(primitives))]
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     vertices = np.concatenate([np.zeros((0, 3), np.float32), *(vertices for vertices, _ in parts)])
@@ -78,6 +78,17 @@ def superquadric_mesh(
         vertex_normals=np.concatenate([np.zeros((0, 3)), *normals]).astype(np.float32),
         vertex_colors=colors if is_shaded else None,
         albedo_factor=(*((255, 255, 255) if is_shaded else color), alpha),
+    )
+
+
+def wire_box(world_from_box: NDArray[np.float64], half_m: NDArray[np.float64], color: tuple[int, int, int]) -> Any:
+    """Return the edges of a box from its pose (4, 4) and half sides (3,)."""
+    return rr.Boxes3D(
+        centers=[world_from_box[:3, 3]],
+        half_sizes=[half_m],
+        quaternions=[rr.Quaternion(xyzw=quaternion_from_rotation(world_from_box[:3, :3]))],
+        colors=color,
+        fill_mode=rr.components.FillMode.MajorWireframe,
     )
 
 

@@ -1,7 +1,6 @@
-"""The four layers of every object, logged only when they changed.
+"""The four layers of every object, logged when they change.
 
-Entities are layer first (`world/layer2/7`, not `world/7/layer2`): the eye of one entity in the viewer's tree switches a
-layer on and off for the whole map, and each 3D view names the layers that it shows.
+Entities are layer first (`world/layer2/7`): one switch in the viewer's tree then hides a layer of the whole map.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.display import color_of_id, shaded
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from hickory_stream.records import Phase
-from hickory_stream.sinks.rerun.items import LogItem, Span, Weight
+from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item
 from hickory_stream.sinks.rerun.meshes import placed_mesh, superquadric_mesh, textured_layer2
 
 if TYPE_CHECKING:
@@ -30,10 +29,10 @@ if TYPE_CHECKING:
 
 LAYERS = ("world/layer1", "world/layer2", "world/layer3", "world/layer4")
 POINTS_LAYER, MESH_LAYER, FITTED_LAYER, INFLATED_LAYER = LAYERS
-# The boxes once more, filled: the arrangement hides them, since they veil what is in them, until one is switched on.
+# Filled boxes; the layout hides them, since they veil their content.
 FILLED = "world/filled"
 _INFLATED_ALPHA = 96
-# What is known from points alone is drawn as lightly.
+# Sketches are drawn as lightly.
 _SKETCH_ALPHA = 112
 _FADED = {Phase.TENTATIVE: 0.45, Phase.ACTIVE: 1.0, Phase.DORMANT: 0.75, Phase.ARCHIVED: 0.55}
 
@@ -42,18 +41,17 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Shown:
-    """What was last logged of an object; `cloud_of` has the cloud that was logged, at the stamp `cloud_ns`."""
-
+    # Last logged state of an object; `cloud_of` has the logged cloud, of the stamp `cloud_ns`.
     object: TrackedObject
     cloud_of: TrackedObject
     cloud_ns: int
 
 
 class ObjectLayers:
-    """Knows what the viewer shows of each object, and returns what has to be logged to make it true.
+    """Returns the items that bring the viewer's objects up to date.
 
-    A growing cloud is logged at most once per `cloud_period_ns`; `finish` catches up, and gives layer 2 its textures.
-    Records never change: of an object that has the one that was shown last nothing is looked at.
+    A growing cloud is logged once per `cloud_period_ns`; `finish` catches up, and adds textures to layer 2. Records are
+    immutable: an object with an unchanged record is skipped.
     """
 
     def __init__(self, *, folder: Path, max_points: int, cloud_period_ns: int, texture_px: int) -> None:
@@ -64,7 +62,7 @@ class ObjectLayers:
         self._shown: dict[int, _Shown] = {}
 
     def update(self, objects: tuple[TrackedObject, ...], stamp_ns: int) -> list[LogItem]:
-        """Return the items that bring the viewer to these objects."""
+        """Return the items that show these objects."""
         items = self._gone({o.id for o in objects})
         for seen in objects:
             shown = self._shown.get(seen.id)
@@ -81,7 +79,7 @@ class ObjectLayers:
         return items
 
     def finish(self) -> list[LogItem]:
-        """Return the clouds that have changed since they were last logged, and meshes with textures."""
+        """Return clouds that are out of date, and textured meshes."""
         clouds = [
             _cloud_item(shown.object, self._max_points)
             for _, shown in sorted(self._shown.items())
@@ -90,7 +88,7 @@ class ObjectLayers:
         return clouds + self._textured_items() if self._texture_px else clouds
 
     def corners(self) -> NDArray[np.float64]:
-        """Return the (N, 3) corners of the boxes of all objects that are more than tentative."""
+        """Return the (N, 3) corners of the boxes of all confirmed objects."""
         known = [s.object for s in self._shown.values() if s.object.phase is not Phase.TENTATIVE]
         return np.concatenate([np.empty((0, 3)), *(o.box.corners_world() for o in known)])
 
@@ -98,11 +96,7 @@ class ObjectLayers:
         gone = sorted(self._shown.keys() - present)
         for object_id in gone:
             del self._shown[object_id]
-        return [
-            LogItem(path=f"{layer}/{i}", archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
-            for i in gone
-            for layer in (*LAYERS, FILLED)
-        ]
+        return [clear_item(f"{layer}/{i}") for i in gone for layer in (*LAYERS, FILLED)]
 
     def _changed_cloud(self, seen: TrackedObject, shown: _Shown | None, stamp_ns: int) -> list[LogItem]:
         # A log that starts over has stamps before the last one: abs() lets it through.
@@ -156,7 +150,6 @@ def _cloud_item(seen: TrackedObject, max_points: int) -> LogItem:
 
 
 def _facts(shape: ObjectShape) -> rr.DynamicArchetype:
-    """Return what a selected shape is said of: who made it and why, what was fitted, whether layer 4 is certified."""
     facts = {
         "reconstructor": shape.reconstructor,
         "verdict": shape.verdict or "none was asked for",
@@ -173,7 +166,6 @@ def _sketch_item(object_id: int, sketch: Superquadrics) -> LogItem:
 
 
 def _box_items(seen: TrackedObject) -> list[LogItem]:
-    """Return an object's box as lines, and filled; the label, with its phase, shows when it is pointed at."""
     label = str(seen.id) if seen.phase is Phase.ACTIVE else f"{seen.id} {seen.phase}"
 
     box: dict[str, Any] = {
@@ -203,7 +195,7 @@ def _same_box(a: TrackedObject, b: TrackedObject) -> bool:
 
 
 def _same_shape(a: ObjectShape, b: ObjectShape | None) -> bool:
-    """Return whether it is the same shape at the same place: a corrected submap takes its shapes along."""
+    # Same shape at the same pose: a corrected submap moves its shapes.
     return b is not None and a.revision == b.revision and _same(a.world_from_object, b.world_from_object)
 
 

@@ -1,7 +1,6 @@
-"""A plan as a Rerun recording: layer 4, the cells of the floor, the path, and the robot that drives it on a timeline.
+"""A plan as a Rerun recording: layer 4, floor cells, the path, and the moving robot.
 
-What lies on the floor lies at heights of its own, cells lowest and path highest: surfaces in one plane fight for the
-pixels.
+Cells, path and robot lie at different heights, since coplanar surfaces flicker.
 """
 
 from __future__ import annotations
@@ -45,11 +44,7 @@ def write_plan(
     start: NDArray[np.float64],
     goal: NDArray[np.float64],
 ) -> None:
-    """Write an .rrd; the timeline `path_m` is the length driven, in metres. `start` and `goal` are (2,).
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write an .rrd; the timeline `path_m` is the distance driven in metres. Raises `OSError` on a disk error."""
     import rerun as rr
 
     from hickory_stream.sinks.rerun.blueprint import one_map
@@ -111,7 +106,6 @@ def _drive(stream: Any, space: FreeSpace, answer: Path) -> None:
 
 
 def _body(posture: Posture, place: NDArray[np.float64], heading_rad: float, floor_z_m: float) -> Any:
-    """Return the parts of a body as their bounding boxes, turned with the robot."""
     import rerun as rr
 
     centers, halves = [], []

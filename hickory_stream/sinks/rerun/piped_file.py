@@ -1,6 +1,6 @@
-"""A file that another library writes through a pipe of ours, so that errors of the disk are ours to report.
+"""A file that another library writes through a pipe, so that disk errors are reported here.
 
-Rerun's writer goes on when a disk is full, says so in its own words, and leaves a file that no reader takes.
+Rerun's own writer continues on a full disk and leaves an unreadable file.
 """
 
 from __future__ import annotations
@@ -21,11 +21,7 @@ _HAS_PIPES = os.name == "posix" and Path("/dev/fd").exists()
 
 
 class PipedFile:
-    """What a stream saves to `path`; nothing of it is left where the disk refused.
-
-    Raises:
-        OSError: the file cannot be made.
-    """
+    """Writes a stream to `path`, and removes the file on a disk error; raises `OSError` on opening."""
 
     def __init__(self, path: Path, stream: Any) -> None:
         self._path = path
@@ -48,11 +44,7 @@ class PipedFile:
         self._thread.start()
 
     def close(self) -> None:
-        """Have everything written.
-
-        Raises:
-            OSError: the disk refused; a file (not a device) is gone.
-        """
+        """Write everything; raises `OSError` on a disk error, and removes a file (not a device)."""
         self._stream.disconnect()
         if self._thread is None:
             return
@@ -67,7 +59,7 @@ class PipedFile:
             raise self.error
 
     def _copy(self, read: int) -> None:
-        """Write what comes; what comes after the disk has refused is taken from the pipe, and dropped."""
+        # After a disk error the pipe is drained and its data dropped.
         with os.fdopen(read, "rb", buffering=0) as pipe:
             while data := pipe.read(_PIECE_BYTES):
                 self.num_bytes += len(data)
@@ -81,11 +73,7 @@ class PipedFile:
 
 @contextmanager
 def recorded_to(path: Path, stream: Any) -> Iterator[None]:
-    """Write what is logged to a stream within the block to a recording: whole, or the file that was there stays.
-
-    Raises:
-        OSError: the disk refused.
-    """
+    """Record the stream within the block; on failure an earlier file stays. Raises `OSError` on a disk error."""
     is_special = path.exists() and not path.is_file()
     target = path.resolve()
     partial = path if is_special else target.with_name(f".{target.name}{PARTIAL_SUFFIX}")

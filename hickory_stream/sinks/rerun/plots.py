@@ -23,15 +23,12 @@ _PER_OBJECT = {"score": "S", "variance": "sigma^2", "area": "R_area", "depth": "
 # What happens in every frame of a healthy run.
 _ROUTINE = ("associate", "view", "reject")
 _JUMPS = ("time_jump", "pose_jump", "keep_out", "floor")
-# The viewer shows one line of a text, cut at the edge of its view: what is longer goes on in a row of its own.
+# The viewer cuts a text at the edge of its view: a longer one is continued in another row.
 _LINE_LENGTH = 160
 
 
 class Plots:
-    """Turns metrics into scalars; a curve gets its name and colour when it first appears.
-
-    The curves of an object go on where its best view is another one, as those of its S do.
-    """
+    """Turns metrics into scalars; a curve gets its name and colour with its first value."""
 
     def __init__(self) -> None:
         self._named: set[str] = set()
@@ -58,7 +55,7 @@ class Plots:
 
 
 def decision_items(decisions: tuple[Decision, ...]) -> list[LogItem]:
-    """Return the decisions as text, coloured as the object that each is about: by kind, and by object."""
+    """Return the decisions as text by kind and by object, in the colour of the object."""
     items = []
     for decision in decisions:
         about = decision.object_id
@@ -72,14 +69,12 @@ def decision_items(decisions: tuple[Decision, ...]) -> list[LogItem]:
 
 
 def _level(decision: Decision) -> Any:
-    """Return how much a decision matters: a jump of time or pose most."""
     if decision.kind in _ROUTINE:
         return rr.TextLogLevel.DEBUG
     return rr.TextLogLevel.WARN if decision.kind in _JUMPS else rr.TextLogLevel.INFO
 
 
 def _factors(object_id: int, view: View | None) -> list[tuple[str, float]]:
-    """Return the factors of S of an object's best view."""
     if view is None or view.variance is None:
         return []
     return [

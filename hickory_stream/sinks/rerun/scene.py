@@ -40,7 +40,7 @@ _STRUCTURE_EVERY = 20
 
 
 class RerunScene:
-    """Remembers what was logged, so that only changes are."""
+    """Converts reports, and remembers what was logged."""
 
     def __init__(self, config: RerunConfig, folder: Path) -> None:
         self._config = config
@@ -75,17 +75,17 @@ class RerunScene:
         return items + self._plots.items(report) + decision_items(report.decisions)
 
     def finish(self) -> list[LogItem]:
-        """Return what was held back: clouds, labels and structure as they are at the end, best views without gaps."""
+        """Return the delayed items: clouds, labels and structure at the end, thumbnails without gaps."""
         structure = [] if self._last_snapshot is None else self._structure.items(self._last_snapshot)
         objects = self._layers.finish() + self._labels.finish()
         return self._trajectory.items() + objects + structure + self._views.finish()
 
     def corners(self) -> NDArray[np.float64]:
-        """Return (N, 3) the corners of the map; none while it has no objects."""
+        """Return (N, 3) the corners of the map; none without objects."""
         return self._layers.corners()
 
     def blueprint(self, corners: NDArray[np.float64], *, is_live: bool) -> Any:
-        """Return the default arrangement, with these (N, 3) points in view."""
+        """Return the default layout with these (N, 3) points in view."""
         return default_blueprint(corners, num_views=self._views.num_tiles, is_live=is_live)
 
     def _keyframe_items(self, report: FrameReport) -> list[LogItem]:

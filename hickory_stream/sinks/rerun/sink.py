@@ -1,7 +1,7 @@
 """Shows a run in Rerun: live in a viewer, in a .rrd file, or both.
 
-Two streams with one recording id: the file's is written in `show`, the viewer's by a thread that nobody waits for. The
-modules that need Rerun are imported when a sink is made, so that the command line starts without it.
+`show` writes the file's stream, a thread the viewer's; both have one recording id. Rerun is imported when a sink is
+made, so that the command line starts without it.
 """
 
 from __future__ import annotations
@@ -34,14 +34,9 @@ _STATUS_EVERY_S = 1.0
 
 
 class RerunSink:
-    """A `Sink` for Rerun.
+    """A `Sink` for Rerun; raises `ViewerError` if the file or the viewer is not available.
 
-    `folder` is the map folder, with meshes and views. `web_url` is the page to open when the choice is WEB. With
-    neither a file nor a viewer it does nothing. `status` is asked, about once a second, how a live route and its topics
-    are, as lines of text.
-
-    Raises:
-        ViewerError: the file cannot be written, or the viewer that was asked for cannot be had.
+    `folder` is the map folder with meshes and views. `status` returns the lines about a live route, once a second.
     """
 
     def __init__(
@@ -70,12 +65,12 @@ class RerunSink:
 
     @property
     def web_url(self) -> str | None:
-        """The page that shows the run in a browser, where there is one."""
+        """Address of the page of a web viewer."""
         return None if self._viewer is None else self._viewer.web_url
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """How many entries the live viewer did not get in time, by weight (`heavy`, `light`)."""
+        """Number of entries that the live viewer missed, by weight (`heavy`, `light`)."""
         return {"heavy": 0, "light": 0} if self._feed is None else dict(self._feed.dropped)
 
     def show(self, report: FrameReport) -> None:
@@ -90,7 +85,7 @@ class RerunSink:
         self._log(self._last, [*self._scene.items(report), *self._robot_items()])
 
     def close(self) -> None:
-        """Finish the file, and give the viewer a moment; a window stays open, a web server that we started ends."""
+        """Finish the file and the viewer's queue; a window stays open, a web server of this run ends."""
         if self._last is not None:
             self._log(self._last, self._scene.finish())
         if self._file is not None:
@@ -104,7 +99,6 @@ class RerunSink:
             self._viewer.process.wait(_CLOSE_TIMEOUT_S)
 
     def _begin(self, report: FrameReport) -> None:
-        """Arrange the views for the part of the world that the first keyframe shows."""
         corners = np.empty((0, 3)) if report.frame is None else _visible_corners(report.frame)
         blueprint = self._scene.blueprint(corners, is_live=self._status is not None)
         if self._file is not None:
@@ -120,7 +114,6 @@ class RerunSink:
             )
 
     def _robot_items(self) -> list[LogItem]:
-        """Return how the robot's topics are, where that is known and was not told for a second."""
         if self._status is None or time.monotonic() - self._told_s < _STATUS_EVERY_S:
             return []
         import rerun as rr
@@ -129,8 +122,8 @@ class RerunSink:
         from hickory_stream.sinks.rerun.items import LogItem, Span
 
         self._told_s = time.monotonic()
-        told = f"```\n{self._status()}\n```"
-        document = rr.TextDocument(told, media_type=rr.MediaType.MARKDOWN)
+        text = f"```\n{self._status()}\n```"
+        document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         return [LogItem(path=ROBOT, archetypes=(document,), span=Span.LASTING)]
 
     def _log(self, moment: Moment, items: list[LogItem]) -> None:
@@ -141,7 +134,7 @@ class RerunSink:
 
 
 def _visible_corners(frame: Frame) -> NDArray[np.float64]:
-    """Return the (8, 3) corners of what a frame sees, without the outermost tenths; (0, 3) when it sees nothing."""
+    # (8, 3) corners of the visible part without the outermost tenths; (0, 3) if nothing is visible.
     points = backproject(frame.depth_m, frame.camera)[::8, ::8].reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) == 0:

@@ -1,4 +1,4 @@
-"""The observed structure as faint points: the floor, and apart from it the walls, which hide the room from outside."""
+"""The observed structure as faint points: the floor, and separately the walls, which hide the room from outside."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NONE = np.zeros((0, 3), np.float32)
 
 
 class Structure:
-    """The structure of a map, of which only submaps that have changed are looked at."""
+    """The structure of a map; only changed submaps are read again."""
 
     def __init__(self) -> None:
         self._parts: dict[int, _Part] = {}
@@ -47,8 +47,6 @@ class Structure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """The structure of a submap: (N, 3) points of its floor, and of the rest."""
-
     submap: Submap
     floor: NDArray[np.float32]
     walls: NDArray[np.float32]

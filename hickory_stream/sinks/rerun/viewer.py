@@ -1,7 +1,7 @@
-"""Which viewer to show a run in, and how it is started.
+"""Choice and start of a viewer.
 
-Every viewer is a process of its own behind a URL: the native window and the web server are started from the binary of
-the wheel with `--bind`, because the SDK's own `spawn` and `serve_web_viewer` listen on all interfaces.
+Every viewer is a separate process behind a URL: the wheel's binary is started with `--bind`, because the SDK's `spawn`
+and `serve_web_viewer` listen on all interfaces.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _GRPC_PORT, _WEB_PORT = 9876, 9090
 
 
 class ViewerKind(StrEnum):
-    """Where the live picture goes."""
+    """Kinds of viewers."""
 
     NONE = "none"
     SPAWN = "spawn"
@@ -38,7 +38,7 @@ class ViewerKind(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewerChoice:
-    """A viewer; `url` is that of a running one for CONNECT, else None."""
+    """A viewer; `url` is the address of a running one for CONNECT, else None."""
 
     kind: ViewerKind
     url: str | None = None
@@ -46,7 +46,7 @@ class ViewerChoice:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Viewer:
-    """A viewer's `url` for data, the `web_url` for a browser, and its process where we started it."""
+    """A viewer's `url` for data, `web_url` for a browser, and its process if it was started here."""
 
     url: str
     web_url: str | None = None
@@ -55,10 +55,9 @@ class Viewer:
 
 
 def parse_viewer(text: str) -> ViewerChoice:
-    """Return the choice that `auto|none|spawn|web|connect=URL` names; auto is spawn where there is a screen.
+    """Return the choice of `auto|none|spawn|web|connect=URL`; auto spawns if there is a screen.
 
-    Raises:
-        ViewerError: the text names none of them, or the URL is no address of a viewer.
+    Raises `ViewerError` for another text, or a URL that is no viewer address.
     """
     if text == "auto":
         return ViewerChoice(kind=ViewerKind.SPAWN if has_screen() else ViewerKind.NONE)
@@ -70,13 +69,7 @@ def parse_viewer(text: str) -> ViewerChoice:
 
 
 def check_viewer(choice: ViewerChoice) -> None:
-    """Refuse what surely cannot be shown, before anything is played.
-
-    A viewer that does not listen yet is none of it: it is shown the run as soon as it does.
-
-    Raises:
-        ViewerError: there is no screen for a window, or no host of that name.
-    """
+    """Raise `ViewerError` for a window without a screen, or an unknown host; a viewer may start to listen later."""
     if choice.kind is ViewerKind.SPAWN and not has_screen():
         raise ViewerError(_NO_SCREEN)
     if choice.url is None:
@@ -99,10 +92,9 @@ def has_screen() -> bool:
 
 
 def start_viewer(choice: ViewerChoice, *, bind: str, server_memory_limit: str) -> Viewer | None:
-    """Start what the choice needs and return where it listens; None when nothing is to be shown.
+    """Start the viewer if necessary, and return its addresses; None for no viewer.
 
-    Raises:
-        ViewerError: a window is asked for without a screen, or the viewer's binary is missing.
+    Raises `ViewerError` for a window without a screen, or without the viewer's binary.
     """
     match choice.kind:
         case ViewerKind.NONE:
@@ -117,17 +109,13 @@ def start_viewer(choice: ViewerChoice, *, bind: str, server_memory_limit: str) -
 
 
 def host_and_port(url: str) -> tuple[str, int]:
-    """Return where the viewer of a URL listens."""
+    """Return host and port of a viewer's URL."""
     parts = urlsplit(url)
     return parts.hostname or "127.0.0.1", parts.port or (443 if parts.scheme == "rerun+https" else _GRPC_PORT)
 
 
 def viewer_binary() -> Path:
-    """Return the native viewer of the wheel: its Python wrapper would leave the real process behind when it is ended.
-
-    Raises:
-        ViewerError: there is none.
-    """
+    """Return the wheel's native viewer (its Python wrapper would leave a process behind); raises `ViewerError`."""
     import importlib.util
 
     spec = importlib.util.find_spec("rerun_cli")
@@ -141,7 +129,7 @@ def viewer_binary() -> Path:
 
 
 def free_port(preferred: int, bind: str = "127.0.0.1") -> int:
-    """Return the preferred port if nobody listens there, else one that the system chooses."""
+    """Return the preferred port if it is free, else one that the system chooses."""
     family = socket.AF_INET6 if ":" in bind else socket.AF_INET
     for port in (preferred, 0):
         with socket.socket(family, socket.SOCK_STREAM) as probe:
@@ -154,7 +142,7 @@ def free_port(preferred: int, bind: str = "127.0.0.1") -> int:
 
 
 def viewer_environment() -> dict[str, str]:
-    """Return the environment of a viewer's process: RERUN_APP_ONLY leaves out its question about usage statistics."""
+    """Return the environment of a viewer: RERUN_APP_ONLY suppresses its question about usage statistics."""
     return {**os.environ, "RERUN_APP_ONLY": "true"}
 
 

@@ -1,7 +1,6 @@
-"""The best view of every object as a thumbnail; together they make a contact sheet, in the order of appearance.
+"""Contact sheet of the best views, a thumbnail per object in the order of appearance.
 
-The number is part of the thumbnail: a label of the viewer has the same size however small the sheet is drawn, and then
-lies over the next row.
+The number is drawn into the thumbnail: a label of the viewer keeps its size and would cover the next row.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import rerun as rr
 
 from hickory_stream.geometry.display import color_of_id, readable_on_dark
 from hickory_stream.sinks.rerun.frame import encoded_jpeg
-from hickory_stream.sinks.rerun.items import LogItem, Span, Weight
+from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,13 +28,13 @@ _PADDING = 22
 
 
 def sheet_px(num_tiles: int) -> tuple[int, int]:
-    """Return the (width, height) of a sheet of so many thumbnails, of a few rows at least."""
+    """Return (width, height) of a sheet with this number of thumbnails."""
     rows = max(-(-num_tiles // _COLUMNS), _FIRST_ROWS)
     return _COLUMNS * _WIDTH_PX, rows * _HEIGHT_PX
 
 
 class BestViews:
-    """Gives each object a tile; the tile of an object that is gone goes to the next one that comes."""
+    """Assigns a tile to each object; new objects reuse the tiles of removed ones."""
 
     def __init__(self, jpeg_quality: int) -> None:
         self._jpeg_quality = jpeg_quality
@@ -43,27 +42,24 @@ class BestViews:
 
     @property
     def num_tiles(self) -> int:
-        """How many objects have a thumbnail."""
+        """Number of thumbnails."""
         return len(self._tiles)
 
     def items(self, report: FrameReport) -> list[LogItem]:
-        """Return the thumbnails of the objects whose best view is in this very frame, and clear those that are gone."""
+        """Return the thumbnails of objects whose best view is this frame, and clear those of removed objects."""
         if report.snapshot is None:
             return []
         present = {o.id for o in report.snapshot.objects}
         gone = sorted(self._tiles.keys() - present)
         for object_id in gone:
             del self._tiles[object_id]
-        items = [
-            LogItem(path=f"{VIEWS}/{i}", archetypes=(rr.Clear(recursive=True),), span=Span.LASTING, is_clear=True)
-            for i in gone
-        ]
+        items = [clear_item(f"{VIEWS}/{i}") for i in gone]
         seen = [o for o in report.snapshot.objects if o.best_view and o.best_view.frame_index == report.index]
         rgb = _rgb_of(report) if seen else None
         return items if rgb is None else items + [item for o in seen for item in self._tile_items(o, rgb)]
 
     def finish(self) -> list[LogItem]:
-        """Return the places of all thumbnails without the gaps that objects have left, in the order of their ids."""
+        """Return all thumbnails without gaps, by object id."""
         moved = {object_id: i for i, object_id in enumerate(sorted(self._tiles)) if self._tiles[object_id] != i}
         self._tiles |= moved
         return [self._place_item(object_id) for object_id in moved]
@@ -89,7 +85,6 @@ class BestViews:
 
 
 def _rgb_of(report: FrameReport) -> NDArray[np.uint8] | None:
-    """Return the colour of a keyframe; a replay has it as the journal kept it, compressed."""
     if report.frame is not None:
         return report.frame.rgb
     if report.color_bytes is None:
@@ -101,10 +96,7 @@ def _rgb_of(report: FrameReport) -> NDArray[np.uint8] | None:
 
 
 def _tile(rgb: NDArray[np.uint8], object_id: int) -> NDArray[np.uint8]:
-    """Return (h, w, 3) colour scaled into the middle of a square, and the number in a strip below it.
-
-    Images of one entity must keep their size: the viewer takes them for a video and complains otherwise.
-    """
+    # Images of one entity keep their size: the viewer takes them for a video and complains otherwise.
     height, width = rgb.shape[:2]
     scale = _TILE_PX / max(height, width)
     size = (max(round(width * scale), 1), max(round(height * scale), 1))

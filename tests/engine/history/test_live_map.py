@@ -54,7 +54,7 @@ def test_a_plan_in_a_map_that_is_being_made_keeps_off_what_was_hardly_seen(
     printed = capsys.readouterr()
     assert sure == [0]
     assert answers == [3]
-    assert "is still being made" in printed.err
+    assert "is being written" in printed.err
     found = json.loads(printed.out)
     assert found["reason"] == "goal-in-collision"
     assert found["objects_by_box"] == []
