@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from hickory_stream.base.config_text import converted, type_hints
 from hickory_stream.base.former_keys import with_current_names
@@ -18,9 +19,6 @@ from hickory_stream.mapping.rules.keyframes import KeyframeConfig
 from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.shapes.build import ShapeConfig
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 T = TypeVar("T")
 

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.errors import InputError, RecordingError
-from hickory_stream.ports import SourceAround
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from hickory_stream.ports import Source
-    from hickory_stream.records import Frame, RawFrame
+from hickory_stream.ports import Source, SourceAround
+from hickory_stream.records import Frame, RawFrame
 
 
 def _without_depth(raw: RawFrame) -> Frame:

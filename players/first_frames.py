@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING
 
-from hickory_stream.ports import SourceAround
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from hickory_stream.ports import Source
-    from hickory_stream.records import RawFrame, SourceInfo
+from hickory_stream.ports import Source, SourceAround
+from hickory_stream.records import RawFrame, SourceInfo
 
 
 class FirstFrames(SourceAround):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path  # noqa: TC003 -- `from_dict` looks the types up
+from pathlib import Path
 from typing import Literal
 
 from hickory_stream.base.ranges import Ranged, number

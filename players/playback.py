@@ -7,23 +7,19 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import compose
 from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe
-from hickory_stream.ports import SourceAround
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Source
-    from hickory_stream.records import Frame, RawFrame, SourceInfo
+from hickory_stream.ports import Source, SourceAround
+from hickory_stream.records import Frame, RawFrame, SourceInfo
 
 Step = Literal["frame", "keyframe"]
 

@@ -15,13 +15,10 @@ Four pairs are significant if few pairs of the two maps are similar, and insigni
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammaln
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _LEVEL_PARAMETERS, _TILTED_PARAMETERS = 4, 6
 _NEAR_M, _NEAR_UP_M = 2.0, 0.3

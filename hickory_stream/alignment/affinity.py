@@ -6,21 +6,16 @@ means the same for every network and map. Look-ups of distances build the graph,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.arrays import freeze
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.object_map import ObjectMap
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -12,7 +12,7 @@ from hickory_stream.alignment.affinity import distinctive_log_ranks, fused_log_r
 from hickory_stream.alignment.answer import Alignment, MatchedPair, NoAlignment, Refusal
 from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.grouping import grouped_probability
-from hickory_stream.alignment.hypothesis import Evidence, matched
+from hickory_stream.alignment.hypothesis import Evidence, Hypothesis, matched
 from hickory_stream.alignment.hypothesis import judged as judged_as
 from hickory_stream.alignment.judgement import (
     Findings,
@@ -23,7 +23,7 @@ from hickory_stream.alignment.judgement import (
     why_uncertain,
 )
 from hickory_stream.alignment.refinement import refined
-from hickory_stream.alignment.registration import common_covariance, levelled, registered
+from hickory_stream.alignment.registration import Levelled, common_covariance, levelled, registered
 from hickory_stream.alignment.search import hypotheses_of
 from hickory_stream.alignment.shape_scores import superquadric_scores
 
@@ -32,9 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.alignment.hypothesis import Hypothesis
     from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.alignment.registration import Levelled
 
     ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
 

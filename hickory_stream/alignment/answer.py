@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.alignment.hypothesis import Hypothesis
 from hickory_stream.geometry.arrays import freeze
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.hypothesis import Hypothesis
 
 
 class Refusal(StrEnum):

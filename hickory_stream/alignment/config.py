@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.affinity import AffinityConfig
 from hickory_stream.alignment.consensus import ConsensusConfig
 from hickory_stream.alignment.contradiction import ContradictionConfig
 from hickory_stream.alignment.refinement import RefinementConfig
 from hickory_stream.base.ranges import Ranged, number
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _NUM_SCALES = 4
 

@@ -9,17 +9,13 @@ pairs that share an object are never connected, so that every clique is one-to-o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.alignment.affinity import Affinity
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.affinity import Affinity
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -7,20 +7,17 @@ expected in the other map if most of its points were observed there; it is missi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.answer import Contradictions
+from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import contains, contains_near, keys_of_cells
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.records import Submap
+from hickory_stream.records import Submap
 
 _MAX_POINTS = 100
 _NEAR_VOXELS = 3.5

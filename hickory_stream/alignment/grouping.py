@@ -12,13 +12,9 @@ follows from two counts, of objects near one another and a room's width apart: P
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # Level distance in metres, and the density with which another like pair coincides there.
 _DISTANCES_M = (0.2, 0.5, 0.85, 1.25, 1.75, 2.5, 3.5, 5.0, 7.5)

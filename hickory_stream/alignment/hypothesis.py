@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from hickory_stream.alignment.acceptance import log_expected_sets
+from hickory_stream.alignment.acceptance import Chance, log_expected_sets
 from hickory_stream.alignment.grouping import log_prices
 from hickory_stream.alignment.registration import registered
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.acceptance import Chance
 
 _ROUNDS = 8
 _FAR = 1e6

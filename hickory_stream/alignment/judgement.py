@@ -8,24 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.answer import Contradictions, NoAlignment, Refusal, Rival
+from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.contradiction import contradictions
-from hickory_stream.alignment.hypothesis import grown
+from hickory_stream.alignment.hypothesis import Evidence, Hypothesis, grown
+from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.alignment.registration import information, levelled
 from hickory_stream.alignment.rivalry import alike, separation
 from hickory_stream.alignment.search import NOTABLE, distinct, searched
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.config import AlignConfig
-    from hickory_stream.alignment.hypothesis import Evidence, Hypothesis
-    from hickory_stream.alignment.object_map import ObjectMap
-
 
 # A thing that is in a map once looks like so many of the other's at most, itself and one by chance.
 _MOST_ALIKE = 2

@@ -16,7 +16,7 @@ from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
 from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.consensus import ascended_clique
 from hickory_stream.alignment.hypothesis import judged
-from hickory_stream.alignment.object_map import taken
+from hickory_stream.alignment.object_map import ObjectMap, taken
 from hickory_stream.alignment.registration import information, registered
 from hickory_stream.alignment.shape_scores import box_scores, literal_scores, point_scores, superquadric_scores
 from hickory_stream.geometry.rigid import apply
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
-
-    from hickory_stream.alignment.object_map import ObjectMap
 
     ShapeScores = Callable[[ObjectMap, ObjectMap], NDArray[np.float64]]
 

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.superquadric import Superquadrics, centroid_world, support_reach
-from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapSnapshot, Submap, TrackedObject
+from hickory_stream.records import MapSnapshot, Phase, Submap, TrackedObject
 
 _MIN_HALF_EXTENT_M = 0.005
 

@@ -7,22 +7,17 @@ priors. The result is kept only if a larger share of the surfaces coincides than
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.alignment.contradiction import thinned
+from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.alignment.registration import moved_about
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.rigid import apply, invert
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.object_map import ObjectMap
-
 
 _MAX_POINTS = 400
 

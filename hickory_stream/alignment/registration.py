@@ -7,15 +7,12 @@ rotation is solved in closed form about the weighted centroids (Horn, 1987; Umey
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, rotation_angle_rad, yaw_rotation
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def registered(

@@ -18,23 +18,18 @@ The clearest of the three counts.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from hickory_stream.alignment.acceptance import log_expected_coincidences
+from hickory_stream.alignment.answer import Contradictions
+from hickory_stream.alignment.hypothesis import Evidence, Hypothesis
 from hickory_stream.geometry.rigid import apply
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.answer import Contradictions
-    from hickory_stream.alignment.hypothesis import Evidence, Hypothesis
 
 _MIN_COMPARED = 3
 # A transform that is right leaves so many of the expected objects missing: things move, and are overlooked.

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.alignment.affinity import build_affinity
+from hickory_stream.alignment.affinity import Affinity, build_affinity
+from hickory_stream.alignment.config import AlignConfig
 from hickory_stream.alignment.consensus import densest_clique
 from hickory_stream.alignment.hypothesis import Evidence, Hypothesis, grown
 from hickory_stream.alignment.registration import differs, information, tilt_rad
 from hickory_stream.geometry.rigid import apply
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.affinity import Affinity
-    from hickory_stream.alignment.config import AlignConfig
 
 # Further searches are skipped if the evidence exceeds the required one by this many decades.
 _CLEAR = 4.0

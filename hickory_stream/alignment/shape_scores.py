@@ -6,20 +6,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.alignment.object_map import shape_box
+from hickory_stream.alignment.object_map import ObjectMap, shape_box
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.object_map import ObjectMap
 
 # Standard deviations of the literal score and of our kernel (exponents, logarithms of lengths); the weight of a
 # primitive is its share of volume to this power, below 1 so that small parts count.

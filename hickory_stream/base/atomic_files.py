@@ -9,15 +9,12 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hickory_stream.base.confined import OutsideError, open_new
 from hickory_stream.errors import MapFolderError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 PARTIAL_SUFFIX = ".partial"
 

@@ -12,9 +12,10 @@ import re
 import shutil
 import sys
 import tempfile
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numba
 import numpy as np
@@ -22,9 +23,6 @@ from numba.core import event
 
 from hickory_stream.base import compiling
 from hickory_stream.base.caches import cache_folder, cache_root, mark_used, wanted_root
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 __all__ = ["KernelLocator", "compiler_name", "kernel", "kernels_folder", "numba", "source_hash"]
 

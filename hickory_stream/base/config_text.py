@@ -9,17 +9,15 @@ import dataclasses
 import difflib
 import tomllib
 import types
+from collections.abc import Iterator, Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from hickory_stream.base.former_keys import refusal
 from hickory_stream.base.json_text import toml_string
 from hickory_stream.base.ranges import ranges_of
 from hickory_stream.errors import ConfigError, RangeError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
 
 T = TypeVar("T")
 

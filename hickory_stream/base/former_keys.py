@@ -5,11 +5,9 @@ A map records the configuration that it was made with: `with_current_names` read
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+from typing import Any
 
 _SET = "set "
 # Sections are nested less deeply than this; what a map records more deeply is no section.

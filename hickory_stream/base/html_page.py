@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import base64
 import html
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.terminal import visible
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _JPEG_QUALITY = 86
 _STYLE = """

@@ -9,11 +9,8 @@ from __future__ import annotations
 import contextlib
 import re
 import sys
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from typing import TextIO
+from collections.abc import Iterable, Iterator
+from typing import Any, TextIO
 
 # C0 without tab and line feed, DEL, C1; what changes the direction of writing; other ends of a line; halves of pairs,
 # which stand for bytes of a file's name that are no UTF-8, and which no terminal takes.

@@ -9,15 +9,10 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from hickory_stream.batch.tasks import LogOutcome
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.batch.tasks import LogTask
+from hickory_stream.batch.tasks import LogOutcome, LogTask
 
 _ATTEMPTS = 3
 COMMAND = (sys.executable, "-m", "hickory_stream.batch.one_log")

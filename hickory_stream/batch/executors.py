@@ -7,19 +7,14 @@ another one, which resumes the map.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hickory_stream.batch.child import CHILDREN, run_task, with_cores
-from hickory_stream.batch.tasks import software
+from hickory_stream.batch.tasks import LogOutcome, LogTask, software
 from hickory_stream.errors import ConfigError, WorkerError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from hickory_stream.batch.tasks import LogOutcome, LogTask
-
 
 _CONNECT_S = 10.0
 

@@ -6,18 +6,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.base.atomic_files import disk_errors, write_atomically
 from hickory_stream.base.json_text import dumps
 from hickory_stream.batch.tasks import LogOutcome
 from hickory_stream.errors import InputError, MapFolderError
 from hickory_stream.map_folder.layout import FolderLock
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 _KIND = "hickory-stream batch"
 _PLAN = "batch.json"

@@ -18,11 +18,10 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from hickory_stream.base.json_text import dumps_exactly
-from hickory_stream.batch.tasks import LogOutcome, LogTask, software
+from hickory_stream.batch.tasks import LogOutcome, LogTask, State, software
 from hickory_stream.errors import HickoryError, MapFolderError
 
 if TYPE_CHECKING:
-    from hickory_stream.batch.tasks import State
     from hickory_stream.engine.play import Played
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import html
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
 
 from hickory_stream.base.atomic_files import write_output
 from hickory_stream.base.html_page import page
 from hickory_stream.base.terminal import visible
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from hickory_stream.batch.result import BatchResult, Joined, Overlap, Row
+from hickory_stream.batch.result import BatchResult, Joined, Overlap, Row
 
 _STYLE = """
 table { background: var(--card); border: 1px solid var(--line); width: 100%; }

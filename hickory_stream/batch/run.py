@@ -21,7 +21,7 @@ from hickory_stream.batch.result import BatchResult, Joined, Overlap, Row
 from hickory_stream.batch.tasks import LogOutcome, LogTask, names_of, software
 from hickory_stream.errors import InputError, MapFolderError, WorkerError
 from hickory_stream.fleet.finish import finish
-from players import make_source_note
+from players import SourceOptions, make_source_note
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.config import MapperConfig
     from hickory_stream.sinks.disk_sink import DiskSinkConfig
-    from players import SourceOptions
 
 
 MERGED = "merged"

@@ -6,30 +6,30 @@ object's place: unobserved objects stay unknown, and each verdict has a probabil
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from hickory_stream.changes.evidence import clear_points, compared_objects, evidence_at, seen_places, thinned
+from hickory_stream.changes.evidence import (
+    SeenPlaces,
+    clear_points,
+    compared_objects,
+    evidence_at,
+    seen_places,
+    thinned,
+)
 from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, ObjectChange, Verdict
 from hickory_stream.geometry.boxes import box_iou
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.mapping.entities.rigid_motion import moved_object
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.changes.evidence import SeenPlaces
-    from hickory_stream.records import MapSnapshot, TrackedObject
-
+from hickory_stream.records import MapSnapshot, TrackedObject
 
 # Cosines of pooled features: of unrelated objects, and of one object in two maps.
 _COSINE = (0.3, 0.7)

@@ -6,23 +6,17 @@ centimetres of the table, so that a surface there does not prove the plate.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hickory_stream.changes.records import Evidence
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import bounds_of_keys, contains, contains_near, keys_of_cells
-from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapSnapshot, Submap, TrackedObject
+from hickory_stream.records import MapSnapshot, Phase, Submap, TrackedObject
 
 _POINTS_OF_SURFACE = 2500
 _POINTS_OF_EVIDENCE = 200

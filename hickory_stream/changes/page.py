@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.base.html_page import page, picture
-from hickory_stream.changes.records import Verdict, count_text, evidence_text, sentence
+from hickory_stream.changes.records import MapChanges, ObjectChange, Verdict, count_text, evidence_text, sentence
 from hickory_stream.map_folder.views import read_crop
 from hickory_stream.mapping.entities.rigid_motion import moved_object
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.changes.records import MapChanges, ObjectChange
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.records import TrackedObject
 

@@ -9,18 +9,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.base.json_text import dumps
-from hickory_stream.changes.records import ChangesConfig, Verdict
+from hickory_stream.changes.records import ChangesConfig, MapChanges, Verdict
 from hickory_stream.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from hickory_stream.changes.records import MapChanges
 
 _VERSION = 1
 # As much as two comparisons say: one move alone makes no object one that tends to move.

@@ -8,20 +8,21 @@ but did not see again, is gone if its place was seen through since: its own poin
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.changes.compare import compare_maps
-from hickory_stream.changes.evidence import clear_points, compared_objects, evidence_at, not_in_free_space, seen_places
-from hickory_stream.changes.records import ChangesConfig, Verdict
+from hickory_stream.changes.evidence import (
+    SeenPlaces,
+    clear_points,
+    compared_objects,
+    evidence_at,
+    not_in_free_space,
+    seen_places,
+)
+from hickory_stream.changes.records import ChangesConfig, ObjectChange, Verdict
 from hickory_stream.map_folder.history.time_travel import Change, changes
-from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from hickory_stream.changes.evidence import SeenPlaces
-    from hickory_stream.changes.records import ObjectChange
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.records import MapSnapshot, Phase
 
 
 def changes_within_run(

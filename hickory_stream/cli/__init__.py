@@ -6,11 +6,12 @@ A command imports what it needs when it runs, so that `--help` answers at once. 
 
 from __future__ import annotations
 
+import argparse
 import logging
 import sys
 import time
 import traceback
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 from hickory_stream.base.compiling import on_compile
 from hickory_stream.base.terminal import shown_safely
@@ -19,11 +20,6 @@ from hickory_stream.cli.output_files import outputs_of, refuse_taken, written_te
 from hickory_stream.cli.parser import make_parser
 from hickory_stream.errors import HickoryError
 from hickory_stream.outputs import output
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Sequence
-
 
 _AFTER_S = 1.5
 _AFTER_KERNELS = 4

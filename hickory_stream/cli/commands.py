@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Callable, Iterator
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hickory_stream.cli.examples import TEXTS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 # Exit statuses.
 STOPPED = 130

@@ -5,16 +5,12 @@ A source counts the images of all frames as used; the run moves those of unused 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import psutil
 
-from hickory_stream.ports import account_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from hickory_stream.ports import Source
+from hickory_stream.ports import Source, account_of
 
 _PROCESS = psutil.Process()
 _IMAGES_PER_FRAME = 2

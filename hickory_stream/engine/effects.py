@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, assert_never
 
 import numpy as np
 
-from hickory_stream.engine.async_tools import on_thread
+from hickory_stream.engine.async_tools import StopRequest, on_thread
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
@@ -19,11 +19,12 @@ from hickory_stream.events import (
     Publish,
     RequestShape,
     SearchLoops,
+    ShapeFailed,
     ShapeReady,
 )
 from hickory_stream.map_folder.views import write_crop
 from hickory_stream.perception.perceive import features_of
-from hickory_stream.ports import Crop
+from hickory_stream.ports import Crop, FeatureExtractor
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Sequence
@@ -32,15 +33,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import JournalConfig, RunConfig
-    from hickory_stream.engine.async_tools import StopRequest
     from hickory_stream.engine.loop_closing import LoopCloser
     from hickory_stream.engine.modes import Mode
     from hickory_stream.engine.shape_jobs.queue import ShapeQueue
     from hickory_stream.engine.step_writer import Recorder, StepWriter
-    from hickory_stream.events import ShapeFailed
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.ports import FeatureExtractor
     from hickory_stream.records import Frame, MapSnapshot, Observation, RawFrame
 
 

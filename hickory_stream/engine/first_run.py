@@ -12,17 +12,14 @@ import json
 import logging
 import os
 import sys
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import llvmlite.binding
 
 from hickory_stream.base.caches import cache_root, mark_used
 from hickory_stream.base.compiled import kernels_folder, numba, source_hash
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 logger = logging.getLogger(__name__)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.events import TimeJumped
 from hickory_stream.journal.step import FramePose
-from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
+from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from hickory_stream.engine.reading import QueuedFrame
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.map_folder.history.resume import ResumePoint
-    from hickory_stream.mapping.rules.keyframes import KeyframeConfig
 
 
 class RunClock:

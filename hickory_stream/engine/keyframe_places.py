@@ -11,7 +11,7 @@ from hickory_stream.events import KeyframeKeptOut, KeyframeRegistered
 from hickory_stream.geometry.rigid import compose
 from hickory_stream.perception.coarse import coarse_camera, coarse_depth
 from hickory_stream.poses.keyframe_registration import Belief, KeptOut, KeyframeRegistration, Remembered
-from hickory_stream.poses.surface_image import surface_image
+from hickory_stream.poses.surface_image import SurfaceImage, surface_image
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.map_folder.history.registration_history import RegistrationHistory
     from hickory_stream.poses.registration_config import RegistrationConfig
-    from hickory_stream.poses.surface_image import SurfaceImage
     from hickory_stream.records import Frame
 
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.events import LoopsSearched, PosesCorrected
+from hickory_stream.events import LoopsSearched, PosesCorrected, SearchLoops
 from hickory_stream.graph.solution import NoSolution
-from hickory_stream.loops.config import MIN_AGREEING_POINTS
+from hickory_stream.loops.config import MIN_AGREEING_POINTS, LoopConfig
 from hickory_stream.loops.pose_graph import graph_record, is_correction, pose_graph, submap_places
 from hickory_stream.loops.predictions import predictions
 from hickory_stream.loops.search import LoopQuery, search_loops
@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from hickory_stream.engine.modes import Mode
-    from hickory_stream.events import SearchLoops
     from hickory_stream.graph.config import GraphConfig
-    from hickory_stream.loops.config import LoopConfig
     from hickory_stream.mapping.core import MapperCore
     from hickory_stream.records import Loop
 

@@ -10,14 +10,19 @@ import dataclasses
 import shutil
 import tempfile
 import threading
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import TracebackType
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hickory_stream.base import caches
 from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.first_run import are_compiled
+from hickory_stream.engine.modes import Mode, Progress
 from hickory_stream.engine.publisher import SinkThread
 from hickory_stream.engine.run import Run, RunParts
 from hickory_stream.engine.shape_jobs.choose import make_workers
@@ -27,24 +32,12 @@ from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.errors import InputError, MapFolderError, RecordingError
 from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.history.recorded_config import resumed_config
-from hickory_stream.map_folder.history.resume import reopen
-from hickory_stream.map_folder.writer import create_map_folder
+from hickory_stream.map_folder.history.resume import ResumePoint, reopen
+from hickory_stream.map_folder.writer import MapFolder, create_map_folder
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.perception.choose import make_extractor, make_segmenter
-from hickory_stream.ports import continue_from, poses_by
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-    from types import TracebackType
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.engine.modes import Mode, Progress
-    from hickory_stream.map_folder.history.resume import ResumePoint
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.ports import FeatureExtractor, Segmenter, Sink, Source, continue_from, poses_by
+from hickory_stream.records import MapSnapshot
 
 
 class MapSaver:

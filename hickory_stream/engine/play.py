@@ -8,7 +8,7 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.ports import interrupt
+from hickory_stream.ports import Sink, Source, interrupt
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from hickory_stream.engine.mapper import Mapper
     from hickory_stream.engine.modes import Mode, Progress
     from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.ports import Sink, Source
     from hickory_stream.records import MapSnapshot
 
 

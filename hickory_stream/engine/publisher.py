@@ -10,19 +10,15 @@ import asyncio
 import logging
 import queue
 import threading
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
+from hickory_stream.engine.frame_accounting import RunClock
 from hickory_stream.engine.modes import Progress
+from hickory_stream.engine.shape_jobs.queue import ShapeQueue
 from hickory_stream.errors import OutputError
 from hickory_stream.map_folder.history.frame_reports import in_map_frame
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from hickory_stream.engine.frame_accounting import RunClock
-    from hickory_stream.engine.shape_jobs.queue import ShapeQueue
-    from hickory_stream.ports import Sink
-    from hickory_stream.records import FrameReport, MapSnapshot
+from hickory_stream.ports import Sink
+from hickory_stream.records import FrameReport, MapSnapshot
 
 logger = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.engine.async_tools import Channel, ChannelClosed, Pacer, on_thread
+from hickory_stream.engine.async_tools import Channel, ChannelClosed, Pacer, StopRequest, on_thread
 from hickory_stream.engine.keyframe_places import keyframe_surface
 from hickory_stream.errors import RecordingError
 from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.async_tools import StopRequest
     from hickory_stream.engine.modes import Mode
     from hickory_stream.geometry.depth_sensor import SensorConfig
     from hickory_stream.map_folder.history.resume import Position

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.alignment.align import align
-from hickory_stream.alignment.answer import Alignment
-from hickory_stream.alignment.object_map import object_map, taken
+from hickory_stream.alignment.answer import Alignment, NoAlignment
+from hickory_stream.alignment.object_map import ObjectMap, object_map, taken
 from hickory_stream.alignment.registration import differs
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.rigid import apply, invert
@@ -22,8 +22,6 @@ from hickory_stream.records import Phase
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
-    from hickory_stream.alignment.answer import NoAlignment
-    from hickory_stream.alignment.object_map import ObjectMap
     from hickory_stream.config import MapperConfig
     from hickory_stream.ports import Source
 

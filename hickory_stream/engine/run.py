@@ -42,7 +42,7 @@ from hickory_stream.engine.effects import (
 from hickory_stream.engine.first_run import compile_kernels
 from hickory_stream.engine.frame_accounting import FrameOutcome, KeyframeChoice, RunClock
 from hickory_stream.engine.loop_closing import LoopCloser
-from hickory_stream.engine.publisher import ReportPublisher
+from hickory_stream.engine.publisher import ReportPublisher, SinkThread
 from hickory_stream.engine.reading import Prefetched, QueuedFrame, Reader, sensed
 from hickory_stream.engine.shape_jobs.cache import ShapeCache
 from hickory_stream.engine.shape_jobs.generators.choose import generator_key
@@ -50,13 +50,13 @@ from hickory_stream.engine.shape_jobs.queue import ShapeQueue
 from hickory_stream.engine.step_writer import Recorder, StepWriter
 from hickory_stream.errors import RecordingError
 from hickory_stream.events import PoseJumped, SourceEnded, WayEnded
-from hickory_stream.journal.step import StepKind
+from hickory_stream.journal.step import FramePose, StepKind
 from hickory_stream.map_folder.array_spill import FarArrays
 from hickory_stream.map_folder.history.frame_reports import final_report, keyframe_report, plain_report
-from hickory_stream.map_folder.history.resume import Position
+from hickory_stream.map_folder.history.resume import Position, ResumePoint
 from hickory_stream.map_folder.history.rewind import rewound_to
 from hickory_stream.perception.perceive import Perceived, perceive
-from hickory_stream.ports import interrupt, num_seeks, prepared_at
+from hickory_stream.ports import FeatureExtractor, Segmenter, Source, interrupt, num_seeks, prepared_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -65,14 +65,10 @@ if TYPE_CHECKING:
 
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.modes import Mode, Progress
-    from hickory_stream.engine.publisher import SinkThread
     from hickory_stream.engine.shape_jobs.local_workers import ShapeWorkers
-    from hickory_stream.journal.step import FramePose
     from hickory_stream.journal.writer import JournalWriter
-    from hickory_stream.map_folder.history.resume import ResumePoint
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.ports import FeatureExtractor, Segmenter, Source
     from hickory_stream.records import Decision, Frame, MapSnapshot
 
 logger = logging.getLogger(__name__)

@@ -10,8 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from hickory_stream.journal.step import Checkpoint, JournalEntry, Step, StepKind, Told
-from hickory_stream.ports import num_seeks
+from hickory_stream.journal.step import Checkpoint, FramePose, JournalEntry, Step, StepKind, Told
+from hickory_stream.ports import Source, num_seeks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -19,12 +19,10 @@ if TYPE_CHECKING:
     from hickory_stream.engine.frame_accounting import RunClock
     from hickory_stream.engine.shape_jobs.queue import ShapeQueue
     from hickory_stream.events import Event, Publish
-    from hickory_stream.journal.step import FramePose
     from hickory_stream.journal.writer import JournalWriter
     from hickory_stream.map_folder.history.rewind import Rewound
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.mapping.core import MapperCore
-    from hickory_stream.ports import Source
     from hickory_stream.records import MapSnapshot
 
 _LONGEST_WAIT = 2

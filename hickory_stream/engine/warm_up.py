@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from hickory_stream.base.json_text import dumps
 from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, SceneBox, SceneSource, cast_scene, scene_pose
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.keyframe_places import RegistrationFilter
-from hickory_stream.events import ComputeFeatures, FeaturesReady
+from hickory_stream.events import ComputeFeatures, Effect, FeaturesReady
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh
@@ -32,17 +32,11 @@ from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.observe import MILLIMETRE
 from hickory_stream.perception.perceive import features_of, perceive
-from hickory_stream.ports import Crop, ShapeInputs
+from hickory_stream.ports import Crop, FeatureExtractor, Segmenter, ShapeInputs
 from hickory_stream.shapes.build import ShapeConfig, build_shape
 from hickory_stream.shapes.connected import piece_around
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fitted_shape
 from hickory_stream.shapes.reconstruct.fused import FusedConfig, FusedReconstructor, VolumeConfig
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from hickory_stream.events import Effect
-    from hickory_stream.ports import FeatureExtractor, Segmenter
 
 # A stool with a back: several primitives, some of them thin.
 _STOOL = (

@@ -8,14 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.evaluation.exposed import exposed_samples
-from hickory_stream.evaluation.match import Score, meshes_of, score_map
-from hickory_stream.evaluation.placement import placed_truth
-from hickory_stream.evaluation.surface_score import SAMPLES, TrueSurface, diameter_m, surface_score
+from hickory_stream.evaluation.match import Score, TruthScore, meshes_of, score_map
+from hickory_stream.evaluation.placement import Placement, ViewFrame, placed_truth
+from hickory_stream.evaluation.surface_score import SAMPLES, SurfaceScore, TrueSurface, diameter_m, surface_score
 from hickory_stream.evaluation.trajectory_error import PoseError, pose_error
-from hickory_stream.evaluation.truth import instances_of, mesh_of, moved_mesh, structure_meshes
+from hickory_stream.evaluation.truth import (
+    Truth,
+    TruthFrame,
+    TruthObject,
+    instances_of,
+    mesh_of,
+    moved_mesh,
+    structure_meshes,
+)
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.geometry.superquadric import implicit_value
+from hickory_stream.geometry.superquadric import Superquadrics, implicit_value
 from hickory_stream.map_folder.views import read_mask
 from hickory_stream.pictures.raycast import Scene, Surface
 
@@ -24,12 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.match import TruthScore
-    from hickory_stream.evaluation.placement import Placement, ViewFrame
-    from hickory_stream.evaluation.surface_score import SurfaceScore
-    from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject
     from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.geometry.superquadric import Superquadrics
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.records import TrackedObject
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
+from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
 
 _FIGURES = """\
 moved        The truth is compared as it is if map and truth share a world frame. If the camera poses at equal stamps

@@ -6,15 +6,12 @@ Parts of a true object may overlap; surface of one part inside another is left o
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.mesh import Mesh, sample_surface
 from hickory_stream.pictures.ray_caster import ray_caster
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _DIRECTIONS = 48
 # Directions to try before the remaining ones.

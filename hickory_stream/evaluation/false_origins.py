@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from hickory_stream.evaluation.miss_reasons import extents_text, lies_on_text
+from hickory_stream.evaluation.miss_reasons import Evidence, extents_text, lies_on_text
 from hickory_stream.geometry.boxes import box_iou
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from hickory_stream.evaluation.miss_reasons import Evidence
 
 FalseOrigin = Literal[
     "a piece of an object", "an object whose box is off", "several things in one", "structure", "nothing there"

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.evaluation.truth import frame_at, instances_of
+from hickory_stream.evaluation.truth import Truth, frame_at, instances_of
 from hickory_stream.journal.reader import Journal
-from hickory_stream.journal.step import StepKind
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.journal.step import Step
+from hickory_stream.journal.step import Step, StepKind
 
 _MARGIN = 0.6
 _LEAST_MARGIN_PX = 12

@@ -13,21 +13,19 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.truth import mesh_of
+from hickory_stream.evaluation.truth import Truth, TruthObject, mesh_of
 from hickory_stream.geometry.boxes import OrientedBox, box_iou, gravity_aligned_box
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.pictures.raycast import Scene, Surface
-from hickory_stream.records import Phase
+from hickory_stream.records import MapSnapshot, Phase, TrackedObject
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.truth import Truth, TruthObject
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.records import MapSnapshot, TrackedObject
 
 MIN_SEEN = 0.3
 LOOSE_IOU, STRICT_IOU = 0.25, 0.5

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from hickory_stream.evaluation.match import SURFACE_REACH_M
-from hickory_stream.evaluation.truth import mesh_of, moved_mesh, structure_meshes
+from hickory_stream.evaluation.truth import Truth, mesh_of, moved_mesh, structure_meshes
 from hickory_stream.geometry.boxes import gravity_aligned_box
-from hickory_stream.geometry.mesh import sample_surface
+from hickory_stream.geometry.mesh import Mesh, sample_surface
 from hickory_stream.pictures.raycast import Scene, Surface
-from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.records import MapSnapshot, TrackedObject
+from hickory_stream.records import MapSnapshot, Phase, TrackedObject
 
 _MAX_POINTS = 3000
 _SAMPLES = 600

@@ -9,17 +9,17 @@ import numpy as np
 
 from hickory_stream.base.atomic_files import write_output
 from hickory_stream.base.html_page import page, picture
-from hickory_stream.evaluation.evaluate import placed_mesh, true_mesh_world
+from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation, placed_mesh, true_mesh_world
 from hickory_stream.evaluation.explain import figures, verdict, worst_first
-from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
+from hickory_stream.evaluation.false_origins import FALSE_ORIGINS, FalseObject
 from hickory_stream.evaluation.log_crops import pictures_of
 from hickory_stream.evaluation.match import meshes_of
-from hickory_stream.evaluation.miss_reasons import MISS_REASONS
-from hickory_stream.evaluation.truth import moved_truth
-from hickory_stream.evaluation.why import NoWhy, Why, reasons_of
+from hickory_stream.evaluation.miss_reasons import MISS_REASONS, Missed
+from hickory_stream.evaluation.truth import Truth, moved_truth
+from hickory_stream.evaluation.why import NoWhy, ReasonCount, Why, reasons_of
 from hickory_stream.evaluation.why_text import false_title, missed_title
 from hickory_stream.map_folder.views import read_crop
-from hickory_stream.pictures.object_thumbnail import close_up_of, draw
+from hickory_stream.pictures.object_thumbnail import CloseUp, close_up_of, draw
 from hickory_stream.pictures.raycast import Surface
 from hickory_stream.pictures.render_parts import superquadric_surfaces
 
@@ -29,14 +29,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.evaluate import Evaluation, ObjectEvaluation
-    from hickory_stream.evaluation.false_origins import FalseObject
-    from hickory_stream.evaluation.miss_reasons import Missed
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.evaluation.why import ReasonCount
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.pictures.object_thumbnail import CloseUp
     from hickory_stream.records import TrackedObject
 
 _PICTURE_PX = 400

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.mesh import Mesh, sample_surface
 from hickory_stream.pictures.raycast import Scene, Surface
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 FINE_M = 0.01
 SHARE_OF_DIAMETER = 0.05

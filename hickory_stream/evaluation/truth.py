@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.confined import OutsideError, path_within, read_within
 from hickory_stream.errors import RecordingError
@@ -17,11 +19,6 @@ from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import Mesh, mesh_of_glb
 from hickory_stream.geometry.rigid import apply, is_rigid
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 FORMAT = 1
 TRUTH_FILE = "truth.json"

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.evaluation.truth import frame_at, instances_of, mesh_of, moved_mesh
+from hickory_stream.evaluation.truth import Truth, frame_at, instances_of, mesh_of, moved_mesh
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.inspection.keyframe_labels import (
     LEAST_CODE,
     NO_MASK,
     STRUCTURE,
+    SeenAs,
     Where,
     area_px,
     on_structure,
@@ -20,20 +22,11 @@ from hickory_stream.inspection.keyframe_labels import (
     rays_of,
     seen_as,
 )
-from hickory_stream.map_folder.history.recorded import recorded_steps
+from hickory_stream.map_folder.history.recorded import RecordedKeyframe, recorded_steps
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.pictures.raycast import Scene, Surface
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.inspection.keyframe_labels import SeenAs
-    from hickory_stream.map_folder.history.recorded import RecordedKeyframe
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.records import MapSnapshot
 
 # Parts of a true object that are a smaller share of it than this are not reported.
 _LEAST_PART = 0.02

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.errors import InputError, MapFolderError
 from hickory_stream.evaluation.false_origins import FalseObject, origin_of
-from hickory_stream.evaluation.match import best_box, meshes_of, score_map
+from hickory_stream.evaluation.match import Score, TruthScore, best_box, meshes_of, score_map
 from hickory_stream.evaluation.miss_reasons import Evidence, Missed, state_of, why_missed
 from hickory_stream.evaluation.overlap import Overlap
 from hickory_stream.evaluation.placement import placed_truth
-from hickory_stream.evaluation.truth_sightings import sightings_of_truth
+from hickory_stream.evaluation.truth_sightings import Sighting, sightings_of_truth
 from hickory_stream.inspection.track_history import Stretch, TrackStory, stretches_of, track_story
 from hickory_stream.map_folder.history.recorded import final_snapshot
 from hickory_stream.map_folder.history.recorded_config import known_config
@@ -21,9 +21,7 @@ from hickory_stream.records import Phase
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from hickory_stream.evaluation.match import Score, TruthScore
     from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.evaluation.truth_sightings import Sighting
     from hickory_stream.map_folder.saved_map import SavedMap
 
 

@@ -9,19 +9,17 @@ import multiprocessing
 import os
 import signal
 import threading
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING
 
 from hickory_stream.fleet import robot_process
-from hickory_stream.fleet.messages import Ended
+from hickory_stream.fleet.messages import Ended, Message
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from multiprocessing.connection import Connection
     from multiprocessing.context import SpawnProcess
     from types import FrameType
 
-    from hickory_stream.fleet.messages import Message
     from hickory_stream.fleet.robot_process import RobotTask
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)

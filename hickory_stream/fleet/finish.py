@@ -9,26 +9,20 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
-from hickory_stream.alignment.answer import Alignment
-from hickory_stream.alignment.object_map import object_map
+from hickory_stream.alignment.answer import Alignment, NoAlignment
+from hickory_stream.alignment.object_map import ObjectMap, object_map
 from hickory_stream.engine.merged_map import write_merged_map
 from hickory_stream.errors import MapFolderError
 from hickory_stream.fleet.joins import Frame
 from hickory_stream.fleet.robots import FLEET
-from hickory_stream.map_folder.saved_map import check_unaltered, open_map
-from hickory_stream.merging.groups import groups_of
-from hickory_stream.merging.joining import aligned_to_join
+from hickory_stream.map_folder.saved_map import SavedMap, check_unaltered, open_map
+from hickory_stream.merging.groups import Group, groups_of
+from hickory_stream.merging.joining import JoiningConfig, aligned_to_join
 from hickory_stream.merging.merge_maps import merge_aligned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
-
-    from hickory_stream.alignment.answer import NoAlignment
-    from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.merging.groups import Group
-    from hickory_stream.merging.joining import JoiningConfig
 
     Answers = Mapping[tuple[int, int], Alignment | NoAlignment]
 

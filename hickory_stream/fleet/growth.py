@@ -5,20 +5,14 @@ Round k has each robot's map after k times `every_keyframes`, or at its end, how
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import FrameReport, MapSnapshot, TrackedObject
+from hickory_stream.records import FrameReport, MapSnapshot, Phase, TrackedObject
 
 # More of an object's points than alignment looks at, and no more than need be sent.
 _MAX_POINTS = 2000

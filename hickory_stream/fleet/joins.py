@@ -6,29 +6,22 @@ joins contradict; a later answer can withdraw a join. The finished maps decide i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.alignment.answer import Alignment
-from hickory_stream.alignment.object_map import object_map
+from hickory_stream.alignment.answer import Alignment, NoAlignment
+from hickory_stream.alignment.object_map import ObjectMap, object_map
 from hickory_stream.alignment.registration import differs
+from hickory_stream.fleet.growth import Round
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.merging.groups import groups_of
-from hickory_stream.merging.joining import aligned_to_join
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.answer import NoAlignment
-    from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.fleet.growth import Round
-    from hickory_stream.merging.joining import JoiningConfig
+from hickory_stream.merging.joining import JoiningConfig, aligned_to_join
 
 # What may lie between two answers that say the same, as where a log is found in a map.
 _AGREE_M, _AGREE_RAD = 0.3, np.radians(3.0)

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.fleet.finish import why_alone
-from hickory_stream.fleet.joins import joined_since
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.fleet.finish import Finished, MergedFrame
-    from hickory_stream.fleet.joins import JoinEvent
-    from hickory_stream.fleet.messages import Ended
+from hickory_stream.fleet.finish import Finished, MergedFrame, why_alone
+from hickory_stream.fleet.joins import JoinEvent, joined_since
+from hickory_stream.fleet.messages import Ended
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

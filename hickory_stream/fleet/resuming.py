@@ -6,21 +6,16 @@ sent. Rounds and joins are equal to a fleet's that never stopped.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 from hickory_stream.errors import InputError
-from hickory_stream.fleet.growth import GrowthSink
+from hickory_stream.fleet.growth import GrownMap, GrowthSink
+from hickory_stream.fleet.robots import Robot
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.history.resume import save_live
 from hickory_stream.map_folder.manifest import read_manifest
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from hickory_stream.fleet.growth import GrownMap
-    from hickory_stream.fleet.robots import Robot
-    from hickory_stream.ports import Sink
+from hickory_stream.ports import Sink
 
 
 def check_same(folder: Path, robot: Robot) -> None:

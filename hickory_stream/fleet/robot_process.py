@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.errors import HickoryError
 from hickory_stream.fleet.growth import GrowthSink
-from hickory_stream.fleet.messages import Ended, Moved, Opened
+from hickory_stream.fleet.messages import Ended, Message, Moved, Opened
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.modes import Progress
-    from hickory_stream.fleet.messages import Message
     from hickory_stream.fleet.robots import Robot
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.ports import Sink, Source

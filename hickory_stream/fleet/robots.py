@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.base.config_text import from_dict
 from hickory_stream.base.ranges import Ranged, number
@@ -13,10 +15,6 @@ from hickory_stream.errors import ConfigError
 from hickory_stream.merging.joining import JoiningConfig
 from players import SourceOptions, make_source_note
 from players.live.routes import is_live
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 FLEET = "fleet"

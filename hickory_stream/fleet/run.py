@@ -12,14 +12,14 @@ from threadpoolctl import threadpool_limits
 
 from hickory_stream.errors import InputError
 from hickory_stream.fleet.crew import run_crew
-from hickory_stream.fleet.finish import finish, merged_path, why_alone
-from hickory_stream.fleet.growth import GrownMap, Rounds
-from hickory_stream.fleet.joins import Joins
-from hickory_stream.fleet.messages import Ended, Moved, Opened
+from hickory_stream.fleet.finish import Finished, finish, merged_path, why_alone
+from hickory_stream.fleet.growth import GrownMap, Round, Rounds
+from hickory_stream.fleet.joins import Frame, JoinEvent, Joins, Joint
+from hickory_stream.fleet.messages import Ended, Message, Moved, Opened
 from hickory_stream.fleet.result import FleetResult, result_of
 from hickory_stream.fleet.resuming import check_same
 from hickory_stream.fleet.robot_process import RobotTask
-from hickory_stream.fleet.robots import FLEET
+from hickory_stream.fleet.robots import FLEET, FleetConfig, Robot
 from hickory_stream.map_folder.manifest import is_map_folder
 from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.fleet import FleetRecording, ShownRobot
@@ -30,11 +30,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.config import MapperConfig
     from hickory_stream.engine.modes import Progress
-    from hickory_stream.fleet.finish import Finished
-    from hickory_stream.fleet.growth import Round
-    from hickory_stream.fleet.joins import Frame, JoinEvent, Joint
-    from hickory_stream.fleet.messages import Message
-    from hickory_stream.fleet.robots import FleetConfig, Robot
     from hickory_stream.merging.joining import JoiningConfig
     from hickory_stream.records import MapSnapshot
     from hickory_stream.sinks.disk_sink import DiskSinkConfig

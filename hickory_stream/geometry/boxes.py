@@ -7,19 +7,16 @@ their cones gives its volume exactly, without building the polyhedron.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.portable_kernels import arctan2, cos, sin
 from hickory_stream.geometry.rigid import apply
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 # A faced box is looked for in such steps, among rectangles this much larger than the smallest, with so many points.
 _FACE_STEP_DEG = 2.0

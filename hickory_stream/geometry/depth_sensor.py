@@ -9,16 +9,13 @@ squared (Khoshelham and Oude Elberink, Sensors 2012; Nguyen, Izadi and Lovell, 3
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 Law = tuple[float, float, float]
 """What `sigma_at` takes, in compiled code: the floor, the constant and the quadratic term, or a multiple of them."""

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import colorsys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+from numpy.typing import NDArray
 
 _GOLDEN_RATIO = 0.6180339887498949
 _SATURATIONS = (0.72, 0.5, 0.88)

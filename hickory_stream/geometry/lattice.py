@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.codecs.packing import array_of, signed
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 STEPS_PER_M = 32768.0
 """Points lie at whole multiples of 2^-15 m, 31 um, along each axis: finer than any depth, and exact in float32 as far

@@ -8,17 +8,14 @@ and a decision turns a last bit into another map. Between pixels and a map's dig
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable_kernels as kernels
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
 
 
 def matmul(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:

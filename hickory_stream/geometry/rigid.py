@@ -7,15 +7,13 @@ whose last bit depends on the processor. Directions of small motions (K, 6): uni
 from __future__ import annotations
 
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import arccos, arctan2, cos, sin
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def apply(a_from_b: NDArray[Any], points_b: NDArray[Any]) -> NDArray[Any]:

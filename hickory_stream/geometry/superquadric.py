@@ -15,23 +15,19 @@ The canonical one of many equal parameterisations, in this order:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import beta
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.portable_kernels import power
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, is_rigid
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
 
 MIN_EXPONENT = 0.1
 MAX_EXPONENT = 2.0

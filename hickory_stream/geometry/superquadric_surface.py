@@ -6,17 +6,14 @@ A superquadric is the product of two outlines, one around and one from pole to p
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _TINY = 1e-300
 # Of a quarter of an outline so many points are known; a chord between two of them is off by 3e-5 of the semi-axes.

@@ -5,14 +5,12 @@ A key packs three 21-bit cell coordinates, so that sorting keys sorts cells and 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _BITS = 21
 _OFFSET = 1 << (_BITS - 1)

@@ -6,19 +6,14 @@ node to its two ends, without the shared part.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.graph.factors import PoseGraph
+from hickory_stream.graph.factors import PoseGraph
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

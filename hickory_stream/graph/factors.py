@@ -7,18 +7,15 @@ x, y, z (m), both in the frame of the second node of an edge: true = measured * 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import invert, is_rigid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.graph.config import GraphConfig
+from hickory_stream.graph.config import GraphConfig
 
 LoopMethod = Literal["surface", "objects"]
 # No edge is known better than this.

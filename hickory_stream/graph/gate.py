@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import solve_in_place
 from hickory_stream.geometry.rigid import invert, rotation_vector
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.graph.chain import Prediction
-    from hickory_stream.graph.factors import LoopEdge
+from hickory_stream.graph.chain import Prediction
+from hickory_stream.graph.factors import LoopEdge
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -7,20 +7,15 @@ limit of its squared residual; weights begin with those of a smooth cost and sha
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Collection, Iterable, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.graph.chain import Link
-    from hickory_stream.graph.factors import LoopEdge, OdometryEdge
-
+from hickory_stream.graph.chain import Link
+from hickory_stream.graph.factors import LoopEdge, OdometryEdge
 
 # Greater steps accepted wrong loops in simulation.
 _STEP = 1.4

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.graph.factors import PoseGraph
 from hickory_stream.graph.gate import difference
+from hickory_stream.graph.solution import Solution
 from hickory_stream.graph.solve import node_covariances
 from hickory_stream.records import GraphEdge, GraphNode, PoseGraphRecord
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.graph.factors import PoseGraph
-    from hickory_stream.graph.solution import Solution
 
 # Far below what matters, far above the last bits in which kinds of processor may differ.
 _DIGITS = 6

@@ -10,26 +10,21 @@ Only loops are ever cut, as in Kimera-RPGO: else a wrong loop could cut odometry
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import GraphError
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.graph.chain import Chain
 from hickory_stream.graph.config import GraphConfig
-from hickory_stream.graph.factors import adjoint, symmetric
+from hickory_stream.graph.factors import LoopEdge, PoseGraph, adjoint, symmetric
 from hickory_stream.graph.gate import surprise_of
 from hickory_stream.graph.gtsam_solver import Factors, poses_of, settled
 from hickory_stream.graph.solution import NoSolution, RejectedLoop, Solution
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.graph.factors import LoopEdge, PoseGraph
 
 _BELIEVED = 0.5
 # Squared distances that differ by less are the same: rounding, for loops that do not concern one another.

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply, compose, invert
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import PoseGraphRecord
+from hickory_stream.records import PoseGraphRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from hickory_stream.records import GraphEdge, PoseGraphRecord
+from hickory_stream.records import GraphEdge, PoseGraphRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -15,14 +15,13 @@ from hickory_stream.inspection.object_geometry import Place, place_of
 from hickory_stream.inspection.supports import support_text, supports_of
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.floor_warnings import floor_warnings
-from hickory_stream.records import Phase
+from hickory_stream.records import Containment, FitKind, ObjectShape, Phase, TrackedObject
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from hickory_stream.map_folder.saved_map import SavedMap
     from hickory_stream.mapping.rules.support_graph import Support
-    from hickory_stream.records import Containment, FitKind, ObjectShape, TrackedObject
 
 SortBy = Literal["id", "distance", "volume", "height", "sightings"]
 

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.boxes import OrientedBox
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.records import TrackedObject
+from hickory_stream.records import TrackedObject
 
 _MIN_HALF_EXTENT_M = 0.001
 _COLOR_BITS = 3

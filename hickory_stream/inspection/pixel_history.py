@@ -5,31 +5,29 @@ The point comes from the mask at the pixel, from recorded depth or structure, or
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import InputError
-from hickory_stream.geometry.camera import project
+from hickory_stream.geometry.camera import Camera, project
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.inspection.keyframe_labels import code_at, range_of, rays_of
 from hickory_stream.inspection.point_history import AskedPixel, PlaceStory, story_of_point
 from hickory_stream.inspection.point_sighting import meaning_of_code
-from hickory_stream.map_folder.history.recorded import final_snapshot, frame_indices, frame_pose, recorded_steps
+from hickory_stream.map_folder.history.recorded import (
+    RecordedKeyframe,
+    final_snapshot,
+    frame_indices,
+    frame_pose,
+    recorded_steps,
+)
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.perception.coarse import cells_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.map_folder.history.recorded import RecordedKeyframe
-
 
 # Step length along a ray, short enough to enter every voxel of structure on it, and the length of the ray.
 _MARCH_M, _MARCH_TO_M = 0.025, 10.0

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hickory_stream.inspection.point_sighting import AT_M, PlaceSighting, PlaceWhere, sighting_of
@@ -13,14 +15,7 @@ from hickory_stream.inspection.track_history import Stretch, TrackStory, ending_
 from hickory_stream.map_folder.history.recorded import final_snapshot, recorded_steps
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.history.track_histories import TrackHistories
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapSnapshot, Phase
+from hickory_stream.records import MapSnapshot, Phase
 
 _IN_WORDS: dict[PlaceWhere, str] = {
     "mask": "in a mask",

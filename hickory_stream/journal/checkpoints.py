@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze, frozen_array
 from hickory_stream.mapping.entities.cloud import Cloud, without
@@ -16,11 +18,6 @@ from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.rules.merging import VoteBook
 from hickory_stream.mapping.rules.splitting import SplitCandidate
 from hickory_stream.records import Submap, SurveyedSubmap, TrackedObject
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

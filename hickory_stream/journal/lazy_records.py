@@ -5,30 +5,25 @@ Arrays are read exactly as written; damage is reported at that time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.lazy_arrays import read_later
 from hickory_stream.journal.checkpoints import PackedTrack
 from hickory_stream.journal.field_types import checked_record
+from hickory_stream.journal.record_codec import PartPlace
 from hickory_stream.mapping.entities.cloud import NAMES, Cloud, array_of, leave_unread
 from hickory_stream.mapping.entities.observed_space import SpaceState
 from hickory_stream.mapping.entities.submap_surface import SubmapSurface
 from hickory_stream.mapping.entities.track import Track
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.journal.record_codec import PartPlace
 
 Checks = Mapping[str, Callable[[Any], bool]]
 _Later = Mapping[str, Callable[[], "NDArray[Any]"]]

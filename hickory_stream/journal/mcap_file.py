@@ -9,7 +9,8 @@ import mmap
 import os
 import struct
 import zlib
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import BinaryIO, NamedTuple
 
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -17,10 +18,6 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, McapRecord, Statistics, SummaryOffset
 
 from hickory_stream.journal.format import CHANNELS, ENCODINGS, MAGIC, PROFILE, TOPICS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from typing import BinaryIO
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQHIQQ")

@@ -6,28 +6,22 @@ take less than the point that they make, which has no prediction. The points are
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
+from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.codecs.color_code import packed_colors, unpacked_colors
 from hickory_stream.geometry.codecs.depth_code import packed_depths, unpacked_depths
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.perception.observe import checksum_of, points_of_returns
-from hickory_stream.records import Returns
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.events import FrameObserved
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.records import Observation
+from hickory_stream.records import Observation, Returns
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

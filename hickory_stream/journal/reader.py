@@ -10,10 +10,13 @@ import os
 import struct
 from bisect import bisect_right
 from collections import OrderedDict
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from io import BytesIO
+from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from types import TracebackType
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import zstandard
@@ -22,9 +25,11 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Chunk
 from mcap.stream_reader import get_chunk_data_stream
+from numpy.typing import NDArray
 
 from hickory_stream.base.confined import OutsideError, open_within
 from hickory_stream.errors import MapFolderError
+from hickory_stream.events import Event
 from hickory_stream.journal.checkpoints import unpacked
 from hickory_stream.journal.format import (
     ARRAYS,
@@ -42,17 +47,8 @@ from hickory_stream.journal.lazy_records import LazyRecords, as_array
 from hickory_stream.journal.mcap_file import FileMessage, messages_in
 from hickory_stream.journal.packed_frames import PackedFrame, unpacked_frame
 from hickory_stream.journal.record_codec import PartPlace, decode, part_references
+from hickory_stream.journal.snapshot_records import Known
 from hickory_stream.journal.step import Checkpoint, JournalEntry, Step, StepKind
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-    from types import TracebackType
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.events import Event
-    from hickory_stream.journal.snapshot_records import Known
 
 _CACHED_CHUNKS, _CACHED_BYTES = 64, 64 << 20
 # A chunk that claims more is damaged: the state of a large map takes some tens of megabytes.

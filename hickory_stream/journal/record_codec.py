@@ -15,12 +15,14 @@ import importlib
 import math
 import pkgutil
 import types
+from collections.abc import Callable, Collection, Mapping
 from enum import Enum
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import cbor2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.codecs.color_code import packed_means, unpacked_means
 from hickory_stream.geometry.codecs.depth_code import packed_depths, unpacked_depths
@@ -28,11 +30,6 @@ from hickory_stream.geometry.codecs.packing import array_of, color_planes, color
 from hickory_stream.geometry.codecs.voxel_blocks import MOST_KEYS, blocks_of, count_in, is_denser, keys_of_blocks
 from hickory_stream.geometry.lattice import packed_points, points_of, unpacked_steps
 from hickory_stream.journal.field_types import checked_record, field_checks
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
-
-    from numpy.typing import NDArray
 
 # Tags of the range "first come, first served" (RFC 8949, 9.2).
 _RECORD, _ARRAY, _PART, _MAP, _SET, _ENUM = 39_100, 39_101, 39_102, 39_103, 39_104, 39_105

@@ -5,18 +5,14 @@ A changed record is written, others are referred to; views and shapes, which out
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from hickory_stream.journal.record_codec import encode
-from hickory_stream.records import ObjectShape, Submap, TrackedObject, View
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
-    from hickory_stream.records import MapSnapshot, PoseGraphRecord
+from hickory_stream.records import MapSnapshot, ObjectShape, PoseGraphRecord, Submap, TrackedObject, View
 
 Place = tuple[int, int]
 """A chunk of the journal, and the number of a message in it."""

@@ -6,21 +6,17 @@ belongs to the saved map, not to the one that `resume` continues.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hickory_stream.events import Event
 from hickory_stream.geometry.arrays import freeze
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.events import Event
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.records import Decision
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.records import Decision
 
 
 class StepKind(StrEnum):

@@ -10,11 +10,14 @@ import hashlib
 import os
 import time
 import weakref
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, disk_errors, sync
 from hickory_stream.base.confined import open_new, open_to_change, open_within
@@ -23,21 +26,12 @@ from hickory_stream.journal import mcap_file
 from hickory_stream.journal.checkpoints import KEPT_RECORDS, Packer
 from hickory_stream.journal.format import ARRAYS, CHANNELS, CHECKPOINT, COLOR, JOURNAL, KNOWN, STEP, TOLD
 from hickory_stream.journal.packed_frames import packed_frame
-from hickory_stream.journal.reader import packed_array
+from hickory_stream.journal.reader import Journal, StoredPart, packed_array
 from hickory_stream.journal.record_codec import encode
 from hickory_stream.journal.snapshot_records import SnapshotRecords
+from hickory_stream.journal.step import Checkpoint, JournalEntry
 from hickory_stream.mapping.entities.track import Track
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-    from typing import BinaryIO
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.journal.reader import Journal, StoredPart
-    from hickory_stream.journal.step import Checkpoint, JournalEntry
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.records import MapSnapshot
 
 
 def give_back_free() -> None:

@@ -17,7 +17,7 @@ from hickory_stream.graph.factors import (
     registered_covariance,
 )
 from hickory_stream.graph.record import record_of
-from hickory_stream.records import GraphEdge, PoseGraphRecord
+from hickory_stream.records import GraphEdge, Loop, PoseGraphRecord
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.graph.config import GraphConfig
     from hickory_stream.graph.solution import Solution
-    from hickory_stream.records import Loop
 
 # The odometry's certainty of the vertical: visual-inertial ones know it to half a degree.
 _GRAVITY_SIGMA_RAD = 0.01

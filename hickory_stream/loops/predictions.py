@@ -10,7 +10,7 @@ import numpy as np
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.graph.solution import NoSolution
-from hickory_stream.loops.pose_graph import pose_graph, world_from_submaps
+from hickory_stream.loops.pose_graph import Node, pose_graph, world_from_submaps
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.graph.config import GraphConfig
-    from hickory_stream.loops.pose_graph import Node
     from hickory_stream.records import Loop
 
 

@@ -7,29 +7,22 @@ iterations, never in time: the same snapshot gives the same loops.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.alignment.object_map import object_map
+from hickory_stream.alignment.object_map import ObjectMap, object_map
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
 from hickory_stream.graph.gate import difference, mahalanobis2
-from hickory_stream.loops.config import MIN_AGREEING_POINTS
+from hickory_stream.loops.config import MIN_AGREEING_POINTS, LoopConfig
+from hickory_stream.loops.predictions import Predicted
 from hickory_stream.loops.surfaces import Surface, SurfaceFit, approached, refined, registered
 from hickory_stream.records import Loop, MapSnapshot
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.loops.config import LoopConfig
-    from hickory_stream.loops.predictions import Predicted
 
 _CELL_M = 0.4
 _WITHIN_SIGMAS = 3.0

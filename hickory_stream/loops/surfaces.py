@@ -7,12 +7,12 @@ much surface met, and how much lies in the free space of the other submap.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry import portable
@@ -20,13 +20,7 @@ from hickory_stream.geometry.portable_kernels import solve_in_place
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, rotation_of_vector
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.poses.degeneracy import Surfels, degenerate_directions, without_degenerate
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import SurveyedSubmap
+from hickory_stream.records import SurveyedSubmap
 
 # Metres of distance for a radian between normals: opposite sides are further apart than any gate.
 _NORMAL_M = 0.4

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
 from hickory_stream.journal.record_codec import decode, encode
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _NPY_HEADER = re.compile(
     rb"\x93NUMPY\x01\x00..\{'descr': '(?P<descr>[<|][a-z]\d)', 'fortran_order': False, "

@@ -11,14 +11,12 @@ import mmap
 import tempfile
 import weakref
 from collections import deque
+from collections.abc import Callable
+from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, BinaryIO, cast
+from typing import BinaryIO, cast
 
 from hickory_stream.geometry.lazy_arrays import in_memory
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 logger = logging.getLogger(__name__)
 

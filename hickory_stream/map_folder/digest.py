@@ -12,13 +12,12 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import struct
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.records import MapSnapshot, ObjectShape, PoseGraphRecord, TrackedObject
+from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.records import MapSnapshot, ObjectShape, PoseGraphRecord, TrackedObject
 
 
 def map_digest(snapshot: MapSnapshot) -> str:

@@ -25,7 +25,7 @@ import shutil
 import sys
 import weakref
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, disk_errors, outside_errors
 from hickory_stream.base.confined import refuse_links
@@ -34,12 +34,7 @@ from hickory_stream.journal.format import JOURNAL
 from hickory_stream.map_folder.codec import POINTS, SPACE
 from hickory_stream.map_folder.manifest import MANIFEST, is_map_folder
 from hickory_stream.map_folder.views import crop_files
-from hickory_stream.records import MapSnapshot
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.records import TrackedObject
+from hickory_stream.records import MapSnapshot, TrackedObject
 
 LOCK = ".lock"
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream import __version__
 from hickory_stream.base.confined import OutsideError, read_within
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import MapFolderError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 FORMAT_VERSION = 3
 MANIFEST = "manifest.json"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.base.confined import read_within
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.codecs.mesh_file import mesh_of_file
-from hickory_stream.geometry.mesh import sha256_of
+from hickory_stream.geometry.mesh import Mesh, sha256_of
 from hickory_stream.map_folder.codec import decode_snapshot, has_named_content
 from hickory_stream.map_folder.digest import map_digest, seal_of
 from hickory_stream.map_folder.layout import EMPTY, LEDGER, OBJECTS, SHAPES, TIMINGS, VIEWS, check_links
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.map_folder.history.time_travel import Change
     from hickory_stream.records import MapSnapshot, ObjectShape
 

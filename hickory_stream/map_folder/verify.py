@@ -6,13 +6,16 @@ object is proven from its mesh and its job's points. Checks that lack a journal 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import MapFolderError
+from hickory_stream.events import RequestShape
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.journal.reader import Journal
@@ -21,22 +24,12 @@ from hickory_stream.map_folder.history.core_replay import Replay, mesh_names
 from hickory_stream.map_folder.history.recorded_config import recorded_config
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.manifest import read_manifest
-from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from hickory_stream.map_folder.views import read_crop
 from hickory_stream.map_folder.writer import rewrite_objects
 from hickory_stream.mapping.entities.rigid_motion import moved_shape
-from hickory_stream.shapes.certify import certified_again
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.events import RequestShape
-    from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.records import ObjectShape, TrackedObject
-    from hickory_stream.shapes.certify import Certificate
+from hickory_stream.records import ObjectShape, TrackedObject
+from hickory_stream.shapes.certify import Certificate, certified_again
 
 # Layer 1 goes on growing after layer 4 was made, but not by this share.
 _MOST_OUTSIDE = 0.5

@@ -24,13 +24,11 @@ from hickory_stream.map_folder.digest import map_digest, seal_of
 from hickory_stream.map_folder.manifest import MANIFEST, Manifest, manifest_json, pretty_json, read_manifest
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import crop_files
-from hickory_stream.records import Submap, TrackedObject
+from hickory_stream.records import MapSnapshot, Submap, TrackedObject
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
-
-    from hickory_stream.records import MapSnapshot
 
     Write = Callable[[str, bytes], None]
 

@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Any, assert_never
+from collections.abc import Collection, Mapping
+from typing import Any, assert_never
 
 from hickory_stream.events import (
     ComputeFeatures,
@@ -20,13 +21,16 @@ from hickory_stream.events import (
     PoseJumped,
     PosesCorrected,
     Publish,
+    SearchLoops,
     ShapeFailed,
     ShapeReady,
     SourceEnded,
     TimeJumped,
     WayEnded,
 )
-from hickory_stream.mapping.entities.submaps import first_submap, interrupted, with_registration
+from hickory_stream.geometry.lazy_arrays import Keep
+from hickory_stream.mapping.config import MappingConfig
+from hickory_stream.mapping.entities.submaps import SubmapState, first_submap, interrupted, with_registration
 from hickory_stream.mapping.invariants import validate
 from hickory_stream.mapping.map_state import MapState, PendingFeatures
 from hickory_stream.mapping.snapshots import Snapshots
@@ -34,19 +38,9 @@ from hickory_stream.mapping.steps.ageing import age_tracks, end_tracks, keep_roo
 from hickory_stream.mapping.steps.moved_submaps import end_elsewhere, place_submaps, recognise
 from hickory_stream.mapping.steps.shapes import end_shape, request_shapes
 from hickory_stream.mapping.steps.submaps import begin_keyframe, end_search, end_submap, jump, see_space
-from hickory_stream.mapping.steps.tracker import Tracker, moved_out, split_tracks
+from hickory_stream.mapping.steps.tracker import Associator, Tracker, moved_out, split_tracks
 from hickory_stream.mapping.steps.views import drop_unused_views, judge_views, propose_views
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
-    from hickory_stream.events import SearchLoops
-    from hickory_stream.geometry.lazy_arrays import Keep
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.mapping.entities.submaps import SubmapState
-    from hickory_stream.mapping.steps.tracker import Associator
-    from hickory_stream.records import Loop, MapPrior, MapSnapshot, PoseGraphRecord
-
+from hickory_stream.records import Loop, MapPrior, MapSnapshot, PoseGraphRecord
 
 logger = logging.getLogger(__name__)
 

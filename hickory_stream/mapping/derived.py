@@ -4,32 +4,23 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import islice, takewhile
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.geometry.lazy_arrays import in_memory
+from hickory_stream.geometry.lazy_arrays import Keep, in_memory
 from hickory_stream.geometry.voxels import difference, keys_of_points, sorted_unique
-from hickory_stream.mapping.entities.submaps import with_room, with_room_changed
-from hickory_stream.mapping.entities.track_table import REACH_M
-from hickory_stream.mapping.rules.merge_history import views_in
-from hickory_stream.mapping.rules.shape_requests import is_wanted, may_be_wanted, rank_of
+from hickory_stream.mapping.entities.cloud import Cloud
+from hickory_stream.mapping.entities.submaps import Submaps, with_room, with_room_changed
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.entities.track_table import REACH_M, Mark, TrackTable
+from hickory_stream.mapping.rules.merge_history import Absorbed, Join, Joins, views_in
+from hickory_stream.mapping.rules.shape_requests import Rank, RequestConfig, is_wanted, may_be_wanted, rank_of
 from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.lazy_arrays import Keep
-    from hickory_stream.mapping.entities.cloud import Cloud
-    from hickory_stream.mapping.entities.submaps import Submaps
-    from hickory_stream.mapping.entities.track import Track
-    from hickory_stream.mapping.entities.track_table import Mark, TrackTable
-    from hickory_stream.mapping.rules.merge_history import Absorbed, Join, Joins
-    from hickory_stream.mapping.rules.shape_requests import Rank, RequestConfig
 
 
 class ViewUse:

@@ -6,19 +6,14 @@ inliers again. Uneven ground has no tilt.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.voxels import cells_of_keys
 from hickory_stream.mapping.entities.observed_space import WALL_M, column_sizes, column_starts, is_wall_column
+from hickory_stream.records import MapSnapshot, ObservedSpace
 from hickory_stream.storeys import floor_height_m, floors_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapSnapshot, ObservedSpace
 
 # How far above and below the floor's height columns are searched: a tilt of 2 degrees is 0.35 m over 10 m.
 _REACH_M = 0.45

@@ -6,25 +6,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import InvariantError
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.geometry.voxels import contains
+from hickory_stream.mapping.entities.cloud import Cloud
+from hickory_stream.mapping.entities.observed_space import SpaceState
 from hickory_stream.mapping.entities.submaps import own_space
 from hickory_stream.mapping.entities.track import is_object
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.mapping.entities.cloud import Cloud
-    from hickory_stream.mapping.entities.observed_space import SpaceState
-    from hickory_stream.mapping.map_state import MapState
+from hickory_stream.mapping.map_state import MapState
 
 
 def validate(state: MapState) -> None:

@@ -5,29 +5,25 @@ Only the modules that `MapperCore` calls change it. Tracks, submaps and votes ar
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from copy import copy
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hickory_stream.events import SearchLoops
 from hickory_stream.mapping.derived import Derived, RoomVoxels
+from hickory_stream.mapping.entities.observed_space import SpaceState
+from hickory_stream.mapping.entities.submaps import Submaps
 from hickory_stream.mapping.entities.track import Track, without_views
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.rules.merge_history import Absorbed, Joins, joins_without, views_in, without_lost_views
 from hickory_stream.mapping.rules.merging import VoteBook
+from hickory_stream.mapping.rules.splitting import SplitCandidates
 from hickory_stream.mapping.rules.support_graph import SupportGraph
-from hickory_stream.records import Decision, View
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.events import SearchLoops
-    from hickory_stream.mapping.entities.observed_space import SpaceState
-    from hickory_stream.mapping.entities.submaps import Submaps
-    from hickory_stream.mapping.rules.splitting import SplitCandidates
-    from hickory_stream.records import DecisionKind, DropCause, Loop, PoseGraphRecord
+from hickory_stream.records import Decision, DecisionKind, DropCause, Loop, PoseGraphRecord, View
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.lazy_arrays import give_up, has_given_up, made_of, read_briefly
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.mapping.entities.observed_space import as_record, with_room
 from hickory_stream.mapping.entities.rigid_motion import moved_object
-from hickory_stream.mapping.entities.submaps import LEAST_BESIDE_M, record_of
-from hickory_stream.mapping.entities.track import as_object
-from hickory_stream.records import MapPrior, MapSnapshot, ObservedSpace, Phase, Submap
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.mapping.entities.submaps import SubmapState
-    from hickory_stream.mapping.entities.track import Track
-    from hickory_stream.mapping.entities.track_table import Mark
-    from hickory_stream.mapping.map_state import MapState
-    from hickory_stream.records import TrackedObject
+from hickory_stream.mapping.entities.submaps import LEAST_BESIDE_M, SubmapState, record_of
+from hickory_stream.mapping.entities.track import Track, as_object
+from hickory_stream.mapping.entities.track_table import Mark
+from hickory_stream.mapping.map_state import MapState
+from hickory_stream.records import MapPrior, MapSnapshot, ObservedSpace, Phase, Submap, TrackedObject
 
 _NO_KEYS = np.empty(0, dtype=np.int64)
 

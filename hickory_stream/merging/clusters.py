@@ -6,20 +6,14 @@ another map is it, unless their boxes agree.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hickory_stream.geometry.boxes import box_iou
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.boxes import OrientedBox, box_iou
 
 Member = tuple[int, int]
 """The index of a map, and the id of an object in it."""

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.merging.layout import laid_out
+from hickory_stream.merging.layout import Answers, laid_out
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from numpy.typing import NDArray
 
-    from hickory_stream.merging.layout import Answers
     from hickory_stream.records import MapSnapshot
 
     Pair = tuple[int, int]

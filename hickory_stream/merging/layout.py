@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.alignment.answer import Alignment
+from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.graph.factors import tangent_covariance
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.alignment.answer import NoAlignment
     from hickory_stream.records import MapSnapshot
 
     Answers = Mapping[tuple[int, int], Alignment | NoAlignment]

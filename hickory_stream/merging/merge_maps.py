@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import TYPE_CHECKING
 
-from hickory_stream.alignment.answer import Alignment
+import numpy as np
+from numpy.typing import NDArray
+
+from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.base.ranges import Ranged, number
-from hickory_stream.merging.clusters import Pairing, Place, clusters_of
+from hickory_stream.merging.clusters import Member, Pairing, Place, clusters_of
 from hickory_stream.merging.joining import JoiningConfig, aligned_to_join
-from hickory_stream.merging.layout import largest_layout
+from hickory_stream.merging.layout import Answers, PairOutcome, largest_layout
 from hickory_stream.merging.objects import MergedObject, placed, united
-from hickory_stream.records import MapSnapshot, Phase, Submap
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.answer import NoAlignment
-    from hickory_stream.merging.clusters import Member
-    from hickory_stream.merging.layout import Answers, PairOutcome
-    from hickory_stream.records import TrackedObject
+from hickory_stream.records import MapSnapshot, Phase, Submap, TrackedObject
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.superquadric import log_implicit_value
 from hickory_stream.mapping.entities.cloud import cloud_of, fuse
 from hickory_stream.mapping.entities.rigid_motion import moved_object
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import TrackedObject, View
+from hickory_stream.records import TrackedObject, View
 
 _VOXEL_M = 0.01
 _NEW_M, _SAMPLE = 0.02, 2000

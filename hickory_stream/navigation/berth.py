@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.superquadric import joined
+from hickory_stream.navigation.free_space import FreeSpace
 from hickory_stream.navigation.stand_ins import box_as_superquadric
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.navigation.free_space import FreeSpace
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.records import MapSnapshot
 
 _STEP_M = 0.05
 

@@ -6,25 +6,19 @@ changes only the blocks of the two-level grid that it overlaps.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.geometry.superquadric import world_bounds
+from hickory_stream.geometry.superquadric import Superquadrics, world_bounds
 from hickory_stream.geometry.voxels import contains, keys_of_points
 from hickory_stream.navigation import kernels
 from hickory_stream.navigation.sweep_kernels import sweep_states
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from typing import Any
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.records import ObjectShape, ObservedSpace, TrackedObject
+from hickory_stream.records import ObjectShape, ObservedSpace, TrackedObject
 
 _BLOCK_M = 0.8
 # Padding around the objects, in blocks, so that an object that is added nearby needs no new grid.

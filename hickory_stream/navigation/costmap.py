@@ -6,30 +6,23 @@ since the whole observed space has to be searched for them. In a live run the gr
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.navigation.free_space import bodies_of, extent_of
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import GridFrame, Occupancy, frame_around
-from hickory_stream.navigation.robot import Part
-from hickory_stream.navigation.stand_ins import SEEN_SURFACE
+from hickory_stream.navigation.robot import Part, Robot
+from hickory_stream.navigation.stand_ins import SEEN_SURFACE, Obstacle, SeenSurface
+from hickory_stream.records import MapSnapshot
 from hickory_stream.storeys import newest_floor_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.navigation.robot import Robot
-    from hickory_stream.navigation.stand_ins import Obstacle, SeenSurface
-    from hickory_stream.records import MapSnapshot
-
 
 _ROOM_M = 2.0
 _FLOOR_MOVED_M = 0.02

@@ -5,15 +5,18 @@ Places outside of the grid, and unobserved ones, are blocked, unless unknown spa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from hickory_stream.errors import InputError
+from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.superquadric import Superquadrics, world_bounds
 from hickory_stream.geometry.voxels import cells_of_keys
@@ -21,19 +24,16 @@ from hickory_stream.navigation.clearance import ClearanceScene
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
 from hickory_stream.navigation.occupancy import Cell, GridFrame, Occupancy, distance_field_m, frame_around
 from hickory_stream.navigation.robot import Part, Robot, raised, turned
-from hickory_stream.navigation.stand_ins import MARGIN_M, SEEN_SURFACE, Obstacle, box_as_superquadric, early_obstacles
-from hickory_stream.records import Phase
+from hickory_stream.navigation.stand_ins import (
+    MARGIN_M,
+    SEEN_SURFACE,
+    Obstacle,
+    SeenSurface,
+    box_as_superquadric,
+    early_obstacles,
+)
+from hickory_stream.records import MapSnapshot, Phase, TrackedObject
 from hickory_stream.storeys import floor_of, on_storey
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.boxes import OrientedBox
-    from hickory_stream.navigation.stand_ins import SeenSurface
-    from hickory_stream.records import MapSnapshot, TrackedObject
-
 
 CELL_M = 0.033
 UnknownSpace = Literal["blocked", "free"]

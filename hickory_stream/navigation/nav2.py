@@ -6,14 +6,10 @@ since with Nav2's default of 0.25 unknown cells would be free.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.navigation.occupancy import Cell, GridFrame
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
 _GREY = {Cell.FREE: 254, Cell.UNKNOWN: 205, Cell.OCCUPIED: 0}

@@ -5,22 +5,17 @@ A column is known if half of the body's height range was observed: behind every 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import cells_of_keys, layers_of_keys
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.navigation.occupancy import GridFrame
-    from hickory_stream.records import Submap
+from hickory_stream.navigation.occupancy import GridFrame
+from hickory_stream.records import Submap
 
 _SEEN_SHARE = 0.5
 # A correction tilts a submap by a milliradian or so; a column of 2 m then leans by 2 mm, less than a voxel is sure to.

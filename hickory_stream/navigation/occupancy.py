@@ -6,25 +6,19 @@ update changes only an object's own cells. Rows lie along y, columns along x, as
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.navigation.clearance import rows_of
 from hickory_stream.navigation.outline import outlines_of_hulls, outlines_of_rows, stamp
-from hickory_stream.navigation.robot import grown
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.navigation.robot import Part
+from hickory_stream.navigation.robot import Part, grown
 
 MOST_BYTES = 1 << 30
 _BYTES_PER_CELL = 9

@@ -13,17 +13,12 @@ sampled: a plate of a millimetre counts wherever in the band it lies.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.navigation.kernels import AXES, CENTER, HIGH, LOW, POWER_1, POWER_2, ROTATION, touching
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.navigation.robot import Part
+from hickory_stream.navigation.robot import Part
 
 TOLERANCE_M = 0.002
 _MOST = 96

@@ -10,16 +10,14 @@ import tomllib
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Range, Ranged, check_order, check_ranges, number, ranges_of, required
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.arrays import freeze
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _HEADINGS = 24
 _MOST_POSTURES = 8

@@ -9,25 +9,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal, assert_never, get_args
+from typing import Literal, assert_never, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, check_ranges, number
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.navigation import tree_kernels
 from hickory_stream.navigation.cell_route import route_over_cells
+from hickory_stream.navigation.free_space import FreeSpace
 from hickory_stream.navigation.occupancy import Cell
 from hickory_stream.navigation.outline import outlines_of_hulls, outlines_of_rows
 from hickory_stream.navigation.robot import Part
 from hickory_stream.navigation.stand_ins import SEEN_SURFACE
 from hickory_stream.navigation.verify import is_verified
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.navigation.free_space import FreeSpace
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -6,27 +6,20 @@ since neither format has superquadrics. All bodies are static.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 from xml.etree.ElementTree import SubElement
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.confined import plain_name
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import invert, quaternion_from_rotation
-from hickory_stream.geometry.superquadric import moved, support
+from hickory_stream.geometry.superquadric import Superquadrics, moved, support
 from hickory_stream.geometry.superquadric_surface import display_mesh
-from hickory_stream.textures.textured_mesh import png_bytes
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.textures.textured_mesh import TexturedMesh
+from hickory_stream.textures.textured_mesh import TexturedMesh, png_bytes
 
 _FLOOR_HALF_M = 50.0
 _WALL_RGBA = "0.84 0.86 0.89 1"

@@ -6,10 +6,11 @@ by least volume. Slabs are not divided vertically, so that the inside of a half-
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import apply, invert
@@ -32,15 +33,8 @@ from hickory_stream.geometry.voxels import (
     sorted_unique,
     union,
 )
-from hickory_stream.navigation.observed import NO_HULLS, above_floor, box_corners, rectangles
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.navigation.observed import Band
-    from hickory_stream.records import MapSnapshot, SpaceObservation, TrackedObject
+from hickory_stream.navigation.observed import NO_HULLS, Band, above_floor, box_corners, rectangles
+from hickory_stream.records import MapSnapshot, SpaceObservation, TrackedObject
 
 MARGIN_M = 0.02
 SEEN_SURFACE = -1

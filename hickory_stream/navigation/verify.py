@@ -6,20 +6,15 @@ obstacle: an intersection of half planes, by each of which the segment is clippe
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
+from hickory_stream.navigation.free_space import FreeSpace
 from hickory_stream.navigation.outline import NO_HULLS, NO_ROWS, TOLERANCE_M, half_planes, locked
 from hickory_stream.navigation.robot import Part, grown
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.navigation.free_space import FreeSpace
 
 
 def is_verified(space: FreeSpace, points: NDArray[np.float64], states: NDArray[np.int64]) -> bool:

@@ -6,24 +6,17 @@ columns would be posts before the walls: here a wall needs a third of its column
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.geometry.superquadric import implicit_value, world_bounds
+from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, world_bounds
 from hickory_stream.geometry.voxels import cells_of_keys
-from hickory_stream.navigation.observed import box_corners, is_upright
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.navigation.observed import Band
-    from hickory_stream.records import Submap
+from hickory_stream.navigation.observed import Band, box_corners, is_upright
+from hickory_stream.records import Submap
 
 _WALL_SHARE, _WALL_TOP = 0.3, 0.7
 _LEAST_VOXELS = 27

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, assert_never
+from typing import assert_never
 
 from hickory_stream.perception.descriptor import ColorTextureDescriptor
 from hickory_stream.perception.geometric_segmenter import GeometricSegmenter
+from hickory_stream.perception.models.library import Kind, ModelEntry
+from hickory_stream.perception.models.network import Network
+from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.perception.semantic_filter import FilteredSegmenter
-
-if TYPE_CHECKING:
-    from hickory_stream.perception.models.library import Kind, ModelEntry
-    from hickory_stream.perception.models.network import Network
-    from hickory_stream.perception.perceive import PerceptionConfig
-    from hickory_stream.ports import FeatureExtractor, Segmenter
+from hickory_stream.ports import FeatureExtractor, Segmenter
 
 
 def make_segmenter(config: PerceptionConfig) -> Segmenter:

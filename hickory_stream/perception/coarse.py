@@ -5,15 +5,13 @@ About 160 cells across for any camera, at a twentieth of the size of a keyframe 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import CoarseFrame
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _CELLS_ACROSS = 160
 _MOST_MM = 65535.0

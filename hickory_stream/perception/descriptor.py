@@ -7,20 +7,15 @@ on some processors only, so gradients have a kernel of their own.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import arctan2
 from hickory_stream.perception.surface import lab_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MaskFeature, Observation
+from hickory_stream.records import MaskFeature, Observation
 
 
 def gradients(image: NDArray[np.float32], sigma_px: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -7,9 +7,9 @@ and fragments of one object are merged. It works at a reduced resolution; labels
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.perception.fragments.color_split import split_by_color
@@ -26,13 +26,7 @@ from hickory_stream.perception.regions.trees import Trees, embedded_trees
 from hickory_stream.perception.structure.detection import StructureConfig
 from hickory_stream.perception.structure.room_structure import RoomStructure, room_structure_of
 from hickory_stream.perception.surface import Surface, SurfaceConfig, moved_surface, surface_of
-from hickory_stream.records import RejectedMask, Segmentation
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Frame, MapPrior
-
+from hickory_stream.records import Frame, MapPrior, RejectedMask, Segmentation
 
 # A mask smaller than a square with a side of this many sigmas of depth cannot be distinguished from noise.
 _MIN_SIDE_SIGMAS = 2.5

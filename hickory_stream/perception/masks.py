@@ -7,25 +7,21 @@ horizontal surface, like a magazine; a label on a box is a part.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.perception.surface import Surface
 from hickory_stream.records import RejectedMask
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.surface import Surface
 
 
 def label_boxes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:

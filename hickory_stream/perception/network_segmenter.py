@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.perception.affinity.odds_split import SplitConfig, divided_by_odds
-from hickory_stream.perception.affinity.pixel_network import ODDS_ZERO, THING
-from hickory_stream.perception.geometric_segmenter import GeometricSegmenter
+from hickory_stream.perception.affinity.pixel_network import ODDS_ZERO, THING, PixelNetwork, PixelOdds
+from hickory_stream.perception.fragments.over_segmentation import Fragments
+from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.regions.fragment_odds import fragment_odds, mean_log_odds
-from hickory_stream.perception.regions.join import join_fragments
+from hickory_stream.perception.regions.join import Joined, join_fragments
 from hickory_stream.perception.regions.map_prior import fragment_owners
-from hickory_stream.perception.regions.trees import embedded_trees
-from hickory_stream.perception.surface import moved_surface
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.affinity.pixel_network import PixelNetwork, PixelOdds
-    from hickory_stream.perception.fragments.over_segmentation import Fragments
-    from hickory_stream.perception.geometric_segmenter import GeometricConfig
-    from hickory_stream.perception.regions.join import Joined
-    from hickory_stream.perception.regions.trees import Trees
-    from hickory_stream.perception.surface import Surface
-    from hickory_stream.records import Frame, MapPrior, Segmentation
+from hickory_stream.perception.regions.trees import Trees, embedded_trees
+from hickory_stream.perception.surface import Surface, moved_surface
+from hickory_stream.records import Frame, MapPrior, Segmentation
 
 
 def thing_log_odds(labels: NDArray[np.int32], odds: PixelOdds) -> NDArray[np.float64]:

@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.depth_sensor import sigma_at
-from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
+from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, keys_of_points, without_outliers
-from hickory_stream.records import Observation, RejectedMask, Returns
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.geometry.lattice import Lattice
-    from hickory_stream.records import Frame, Segmentation
-
+from hickory_stream.records import Frame, Observation, RejectedMask, Returns, Segmentation
 
 # Players convert the cameras' millimetres to metres by this factor.
 MILLIMETRE, MOST_MM = np.float32(0.001), 65535

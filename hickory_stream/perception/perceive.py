@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.events import FrameObserved
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.perception.coarse import coarse_frame
 from hickory_stream.perception.descriptor import mask_feature
 from hickory_stream.perception.geometric_segmenter import GeometricConfig
@@ -19,23 +22,16 @@ from hickory_stream.perception.models.semantic_graph import SemanticConfig
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig
 from hickory_stream.perception.observe import ObserveConfig, observe
 from hickory_stream.perception.space import SpaceConfig, observe_space
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.lattice import Lattice
-    from hickory_stream.ports import FeatureExtractor, Segmenter
-    from hickory_stream.records import (
-        Frame,
-        MapPrior,
-        MaskFeature,
-        Observation,
-        RejectedMask,
-        Segmentation,
-        SpaceObservation,
-    )
+from hickory_stream.ports import FeatureExtractor, Segmenter
+from hickory_stream.records import (
+    Frame,
+    MapPrior,
+    MaskFeature,
+    Observation,
+    RejectedMask,
+    Segmentation,
+    SpaceObservation,
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

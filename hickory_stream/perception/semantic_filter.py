@@ -5,24 +5,17 @@ The filter never adds objects. Pixels of structure classes outside of the remain
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ConfigError
-from hickory_stream.ports import Moving
-from hickory_stream.records import RejectedMask, Segmentation
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Segmenter, SemanticModel
-    from hickory_stream.records import Frame, MapPrior, SemanticImage
+from hickory_stream.ports import Moving, Segmenter, SemanticModel
+from hickory_stream.records import Frame, MapPrior, RejectedMask, Segmentation, SemanticImage
 
 # The classes of ADE20K and COCO that the paper excludes, by any of their names.
 STRUCTURE = (

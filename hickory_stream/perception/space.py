@@ -7,23 +7,18 @@ return are ignored.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.camera import backproject
+from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import difference, keys_of_cells, keys_of_points, sorted_unique
 from hickory_stream.perception.coarse import sampled_camera, sampled_pixels
-from hickory_stream.records import SpaceObservation
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.lattice import Lattice
-    from hickory_stream.records import Frame, Segmentation
+from hickory_stream.records import Frame, Segmentation, SpaceObservation
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

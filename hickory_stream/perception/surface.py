@@ -7,22 +7,17 @@ it, then from one over the inliers of the first.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import apply, compose, invert
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Frame
-
+from hickory_stream.records import Frame
 
 # Half the side of the window of a normal.
 _NORMAL_RADIUS_PX = 3

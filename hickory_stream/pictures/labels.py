@@ -5,17 +5,13 @@ A label lies on the visible part of its object. If that is too small, it stands 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.display import color_of_id
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 _PADDING_PX = 3
 _SIZE, _THICKNESS = 0.45, 1

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.pictures.raycast import Scene
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.pictures.raycast import Surface
+from hickory_stream.pictures.raycast import Scene, Surface
 
 _BACKGROUND = np.array([236, 238, 242], dtype=np.float64)
 _ELEVATION_RAD = np.radians(28)

@@ -6,22 +6,16 @@ A large map has more triangles than a picture has pixels, so that drawing them i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.pictures.raycast import CREASE_COSINE, Hits, image_colors
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.pictures.raycast import Surface
-    from hickory_stream.pictures.viewpoint import Viewpoint
+from hickory_stream.pictures.raycast import CREASE_COSINE, Hits, Surface, image_colors
+from hickory_stream.pictures.viewpoint import Viewpoint
 
 # What is nearer to the eye's plane than this is not drawn.
 _NEAR_M = 0.01

@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import importlib.util
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol, assert_never
+from typing import Literal, Protocol, assert_never
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.pictures.open3d_import import import_open3d
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 CasterName = Literal["embreex", "open3d"]
 

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.pictures.open3d_import import import_open3d
 from hickory_stream.pictures.ray_caster import RayCaster, ray_caster
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 # A face that differs by more than this angle from its smoothed normal is at a sharp edge, and keeps its own normal.
 CREASE_COSINE = 0.82

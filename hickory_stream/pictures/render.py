@@ -9,8 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.pictures.labels import draw_caption, draw_labels, draw_scale, draw_title, most_visible, place_labels
-from hickory_stream.pictures.rasterize import first_hits
+from hickory_stream.pictures.labels import (
+    Label,
+    draw_caption,
+    draw_labels,
+    draw_scale,
+    draw_title,
+    most_visible,
+    place_labels,
+)
+from hickory_stream.pictures.rasterize import Dots, first_hits
 from hickory_stream.pictures.render_parts import dots_of, floor_cells, mesh_surface, superquadric_surfaces
 from hickory_stream.pictures.render_storeys import Place, Storey, places_of, storeys_to_draw
 from hickory_stream.pictures.render_view import Floor, Model, draw_view
@@ -23,8 +31,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.pictures.labels import Label
-    from hickory_stream.pictures.rasterize import Dots
     from hickory_stream.pictures.raycast import Surface
     from hickory_stream.records import TrackedObject
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.alignment.answer import Alignment
+from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import moved
@@ -17,16 +17,14 @@ from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.pictures.labels import draw_scale, draw_title
 from hickory_stream.pictures.raycast import Surface
 from hickory_stream.pictures.render_view import Floor, Model, draw_view
-from hickory_stream.pictures.viewpoint import from_above, from_corner
+from hickory_stream.pictures.viewpoint import Viewpoint, from_above, from_corner
 
 if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
     from numpy.typing import NDArray
 
-    from hickory_stream.alignment.answer import NoAlignment
     from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.pictures.viewpoint import Viewpoint
 
 BLUE, ORANGE = (58, 118, 190), (238, 138, 48)
 _PALE = 0.62

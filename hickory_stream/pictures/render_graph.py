@@ -6,16 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.graph.trajectories import ways_of
+from hickory_stream.graph.trajectories import Ways, ways_of
 from hickory_stream.inspection.graph_summary import summary_of, summary_text
-from hickory_stream.pictures.drawing import Drawing, Ellipse, Line, Text
+from hickory_stream.pictures.drawing import Color, Drawing, Ellipse, Line, Text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.graph.trajectories import Ways
     from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.pictures.drawing import Color
     from hickory_stream.records import PoseGraphRecord
 
 

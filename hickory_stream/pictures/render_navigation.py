@@ -9,17 +9,15 @@ import numpy as np
 
 from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.superquadric_surface import display_mesh
-from hickory_stream.navigation.free_space import layer_four_of, obstacles_of
+from hickory_stream.navigation.free_space import FreeSpace, layer_four_of, obstacles_of
 from hickory_stream.navigation.occupancy import Cell
-from hickory_stream.navigation.search import Path
+from hickory_stream.navigation.search import NoPath, Path
 from hickory_stream.pictures.labels import draw_scale, draw_title
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hickory_stream.navigation.free_space import FreeSpace
     from hickory_stream.navigation.robot import Posture
-    from hickory_stream.navigation.search import NoPath
     from hickory_stream.records import MapSnapshot
 
 _TITLE_PX, _MARGIN_PX, _LONG_SIDE_PX = 44, 30, 1000

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.records import Phase
+from hickory_stream.records import MapSnapshot, Phase, TrackedObject
 from hickory_stream.storeys import floors_of, on_storey
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapSnapshot, TrackedObject
 
 MARGIN_PX = 46
 MOST_STOREYS = 6

@@ -7,23 +7,18 @@ was not seen.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.pictures.rasterize import first_hits
-from hickory_stream.pictures.raycast import Scene
+from hickory_stream.pictures.rasterize import Dots, first_hits
+from hickory_stream.pictures.raycast import Hits, Scene, Surface
 from hickory_stream.pictures.render_parts import coarse, coarse_squares, wall_surface
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.pictures.rasterize import Dots
-    from hickory_stream.pictures.raycast import Hits, Surface
-    from hickory_stream.pictures.viewpoint import Viewpoint
-    from hickory_stream.records import Submap
+from hickory_stream.pictures.viewpoint import Viewpoint
+from hickory_stream.records import Submap
 
 _BACKGROUND = np.array([[0.93, 0.94, 0.96], [0.985, 0.985, 0.99]], dtype=np.float32)
 _FLOOR, _GRID = np.array([[0.87, 0.865, 0.85], [0.74, 0.735, 0.72]], dtype=np.float32)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.display import looking, nearest_eye
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _HALF_FOV_TANGENT = np.tan(np.deg2rad(16.0))
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, assert_never
+from typing import assert_never
 
+from hickory_stream.ports import Odometry
 from hickory_stream.poses.kiss_icp_odometry import KissIcpOdometry
-from hickory_stream.poses.odometry_config import DEFAULT_METHOD
+from hickory_stream.poses.odometry_config import DEFAULT_METHOD, MethodName, Sensor
 from hickory_stream.poses.voxel_map_odometry import VoxelMapOdometry
-
-if TYPE_CHECKING:
-    from hickory_stream.ports import Odometry
-    from hickory_stream.poses.odometry_config import MethodName, Sensor
 
 
 def make_odometry(sensor: Sensor, method: MethodName | None = None) -> Odometry:

@@ -8,9 +8,9 @@ count: the rings of a LiDAR on a floor are lines with random normals, which move
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import (
@@ -20,9 +20,6 @@ from hickory_stream.geometry.rigid import (
     rotation_of_vector,
     rotation_vector,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # The least ratio of variances within a surface and across it.
 _FLATNESS = 5.0

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from hickory_stream.geometry.camera import backproject
-from hickory_stream.records import Scan
-
-if TYPE_CHECKING:
-    from hickory_stream.records import Frame
+from hickory_stream.records import Frame, Scan
 
 _STRIDE_AT_640 = 3
 # A less certain return disturbs a registration more than it holds it.

@@ -6,10 +6,11 @@ together, with the uncertainty of what the motion left open: turns about the ver
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import (
@@ -20,11 +21,6 @@ from hickory_stream.geometry.rigid import (
     rotation_of_vector,
     rotation_vector,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 # Axes of a camera (x right, y down, z forward) in the axes of a body (x forward, y left, z up).
 FLU_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -8,10 +8,12 @@ sees through the surface, or fits too far away, is kept out; after many in a row
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import (
@@ -23,6 +25,7 @@ from hickory_stream.geometry.rigid import (
     turned_directions,
 )
 from hickory_stream.poses.degeneracy import Surfels, degenerate_directions
+from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.poses.surface_alignment import (
     Aligned,
     Patch,
@@ -33,14 +36,7 @@ from hickory_stream.poses.surface_alignment import (
     patch_of,
     share_seen,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.poses.registration_config import RegistrationConfig
-    from hickory_stream.poses.surface_image import SurfaceImage
+from hickory_stream.poses.surface_image import SurfaceImage
 
 # The sigma of the first keyframe's pose, in m and rad.
 _SURE = 1e-4
@@ -55,7 +51,7 @@ _STRONG_COSINE, _LEAST_STRONG = 0.6, 30.0
 _EVERY_DIRECTION, _NO_DIRECTION = np.eye(6), no_directions()
 
 # How the pose of a keyframe was found: it fits the surface, or there is none to compare it with.
-Placing = Literal["first", "fits", "new ground", "begun anew"]
+RegistrationKind = Literal["first", "fits", "new ground", "begun anew"]
 
 # The odometry's error that each keyframe adds, beside `drift_share` and `turn_share`.
 _STEP_M = 0.001
@@ -109,7 +105,7 @@ class Belief:
 class Placed:
     """The place of a keyframe in the map, and the belief from then on."""
 
-    how: Placing
+    how: RegistrationKind
     map_from_camera: NDArray[np.float64]
     belief: Belief
     #: share of the compared points that lie on the surface, None if there are too few
@@ -288,7 +284,7 @@ class KeyframeRegistration:
 
     def _accepted(
         self,
-        how: Placing,
+        how: RegistrationKind,
         image: SurfaceImage,
         belief: Belief,
         fit: float | None,

@@ -6,21 +6,15 @@ It gives no uncertainty and no degenerate directions: in a corridor it stands st
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import ModelError
 from hickory_stream.ports import NotRegistered, Registered
-from hickory_stream.poses.odometry_config import OdometryConfig, config_of, typical_range_m
-
-if TYPE_CHECKING:
-    from typing import Any
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.poses.odometry_config import Sensor
-    from hickory_stream.records import Scan
+from hickory_stream.poses.odometry_config import OdometryConfig, Sensor, config_of, typical_range_m
+from hickory_stream.records import Scan
 
 
 class KissIcpOdometry:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from hickory_stream.base.ranges import Ranged, number
-
-if TYPE_CHECKING:
-    from hickory_stream.records import Scan
+from hickory_stream.records import Scan
 
 Sensor = Literal["lidar", "depth"]
 MethodName = Literal["small_gicp", "kiss-icp"]

@@ -7,13 +7,15 @@ things; Gauss-Newton steps. A Gaussian prior keeps the expected pose along what 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.portable_kernels import solve_in_place
 from hickory_stream.geometry.rigid import (
     compose,
@@ -22,14 +24,7 @@ from hickory_stream.geometry.rigid import (
     rotation_of_vector,
     rotation_vector,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.poses.surface_image import SurfaceImage
+from hickory_stream.poses.surface_image import SurfaceImage
 
 _NEAREST_M = 0.2
 # A point this much nearer than the keyframe's surface is seen through.

@@ -7,17 +7,13 @@ twice, the second time over the inliers. Cells beside an edge have no surface.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import freeze
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.camera import Camera
 
 _RADIUS = 2
 _LEAST_CELLS = 12

@@ -5,14 +5,10 @@ For the world of a hand-held camera's odometry; gravity is better if it is known
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Scan
+from hickory_stream.records import Scan
 
 _TILTED_RAD = np.radians(50.0)
 _LEVEL_COSINE = np.cos(np.radians(6.0))

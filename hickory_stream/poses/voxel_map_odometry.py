@@ -6,7 +6,7 @@ which fixes the order of sums. This module adds the prediction, and the tests wh
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +24,8 @@ from hickory_stream.geometry.rigid import (
 )
 from hickory_stream.ports import NotRegistered, Registered
 from hickory_stream.poses.degeneracy import Surfels, degenerate_directions, surfels_of, without_degenerate
-from hickory_stream.poses.odometry_config import OdometryConfig, config_of, typical_range_m
-
-if TYPE_CHECKING:
-    from typing import Any
-
-    from hickory_stream.poses.odometry_config import Sensor
-    from hickory_stream.records import Scan
-
+from hickory_stream.poses.odometry_config import OdometryConfig, Sensor, config_of, typical_range_m
+from hickory_stream.records import Scan
 
 Matrix = NDArray[np.float64]
 

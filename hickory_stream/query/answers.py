@@ -14,6 +14,7 @@ from hickory_stream.errors import InputError
 from hickory_stream.query.colors import COLOR_NAMES
 from hickory_stream.query.grammar import question_of
 from hickory_stream.query.question import (
+    Condition,
     HasColor,
     HasMeasure,
     HasShape,
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.query.map_index import MapIndex
-    from hickory_stream.query.question import Condition
 
     Looks = Callable[[str], NDArray[np.float64]]
 

@@ -5,13 +5,9 @@ Hue and chroma decide first, since lightness depends on shade.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 COLOR_NAMES = ("black", "gray", "white", "red", "orange", "brown", "beige", "yellow", "green", "blue", "purple", "pink")
 

@@ -17,11 +17,11 @@ from __future__ import annotations
 
 import re
 from difflib import get_close_matches
-from typing import TYPE_CHECKING
 
 from hickory_stream.errors import InputError
 from hickory_stream.query import vocabulary as words
 from hickory_stream.query.question import (
+    Condition,
     HasMeasure,
     LooksLike,
     Most,
@@ -31,12 +31,10 @@ from hickory_stream.query.question import (
     Question,
     Related,
     Relation,
+    Room,
     Serves,
     Thing,
 )
-
-if TYPE_CHECKING:
-    from hickory_stream.query.question import Condition, Room
 
 _TOKEN = re.compile(r"#\d+|-?\d+(?:\.\d+)?,\s*-?\d+(?:\.\d+)?|\d+(?:\.\d+)?|[^\W\d_]+|\S")
 _PLACE = re.compile(r"(-?[\d.]+),\s*(-?[\d.]+)")

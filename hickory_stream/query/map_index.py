@@ -9,7 +9,7 @@ import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.inspection.supports import supports_of
-from hickory_stream.mapping.rules.support_graph import Relation
+from hickory_stream.mapping.rules.support_graph import Relation, Support
 from hickory_stream.query.colors import COLOR_NAMES, name_shares
 from hickory_stream.query.shape_scores import (
     NUM_LEVELS,
@@ -19,7 +19,7 @@ from hickory_stream.query.shape_scores import (
     shape_scores,
     top_map,
 )
-from hickory_stream.records import Phase
+from hickory_stream.records import MapSnapshot, Phase, TrackedObject
 from hickory_stream.storeys import floor_beneath, floor_of, floors_of
 
 if TYPE_CHECKING:
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.mapping.rules.support_graph import Support
-    from hickory_stream.records import MapSnapshot, TrackedObject
 
 # What holds an object that no other object holds.
 ON_FLOOR, ON_NOTHING = -1, -2

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, assert_never
+from typing import assert_never
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.query.map_index import ON_FLOOR, Pairs
-from hickory_stream.query.question import Relation
+from hickory_stream.query.map_index import ON_FLOOR, MapIndex, Pairs
+from hickory_stream.query.question import Relation, Room
 from hickory_stream.query.shape_scores import ramp
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.query.map_index import MapIndex
-    from hickory_stream.query.question import Room
 
 # Gaps between boxes, metres: not at all, fully.
 _NEAR = (1.5, 0.5)

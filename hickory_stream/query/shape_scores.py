@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.geometry.superquadric import volumes_m3
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.boxes import OrientedBox
-    from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
 
 
 def ramp(value: NDArray[np.float64], zero_at: float, one_at: float) -> NDArray[np.float64]:

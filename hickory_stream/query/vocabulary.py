@@ -5,13 +5,8 @@ Sizes are of things in rooms: each word does not hold at its first number of met
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from hickory_stream.query.colors import COLOR_NAMES
-from hickory_stream.query.question import HasColor, HasMeasure, HasShape, Quantity, Relation, Serves, Use
-
-if TYPE_CHECKING:
-    from hickory_stream.query.question import Condition
+from hickory_stream.query.question import Condition, HasColor, HasMeasure, HasShape, Quantity, Relation, Serves, Use
 
 _SIZES: dict[str, tuple[Quantity, float, float]] = {
     "tiny": (Quantity.SIZE, 0.18, 0.10),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal, assert_never
+from typing import Literal, assert_never
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hickory_stream.errors import ConfigError
@@ -14,7 +15,15 @@ from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, on_steps
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import Superquadrics, moved
 from hickory_stream.geometry.superquadric_surface import surface_points
-from hickory_stream.ports import BuiltShape, NoShape, Reconstruction, Reconstructor, ShapeInputs
+from hickory_stream.ports import (
+    BuiltShape,
+    MeshGenerator,
+    NoShape,
+    PoseRefiner,
+    Reconstruction,
+    Reconstructor,
+    ShapeInputs,
+)
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fitted_shape
 from hickory_stream.shapes.generated.judgement import JudgementConfig
 from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
@@ -23,11 +32,6 @@ from hickory_stream.shapes.inflate.inflation import InflateConfig, inflate
 from hickory_stream.shapes.mesh_validation import usable
 from hickory_stream.shapes.reconstruct.fused import FusedConfig, FusedReconstructor
 from hickory_stream.shapes.reconstruct.single_view import SingleViewConfig, SingleViewReconstructor
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import MeshGenerator, PoseRefiner
 
 ReconstructorName = Literal["fused", "single_view", "external"]
 

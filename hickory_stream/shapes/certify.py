@@ -8,13 +8,16 @@ needed, must lie in one primitive, unless all of it is within the margin of the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.portable_kernels import exp, log
 from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.records import ObjectShape
 from hickory_stream.shapes.inflate.cover import (
     NET,
     NET_FACTOR,
@@ -27,14 +30,6 @@ from hickory_stream.shapes.inflate.cover import (
 )
 from hickory_stream.shapes.mesh_validation import used_surface
 from hickory_stream.shapes.sdf import distance_grid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.records import ObjectShape
-
 
 # By how much ln G must stay below its limit: several orders of magnitude above the rounding error of its evaluation.
 NUMERICAL_MARGIN = 1e-9

@@ -6,16 +6,12 @@ One such vertex a hundred metres away would make the certified object that large
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from typing import Any
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.mesh import Mesh
 
 
 def usable(mesh: Mesh) -> Mesh:

@@ -19,7 +19,7 @@ import numpy as np
 from hickory_stream.errors import HickoryError, InputError
 from hickory_stream.navigation.costmap import Costmap, Followed
 from hickory_stream.navigation.free_space import FreeSpace
-from hickory_stream.navigation.search import NoPath, plan
+from hickory_stream.navigation.search import NoPath, Path, plan
 from hickory_stream.navigation.stand_ins import SeenSurface
 from hickory_stream.sinks import ros_messages as ros
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.navigation.robot import Robot
-    from hickory_stream.navigation.search import Path
     from hickory_stream.records import FrameReport, MapSnapshot
 
 

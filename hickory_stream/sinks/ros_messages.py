@@ -14,7 +14,7 @@ import numpy as np
 
 from hickory_stream.navigation.costmap import CostmapUpdate
 from hickory_stream.navigation.occupancy import GridFrame
-from hickory_stream.navigation.stand_ins import early_obstacles
+from hickory_stream.navigation.stand_ins import Obstacle, early_obstacles
 from hickory_stream.records import MapSnapshot, TrackedObject
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.navigation.search import Path
-    from hickory_stream.navigation.stand_ins import Obstacle
 
 FRAME_ID = "map"
 GRID, UPDATE = "nav_msgs/msg/OccupancyGrid", "map_msgs/msg/OccupancyGridUpdate"

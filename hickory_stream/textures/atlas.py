@@ -7,17 +7,14 @@ stretched by more than 1.7 times. A sheet that lies over another one in a chart,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 _SIDES = np.concatenate([np.eye(3), -np.eye(3)])
 # Axes of the plane that a side looks along, so that u x v = its direction: text is not mirrored.

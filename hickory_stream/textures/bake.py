@@ -6,10 +6,11 @@ seam. Unseen surface has a plain colour, which fades between the colours of the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import csr_array
 
@@ -17,17 +18,10 @@ from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.ports import Crop
 from hickory_stream.textures import DEFAULT_TEXTURE_PX, LEAST_TEXTURE_PX, MOST_TEXTURE_PX
-from hickory_stream.textures.atlas import atlas_of
+from hickory_stream.textures.atlas import Atlas, atlas_of
 from hickory_stream.textures.textured_mesh import TexturedMesh
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Crop
-    from hickory_stream.textures.atlas import Atlas
 
 _HOLE_PX = 3.0
 _LEAST_COSINE = 0.12

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.worlds.scene import part_boxes
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.boxes import OrientedBox
-    from hickory_stream.worlds.scene import World
+from hickory_stream.geometry.boxes import OrientedBox
+from hickory_stream.worlds.scene import World, part_boxes
 
 CELL_M = 0.04
 HEAD_M = 1.8

@@ -5,19 +5,14 @@ Light adds up linearly: under light 1, a white surface is rendered white.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.textures import Color
+from hickory_stream.worlds.textures import Color
 
 MOST_LAMPS = 8
 """The lamps that reach a pixel are kept in this number of bits."""

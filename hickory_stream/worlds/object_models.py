@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.mesh import Mesh
-from hickory_stream.worlds.textures import colors_at
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.textures import Texture
+from hickory_stream.worlds.textures import Texture, colors_at
 
 # Vertices carry the colours of the truth meshes, so flat faces are divided to about this size.
 _CELL_M = 0.06

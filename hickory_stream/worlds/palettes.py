@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from hickory_stream.worlds.textures import Texture
+import numpy as np
 
-if TYPE_CHECKING:
-    import numpy as np
-
-    from hickory_stream.worlds.textures import Color, Pattern
+from hickory_stream.worlds.textures import Color, Pattern, Texture
 
 _WOODS: tuple[tuple[Color, Color], ...] = (
     ((0.72, 0.53, 0.34), (0.58, 0.39, 0.23)),

@@ -27,9 +27,9 @@ from hickory_stream.evaluation.truth import (
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.worlds.object_models import model_mesh
-from hickory_stream.worlds.scene import placed_otherwise
-from hickory_stream.worlds.shots import OCCLUDER_ID, Filming, shots_of
-from hickory_stream.worlds.trajectory import STEP_S
+from hickory_stream.worlds.scene import World, WorldObject, placed_otherwise
+from hickory_stream.worlds.shots import OCCLUDER_ID, Filming, Stage, shots_of
+from hickory_stream.worlds.trajectory import STEP_S, Trajectory
 from hickory_stream.worlds.visibility import SeenSurface
 from hickory_stream.worlds.zed_log import encode_png
 
@@ -40,9 +40,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.pictures.ray_caster import CasterName
     from hickory_stream.worlds.recording_config import RecordingConfig
-    from hickory_stream.worlds.scene import World, WorldObject
-    from hickory_stream.worlds.shots import Stage
-    from hickory_stream.worlds.trajectory import Trajectory
 
 _START_NS = 1_752_400_000_000_000_000
 _ODOMETRY_HZ = 30

@@ -6,7 +6,7 @@ A room is the only scene here; others, and other logs, come from outside by `reg
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -15,19 +15,15 @@ from hickory_stream.geometry.camera import Camera
 from hickory_stream.worlds.depth_camera import DepthCameraConfig
 from hickory_stream.worlds.room import furnished_room
 from hickory_stream.worlds.shots import Sensors, Stage
-from hickory_stream.worlds.trajectory import NoWalk, WalkConfig, walk_round
-from hickory_stream.worlds.zed_log import ZedLog
+from hickory_stream.worlds.trajectory import NoWalk, Trajectory, WalkConfig, walk_round
+from hickory_stream.worlds.zed_log import LogWriter, ZedLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
-    from typing import TypeAlias
 
     from hickory_stream.worlds.scene import World
-    from hickory_stream.worlds.trajectory import Trajectory
-    from hickory_stream.worlds.zed_log import LogWriter
 
-    # Returns a walk by its number through a world, which may differ from the drawn one by what was moved in it.
     Walk: TypeAlias = Callable[[World, int], Trajectory | NoWalk]
 
 _WORLDS = 20

@@ -7,24 +7,19 @@ the pixel's centre. Colour is sampled four times at edges, and inside a face twi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.pictures.ray_caster import CasterName, Crossings, ray_caster
 from hickory_stream.worlds.lighting import Lighting, lamp_table, usual_lighting
-from hickory_stream.worlds.object_models import model_triangles
+from hickory_stream.worlds.object_models import Model, model_triangles
+from hickory_stream.worlds.scene import World
 from hickory_stream.worlds.textures import albedo, texture_table
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.worlds.object_models import Model
-    from hickory_stream.worlds.scene import World
 
 GLASS = "window"
 """The kind of structure that shows in colour and gives no depth."""

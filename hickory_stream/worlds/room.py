@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,13 +11,7 @@ from hickory_stream.worlds import furniture, small_things
 from hickory_stream.worlds.object_models import Model, rounded_box
 from hickory_stream.worlds.scene import Placement, World, at_place, numbered
 from hickory_stream.worlds.support_placement import REST_M, Wall, stood_on, walls_of
-from hickory_stream.worlds.textures import Texture
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from hickory_stream.worlds.textures import Color
-
+from hickory_stream.worlds.textures import Color, Texture
 
 _ATTEMPTS = 200
 _HEIGHT_M = 2.6

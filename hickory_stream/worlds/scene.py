@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.boxes import OrientedBox, intersection_volume_m3
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.lighting import Lighting
-    from hickory_stream.worlds.object_models import Model
+from hickory_stream.worlds.lighting import Lighting
+from hickory_stream.worlds.object_models import Model
 
 # Touching faces may share a sliver by rounding; up to a cubic millimetre is ignored.
 _SLIVER_M3 = 1e-9

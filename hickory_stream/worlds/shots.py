@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.worlds.depth_camera import sensed_depth
-from hickory_stream.worlds.rendering import Renderer
+from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
+from hickory_stream.worlds.rendering import Rendered, Renderer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.pictures.ray_caster import CasterName
-    from hickory_stream.worlds.depth_camera import DepthCameraConfig
-    from hickory_stream.worlds.rendering import Rendered
     from hickory_stream.worlds.scene import World
     from hickory_stream.worlds.trajectory import Trajectory
     from hickory_stream.worlds.zed_log import DepthView

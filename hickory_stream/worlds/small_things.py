@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from hickory_stream.worlds.furniture import vessel
 from hickory_stream.worlds.object_models import Model, Part, Surface, lathe, rounded_box, tube
 from hickory_stream.worlds.palettes import glaze, plain
-from hickory_stream.worlds.textures import Texture
-
-if TYPE_CHECKING:
-    from hickory_stream.worlds.textures import Color
+from hickory_stream.worlds.textures import Color, Texture
 
 
 def monitor(rng: np.random.Generator) -> Model:

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.worlds.object_models import Model, Surface
 from hickory_stream.worlds.scene import Placement, at_place
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.object_models import Model, Surface
 
 # Objects are placed half a millimetre above their support: of two coincident surfaces, a ray may hit either.
 REST_M = 0.0005

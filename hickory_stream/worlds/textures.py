@@ -6,17 +6,14 @@ The kernels read a table with one row per texture, since a frame has a million p
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 Pattern = Literal[
     "plain", "wood", "checker", "stripes", "speckle", "planks", "print", "tiles", "marble", "dots", "plaid", "cells"

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import from_rotation_translation, interpolate
 from hickory_stream.worlds.clearance import clearance_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.scene import World
-
+from hickory_stream.worlds.scene import World
 
 _DECISION_S = 1.2
 _LOOKAHEAD = 3

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.evaluation.exposed import exposed_samples
-from hickory_stream.geometry.camera import project
+from hickory_stream.geometry.camera import Camera, project
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.worlds.object_models import model_mesh
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.worlds.scene import World
+from hickory_stream.worlds.scene import World
 
 _SAMPLES = 1500
 _AGREEMENT_M = 0.02

@@ -7,21 +7,17 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, invert
 from hickory_stream.worlds.ros_messages import RosMessages
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from types import TracebackType
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
 
 COLOR_TOPIC = "/zed/zed_node/rgb/color/rect/image/compressed"
 COLOR_INFO_TOPIC = "/zed/zed_node/rgb/color/rect/camera_info"

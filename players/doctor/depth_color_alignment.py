@@ -6,18 +6,14 @@ A shifted camera moves near edges by more pixels than far ones, unlike a shifted
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Frame
+from hickory_stream.records import Frame
 
 _STEP_M, _REACH_M = 0.005, 0.06
 _NEAR_M, _FAR_M = 0.3, 4.0

@@ -6,18 +6,14 @@ Bias: a constant added to depth lowers the floor at near points by more than at 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.depth_sensor import DepthSensor
-    from hickory_stream.records import Frame
+from hickory_stream.geometry.depth_sensor import DepthSensor
+from hickory_stream.records import Frame
 
 _ACROSS, _LEAST_SIDE_PX, _SAMPLED_PX = 13, 8, 2
 _FILLED = 0.85

@@ -15,10 +15,10 @@ import numpy as np
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import InputError, NoPosesError, RecordingError
 from hickory_stream.geometry.depth_sensor import DepthSensor
-from hickory_stream.mapping.rules.keyframes import Keyframe, is_keyframe, motion
+from hickory_stream.mapping.rules.keyframes import Keyframe, KeyframeConfig, is_keyframe, motion
 from hickory_stream.poses.hand_eye import NoHandEye
-from players.doctor.depth_color_alignment import BorderScores, border_scores, color_alignment
-from players.doctor.depth_noise import FlatPatches, depth_bias, depth_noise, flat_patches
+from players.doctor.depth_color_alignment import BorderScores, ColorAlignment, border_scores, color_alignment
+from players.doctor.depth_noise import DepthBias, DepthNoise, FlatPatches, depth_bias, depth_noise, flat_patches
 from players.doctor.gravity import SeenFloor, floor_in, gravity_notes
 from players.doctor.image_brightness import Brightness, brightness_of, median_brightness
 from players.doctor.stream_stats import StreamStats, nearest_ms
@@ -35,10 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.mapping.rules.keyframes import KeyframeConfig
     from hickory_stream.ports import Source
-    from players.doctor.depth_color_alignment import ColorAlignment
-    from players.doctor.depth_noise import DepthBias, DepthNoise
     from players.logs.containers import Log
     from players.logs.log_damage import Flaws
     from players.options import SourceOptions

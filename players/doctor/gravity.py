@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
 from hickory_stream.mapping.floor_warnings import tilt_warning
 from hickory_stream.perception.structure.detection import StructureConfig
 from hickory_stream.perception.structure.room_structure import room_structure_of
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
-from hickory_stream.records import ObservedSpace
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Frame
+from hickory_stream.records import Frame, ObservedSpace
 
 _VOXEL_M, _SUPPORT_M2 = 0.05, 0.03
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import html
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hickory_stream.base.html_page import page
-
-if TYPE_CHECKING:
-    from players.doctor.diagnosis import Diagnosis
+from players.doctor.diagnosis import Diagnosis
 
 _VERDICTS = {0: "SOUND", 2: "UNUSABLE", 3: "USABLE WITH LOSSES"}
 _MAX_LINES = 12

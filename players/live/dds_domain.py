@@ -6,15 +6,13 @@ The receive buffer is raised, or raw images do not fit. There is no multicast.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from hickory_stream.errors import RecordingError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 _DEPTH = 50
 _BLOCKING_MS = 200

@@ -13,13 +13,12 @@ from players.live.live_log import LiveLog
 from players.live.opening import subscribe
 from players.live.recorder import Recorder
 from players.live.routes import route_of
-from players.live.status import status_of, status_table
+from players.live.status import LiveStatus, status_of, status_table
 from players.opening import open_container
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from players.live.status import LiveStatus
     from players.live.transport import LiveSource
     from players.options import SourceOptions
 

@@ -17,14 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import RecordingError
-from players.live.inbox import MAX_MESSAGE_BYTES, MAX_TOPICS
+from players.live.inbox import MAX_MESSAGE_BYTES, MAX_TOPICS, Inbox
 from players.live.transport import Health
 from players.logs.mcap_records import make_topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
-    from players.live.inbox import Inbox
     from players.logs.containers import Topic
 
 

@@ -8,17 +8,12 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from threading import Condition
-from typing import TYPE_CHECKING
 
-from players.logs.containers import LogMessage
+from players.logs.containers import LogMessage, Topic
 from players.messages.records import COMPRESSED_IMAGE, IMAGE, POINT_CLOUD
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from players.logs.containers import Topic
 
 MAX_MESSAGE_BYTES = 64 << 20
 """A message that is longer is refused: 4K colour takes 25 MB, raw."""

@@ -11,18 +11,13 @@ import select
 import sys
 import threading
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterator
+from pathlib import Path
 
-from players.live.inbox import MAX_MESSAGE_BYTES
+from players.live.inbox import MAX_MESSAGE_BYTES, Inbox
 from players.live.transport import Health
 from players.logs import mcap_records as mcap
 from players.logs.decompression import UnpackError
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-    from pathlib import Path
-
-    from players.live.inbox import Inbox
 
 _READ_BYTES = 1 << 18
 _MAX_RECORD_BYTES = 4 * MAX_MESSAGE_BYTES

@@ -16,9 +16,9 @@ from players.live.inbox import Inbox
 from players.live.live_log import LiveLog
 from players.live.routes import is_recording, route_of
 from players.live.status import ROLES, LiveStatus, status_of
-from players.live.transport import ReturnLink
+from players.live.transport import LiveSource, ReturnLink
 from players.logs.log_opening import choose_profile, open_log
-from players.logs.message_account import TopicAccount
+from players.logs.message_account import Account, TopicAccount
 from players.logs.topic_discovery import camera_infos, choose_images, pose_topics, tf_topics
 from players.messages.records import POSE_TYPES, TF
 from players.options import SourceOptions
@@ -28,10 +28,8 @@ if TYPE_CHECKING:
 
     from hickory_stream.records import RawFrame, SourceInfo
     from players.live.recorder import Recorder
-    from players.live.transport import LiveSource
     from players.logs.containers import Topic
     from players.logs.log_source import LogSource
-    from players.logs.message_account import Account
     from players.profile import Profile
 
 DEFAULT_PATIENCE_S = 60.0

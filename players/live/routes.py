@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hickory_stream.errors import RecordingError
-
-if TYPE_CHECKING:
-    from players.live.transport import LiveSource
+from players.live.transport import LiveSource
 
 KNOWN = (
     "zenoh://HOST[:7447][/NAMESPACE], foxglove://HOST[:8765], zed://[SERIAL], zed://IP:PORT, zed:FILE.svo2, "

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from players.logs.containers import Topic
 from players.messages.records import CAMERA_INFO, IMAGE, ODOMETRY
 from players.profile import OPTICAL_FROM_FLU
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
 
 COLOR, DEPTH = "/zed/zed_node/left/color/rect/image", "/zed/zed_node/depth/depth_registered"
 COLOR_INFO, DEPTH_INFO = "/zed/zed_node/left/color/rect/camera_info", "/zed/zed_node/depth/camera_info"

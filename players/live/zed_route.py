@@ -7,21 +7,18 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.camera import Camera
 from players.live import zed_messages as zed
+from players.live.inbox import Inbox
 from players.live.transport import Health
 from players.live.zed_sdk import check_sdk, load_sdk
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from players.live.inbox import Inbox
 
 _PORT = 30000
 _AGAIN_S = 1.0

@@ -7,16 +7,12 @@ import threading
 import time
 import uuid
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from players.live.zenoh_keys import own_token, publication_like, publishing_key
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from players.live.zenoh_keys import Publication
+from players.live.zenoh_keys import Publication, own_token, publication_like, publishing_key
 
 _ATTACHMENT = struct.Struct("<qqB16s")
 

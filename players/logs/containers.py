@@ -9,15 +9,13 @@ from __future__ import annotations
 import hashlib
 import struct
 from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Protocol
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from players.logs.log_damage import Flaws
+from players.logs.log_damage import Flaws
 
 DefinitionFormat = Literal["msg", "idl", "protobuf", "jsonschema", "none"]
 _SAMPLE_BYTES = 1 << 20

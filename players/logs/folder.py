@@ -6,26 +6,21 @@ Frames are those of the colour camera, and the poses are its poses.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.records import Frame, RawFrame, SourceInfo
 from players.logs.containers import files_identity
 from players.logs.message_account import Account, Ledger, TopicAccount
 from players.messages.depth_registration import Registration, register_depth
 from players.messages.image_decoding import compressed_size, decode_color, decode_depth_png
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.depth_sensor import DepthSensor
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert
@@ -19,16 +21,8 @@ from players.logs.folder import FolderContent, FolderFrame, FolderSource
 from players.logs.synchronizer import Leftover, Stamped, default_tolerance_ns, pair_nearest
 from players.messages.depth_registration import Registration
 from players.messages.image_decoding import compressed_size
-from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC
+from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC, SourceOptions
 from players.profile import Intrinsics, Profile, load_profile
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from players.options import SourceOptions
 
 INTRINSICS = "camera-intrinsics.txt"
 CAM_PARAMS = "cam_params.json"

@@ -5,20 +5,17 @@ from __future__ import annotations
 import json
 from contextlib import suppress
 from decimal import Decimal, InvalidOperation
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.rigid import invert
 from players.poses.interpolation import PoseTrack, is_pose_row, nearest_rigid, track_of, world_from_down
 from players.profile import Intrinsics
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 GRAVITY = "gravity-direction.txt"
 

@@ -6,18 +6,13 @@ Logs are merged by header stamp, since odometry from a replay has the log times 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from players.logs.containers import merged_topics
+from players.logs.containers import Log, LogMessage, merged_topics
 from players.logs.log_damage import Flaws
 from players.messages.header_stamp import serialized_stamp_ns
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
-    from pathlib import Path
-
-    from players.logs.containers import Log, LogMessage
 
 
 @dataclass(slots=True)

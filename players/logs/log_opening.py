@@ -5,15 +5,16 @@ Only the beginning is read: up to images of both topics, their calibrations, and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import CalibrationError, NoPosesError, RecordingError
 from hickory_stream.geometry.rigid import from_rotation_translation
 from players.logs import topic_discovery as discovery
-from players.logs.containers import UnreadableMessageError, deserialize
+from players.logs.containers import Log, Topic, UnreadableMessageError, deserialize
 from players.logs.log_setup import LogSetup
 from players.logs.log_source import LogSource
 from players.logs.synchronizer import default_tolerance_ns
@@ -22,19 +23,11 @@ from players.messages.calibration import Lens, lens_of
 from players.messages.depth_registration import Registration
 from players.messages.images import LogImage, Probe, check_color_encoding, check_depth_encoding, image_of
 from players.messages.records import TF
-from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC
+from players.options import DEFAULT_MAX_POSE_GAP_NS, NO_TOPIC, SourceOptions
 from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader, PoseStream, plan_poses
 from players.poses.pose_file import read_pose_file
 from players.poses.tf import FrameTree
 from players.profile import Profile, guess_profile, load_profile, profiles_with_robots, robots_in
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from players.logs.containers import Log, Topic
-    from players.options import SourceOptions
 
 _PATIENCE_NS = 10_000_000_000
 """How much more of the log is read for topics without a message, once everything needed has been found."""

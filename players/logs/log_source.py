@@ -17,8 +17,8 @@ import numpy as np
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
-from players.logs.containers import UnreadableMessageError, deserialize, files_identity
-from players.logs.message_account import Ledger, account_of
+from players.logs.containers import Log, LogMessage, Topic, UnreadableMessageError, deserialize, files_identity
+from players.logs.message_account import Account, Ledger, account_of
 from players.logs.synchronizer import Leftover, Pair, Stamped, pair_epochs
 from players.logs.timeline import Order, Timeline
 from players.messages.depth_registration import Registration, register_depth, with_motion
@@ -26,18 +26,15 @@ from players.messages.header_stamp import serialized_stamp_ns
 from players.messages.images import LogImage, color_of, depth_of, image_of
 from players.messages.point_clouds import scan_of
 from players.messages.records import POINT_CLOUD
-from players.poses.camera_poses import UNPOSED, PoseReader
+from players.poses.camera_poses import UNPOSED, PosePlan, PoseReader
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
-    from players.logs.containers import Log, LogMessage, Topic
     from players.logs.log_setup import LogSetup
-    from players.logs.message_account import Account
     from players.messages.calibration import Lens
-    from players.poses.camera_poses import PosePlan
 
 logger = logging.getLogger(__name__)
 

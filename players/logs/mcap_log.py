@@ -11,20 +11,16 @@ import re
 import struct
 import zlib
 from collections import Counter
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.errors import RecordingError
 from players.logs import mcap_records as mcap
-from players.logs.containers import LogMessage, merged_topics, summed_by
+from players.logs.containers import LogMessage, Topic, merged_topics, summed_by
 from players.logs.decompression import UnpackError, release
 from players.logs.log_damage import Flaws
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-    from pathlib import Path
-
-    from players.logs.containers import Topic
 
 _FOOTER_BYTES = mcap.HEAD.size + 20
 _CHUNK_PATTERN = re.compile(rb"\x06(?=[\s\S]{5}\x00{3}[\s\S]{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))")

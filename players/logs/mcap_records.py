@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from players.logs.containers import Topic, normalized_type
+from players.logs.containers import DefinitionFormat, Topic, Wire, normalized_type
 from players.logs.decompression import UnpackError, unpack
 from players.messages.foxglove import ROS_TYPES
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from players.logs.containers import DefinitionFormat, Wire
 
 MAGIC = b"\x89MCAP0\r\n"
 _WIRES: dict[str, Wire] = {"cdr": "cdr", "ros1": "ros1", "protobuf": "protobuf", "json": "json"}

@@ -7,17 +7,14 @@ Unreadable: damaged. Not played: behind the end of the pass. The rest is the dif
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from players.logs.containers import Log
-    from players.logs.log_setup import LogSetup
-
+from players.logs.containers import Log
+from players.logs.log_setup import LogSetup
 
 _MAX_FLAWS = 5
 

@@ -8,13 +8,11 @@ from __future__ import annotations
 import re
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hickory_stream.errors import RecordingError
+from players.logs.containers import Log
 from players.logs.joined_log import JoinedLog
-
-if TYPE_CHECKING:
-    from players.logs.containers import Log
 
 METADATA = "metadata.yaml"
 SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")

@@ -6,8 +6,10 @@ SQLite reads a sound file. For a damaged one, `sqlite_pages` finds every message
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from hickory_stream.errors import RecordingError
@@ -15,10 +17,6 @@ from players.logs.containers import LogMessage, Topic, merged_topics, normalized
 from players.logs.decompression import UnpackError, unpack
 from players.logs.log_damage import Flaws
 from players.logs.sqlite_pages import PageFile
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-    from pathlib import Path
 
 MAGIC = b"SQLite format 3\0"
 _ZSTD = b"\x28\xb5\x2f\xfd"

@@ -7,12 +7,10 @@ A row whose overflow pages form no chain of the right length has no values.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+from pathlib import Path
+from typing import Any, Literal
 
 _TABLE_LEAF = 0x0D
 _MAX_ROW_BYTES = 1 << 30

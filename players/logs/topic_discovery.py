@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from hickory_stream.errors import NoPosesError, RecordingError
+from players.logs.containers import Topic
 from players.messages.records import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, POSE_TYPES, TF
-from players.options import NO_TOPIC
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from players.logs.containers import Topic
-    from players.options import SourceOptions
+from players.options import NO_TOPIC, SourceOptions
 
 _COLOR_POINTS = {"rgb": 8, "color": 8, "colour": 8, "left": 2, "rect": 2, "image": 1, "compressed": 1}
 _DEPTH_POINTS = {"aligned": 8, "registered": 8, "rect": 2, "compresseddepth": 1, "compressed": -2}

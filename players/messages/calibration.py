@@ -7,18 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import CalibrationError
 from hickory_stream.geometry.camera import Camera
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from players.messages.records import CameraInfo
+from players.messages.records import CameraInfo
 
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt4")
 _RADIAL = ("plumb_bob", "rational_polynomial", "")

@@ -6,18 +6,14 @@ A depth pixel is a small square of surface. It covers its projected square, slig
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
 
 _GROWTH = 1.15
 """The enlargement of a square. It closes the gaps that parallax opens between neighbours on a slanted surface."""

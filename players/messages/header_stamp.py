@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from players.logs.containers import UnreadableMessageError, deserialize
+from players.logs.containers import Topic, UnreadableMessageError, deserialize
 from players.messages.records import HEADER_FIRST, TF, header_stamp_ns
-
-if TYPE_CHECKING:
-    from players.logs.containers import Topic
 
 _LITTLE, _BIG = struct.Struct("<II"), struct.Struct(">II")
 

@@ -6,16 +6,14 @@ Truncated images are refused, since decoders fill missing rows with grey or unin
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.errors import RecordingError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"

@@ -5,16 +5,14 @@ The name of the field with a point's time depends on the driver.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.records import Scan
 from players.messages.records import frame_name, header_stamp_ns
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """The number types by a PointField's `datatype`."""

@@ -6,14 +6,10 @@ Eight nibbles form a little-endian 32-bit word, highest first.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def decode_rvl(data: bytes, num_pixels: int) -> NDArray[np.uint16] | None:

@@ -14,22 +14,19 @@ import numpy as np
 
 from hickory_stream.errors import CalibrationError, NoPosesError
 from hickory_stream.geometry.rigid import compose, invert
-from players.logs.containers import UnreadableMessageError, deserialize
+from players.logs.containers import LogMessage, Topic, UnreadableMessageError, deserialize
 from players.logs.timeline import Order, Timeline
 from players.messages.header_stamp import serialized_stamp_ns
 from players.messages.records import CAMERA_INFO, TF, CameraInfo, StampedPose, camera_info_of, poses_of
 from players.poses.interpolation import is_pose_row, pose_of_row
-from players.poses.tf import Edge, FrameTree
-from players.poses.tracks import GrowingTrack, JumpLimits
+from players.poses.tf import Chain, Edge, FrameTree
+from players.poses.tracks import GrowingTrack, Jump, JumpLimits
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from players.logs.containers import LogMessage, Topic
-    from players.poses.tf import Chain
-    from players.poses.tracks import Jump
     from players.profile import RigLinks
 
 Key = tuple[str, str, str]

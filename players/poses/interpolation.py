@@ -6,19 +6,16 @@ Beyond the ends, and in a wide gap, the nearest pose holds for up to `HOLD_NS`.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import from_rotation_translation, interpolate, rotation_from_quaternion
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 HOLD_NS = 20_000_000
 """How long a pose replaces a missing one: at 1 m/s and 1 rad/s, an error of 2 cm and 1.1 degrees."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from hickory_stream.errors import CalibrationError, RecordingError
 from hickory_stream.geometry.rigid import compose, invert, no_directions, quaternion_from_rotation, turned_directions
-from hickory_stream.ports import NotRegistered, SourceAround
+from hickory_stream.ports import NotRegistered, Registered, Source, SourceAround
 from hickory_stream.poses.choose import make_odometry
 from hickory_stream.poses.depth_scan import scan_of_depth
 from hickory_stream.poses.upright import up_in
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.ports import Registered, Source
     from hickory_stream.poses.odometry_config import MethodName, Sensor
     from hickory_stream.records import Frame, RawFrame, Scan, SourceInfo
     from players.options import OdometryChoice

@@ -7,14 +7,11 @@ from __future__ import annotations
 
 import re
 from decimal import Decimal, InvalidOperation
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from hickory_stream.errors import RecordingError
 from players.poses.interpolation import is_pose_row
 from players.profile import PoseColumns
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _TUM = PoseColumns(columns=("t", "x", "y", "z", "qx", "qy", "qz", "qw"), separator=" ", time_unit="")
 _NEEDED = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, insort
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
@@ -25,11 +26,6 @@ from hickory_stream.geometry.rigid import (
     rotation_vector,
 )
 from players.poses.interpolation import HOLD_NS, pose_of_row
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 STANDING_M, STANDING_RAD = 0.02, 0.02
 """Poses closer than this, at any interval, mean that the robot stood still, when visual odometry makes no keyframes."""

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hickory_stream.cli.commands import NO_ALIGNMENT, Commands
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def add(commands: Commands) -> None:

@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.engine.shape_jobs.generators.choose import chosen_generator
 from hickory_stream.engine.shape_jobs.generators.spec import cluster_resources, read_spec
-from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers, WorkerLimits
+from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers, ShapeWorkers, WorkerLimits
 
 if TYPE_CHECKING:
     from hickory_stream.config import MapperConfig
-    from hickory_stream.engine.shape_jobs.local_workers import ShapeWorkers
 
 
 def make_workers(config: MapperConfig) -> ShapeWorkers:

@@ -12,18 +12,15 @@ import logging
 import tempfile
 import time
 import uuid
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from hickory_stream.base.atomic_files import write_atomically
 from hickory_stream.base.confined import plain_name
 from hickory_stream.engine.shape_jobs.job_folder import MESH, RESULT
+from hickory_stream.engine.shape_jobs.local_workers import WorkerLimits
 from hickory_stream.errors import ConfigError, WorkerError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from hickory_stream.engine.shape_jobs.local_workers import WorkerLimits
 
 logger = logging.getLogger(__name__)
 

@@ -15,8 +15,10 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +28,7 @@ from hickory_stream.base.confined import path_within, plain_name, read_within
 from hickory_stream.base.former_keys import with_current_names
 from hickory_stream.base.json_text import dumps, dumps_exactly
 from hickory_stream.errors import HickoryError, WorkerError
+from hickory_stream.events import RequestShape
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.codecs.mesh_file import SUFFIX, mesh_file_bytes, mesh_of_file
 from hickory_stream.geometry.mesh import sha256_of
@@ -35,12 +38,6 @@ from hickory_stream.map_folder.views import crop_files, read_crop
 from hickory_stream.ports import BuiltShape, NoShape, ShapeInputs
 from hickory_stream.records import Containment, ObjectShape
 from hickory_stream.shapes.build import ShapeConfig
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-    from pathlib import Path
-
-    from hickory_stream.events import RequestShape
 
 MESH, RESULT, JOB = f"shape{SUFFIX}", "result.json", "job.json"
 FAILED, FAILURE = "failed", "failure.json"

@@ -13,9 +13,11 @@ import shutil
 import signal
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, Self
+from pathlib import Path
+from typing import Protocol, Self
 
 import psutil
 
@@ -23,10 +25,6 @@ from hickory_stream.base.caches import cache_root
 from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.engine.shape_jobs.generators.spec import CHOICE_VARIABLE
 from hickory_stream.errors import ConfigError, WorkerError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 logger = logging.getLogger(__name__)
 

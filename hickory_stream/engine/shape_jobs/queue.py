@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.engine.shape_jobs import job_folder as jobs_on_disk
 from hickory_stream.errors import MapFolderError, WorkerError
-from hickory_stream.events import ShapeFailed, ShapeReady
+from hickory_stream.events import RequestShape, ShapeFailed, ShapeReady
 from hickory_stream.journal.step import OpenJob
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.engine.shape_jobs.cache import ShapeCache
     from hickory_stream.engine.shape_jobs.local_workers import ShapeWorkers
-    from hickory_stream.events import RequestShape
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.shapes.build import ShapeConfig
 

@@ -6,17 +6,12 @@ adding shows, it takes a third less and returns to the bit. Neighbours in space 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.codecs.packing import color_planes, colors_of
 from hickory_stream.geometry.voxels import keys_of_cells
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 _MOST_HITS, _MOST_OFF = 255, 7
 # Rows that are no means are stored unchanged; an array of mostly such rows is no array of means.

@@ -6,16 +6,12 @@ The prediction is the median of left, upper and plane through both and the one b
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 # Stands for a number that takes two bytes, which follow after all others.
 _LONG = 255

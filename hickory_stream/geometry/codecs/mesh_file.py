@@ -9,17 +9,14 @@ vertex lies at no step the file begins with `HSM1`, and vertices are float32 (`p
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
 
 import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.codecs.packing import array_of, color_planes, colors_of, planes_of, signed, unsigned
 from hickory_stream.geometry.lattice import MESH_STEPS_PER_M, packed_points, points_of, unpacked_steps
 from hickory_stream.geometry.mesh import Mesh, mesh_of_glb
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 SUFFIX = ".mesh"
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def planes_of(array: NDArray[Any]) -> bytes:

@@ -5,14 +5,10 @@ Long columns of free space take less than a byte a voxel so. Voxels that lie apa
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 MOST_KEYS = 1 << 24
 """More than a submap has; a few bytes of forged blocks could claim all of the memory."""

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import CancelShape, Effect, Event, Publish, RequestShape, ShapeFailed, ShapeReady
-from hickory_stream.journal.step import OpenJob
+from hickory_stream.journal.step import JournalEntry, OpenJob, Step
 from hickory_stream.mapping.core import MapperCore
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from hickory_stream.journal.reader import Journal
-    from hickory_stream.journal.step import JournalEntry, Step
     from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.records import MapSnapshot
 

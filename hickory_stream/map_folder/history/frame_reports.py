@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hickory_stream.geometry.rigid import compose
-from hickory_stream.records import FrameReport
+from hickory_stream.records import Decision, Frame, FrameReport, MapSnapshot, RawFrame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from hickory_stream.geometry.camera import Camera
     from hickory_stream.journal.step import FramePose
     from hickory_stream.perception.perceive import Perceived
-    from hickory_stream.records import Decision, Frame, MapSnapshot, RawFrame
 
 
 def plain_report(raw: RawFrame, world_from_camera: NDArray[np.float64]) -> FrameReport:

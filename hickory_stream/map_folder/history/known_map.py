@@ -14,17 +14,15 @@ from typing import TYPE_CHECKING, Any
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.lazy_arrays import read_parts
 from hickory_stream.journal.record_codec import encode
-from hickory_stream.journal.snapshot_records import object_without_points, submap_without_space
+from hickory_stream.journal.snapshot_records import Place, object_without_points, submap_without_space
 from hickory_stream.map_folder.history.core_replay import Replay
-from hickory_stream.records import MapSnapshot, PoseGraphRecord, Submap, TrackedObject
+from hickory_stream.records import MapSnapshot, ObservedSpace, PoseGraphRecord, Submap, TrackedObject
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from hickory_stream.journal.reader import Journal
-    from hickory_stream.journal.snapshot_records import Place
     from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.records import ObservedSpace
 
 _POINTS, _SPACE = ("points_world", "colors"), ("free", "structure")
 _REST = tuple(f.name for f in fields(TrackedObject) if f.name not in ("id", *_POINTS))

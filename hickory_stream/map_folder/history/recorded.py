@@ -14,7 +14,7 @@ from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.journal.reader import Journal
-from hickory_stream.journal.step import StepKind, Told
+from hickory_stream.journal.step import FramePose, JournalEntry, StepKind, Told
 from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.saved_map import open_map
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.geometry.camera import Camera
-    from hickory_stream.journal.step import FramePose, JournalEntry
     from hickory_stream.mapping.config import MappingConfig
     from hickory_stream.records import Decision, MapSnapshot
 

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from hickory_stream.base.config_text import from_dict
 from hickory_stream.base.former_keys import with_current_names
-from hickory_stream.config import MapperConfig, as_far_as_known
+from hickory_stream.config import MapperConfig, RunConfig, as_far_as_known
 from hickory_stream.errors import ConfigError, MapFolderError
 from hickory_stream.map_folder.manifest import read_manifest
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.config import RunConfig
 
 # Which program is run and which address connected to is never taken from a map, which may come from anybody.
 MACHINE_KEYS = ("worker_python", "cluster", "generator")

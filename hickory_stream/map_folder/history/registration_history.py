@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hickory_stream.errors import MapFolderError
 from hickory_stream.events import FrameObserved, KeyframeRegistered
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import rotation_angle_rad
 from hickory_stream.journal.reader import Journal
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.records import CoarseFrame
+from hickory_stream.records import CoarseFrame
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -5,31 +5,23 @@ A map folder has no depth: a keyframe shows its image, masks, decisions and the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.events import FrameObserved, KeyframeRegistered
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose
 from hickory_stream.journal.reader import Journal
-from hickory_stream.journal.step import StepKind
-from hickory_stream.map_folder.history.core_replay import Replay
+from hickory_stream.journal.step import FramePose, StepKind
+from hickory_stream.map_folder.history.core_replay import Replay, Replayed
 from hickory_stream.map_folder.history.frame_reports import final_report, in_map_frame
 from hickory_stream.map_folder.history.recorded_config import recorded_config
-from hickory_stream.records import FrameReport, Segmentation
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.journal.step import FramePose
-    from hickory_stream.map_folder.history.core_replay import Replayed
-    from hickory_stream.ports import Sink
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.ports import Sink
+from hickory_stream.records import FrameReport, MapSnapshot, Segmentation
 
 
 def replay(path: Path, sinks: Sequence[Sink] = ()) -> MapSnapshot:

@@ -14,11 +14,11 @@ from hickory_stream.base.confined import OutsideError, whole_number
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.journal.reader import Journal
-from hickory_stream.journal.step import StepKind
+from hickory_stream.journal.step import FramePose, OpenJob, Step, StepKind
 from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.history.core_replay import Replay, mesh_names
 from hickory_stream.map_folder.history.recorded_config import recorded_config
-from hickory_stream.map_folder.history.registration_history import registration_history
+from hickory_stream.map_folder.history.registration_history import RegistrationHistory, registration_history
 from hickory_stream.map_folder.manifest import Manifest, read_manifest
 from hickory_stream.map_folder.writer import MapFolder, reopen_map_folder
 from hickory_stream.mapping.rules.keyframes import Keyframe
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.journal.step import FramePose, OpenJob, Step
-    from hickory_stream.map_folder.history.registration_history import RegistrationHistory
     from hickory_stream.mapping.core import MapperCore
     from hickory_stream.records import SourceInfo
 

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING
 from hickory_stream.events import ShapeFailed, ShapeReady
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.history.core_replay import Replay
-from hickory_stream.map_folder.history.registration_history import registration_history
+from hickory_stream.map_folder.history.registration_history import RegistrationHistory, registration_history
 from hickory_stream.map_folder.history.time_travel import step_at
 from hickory_stream.poses.keyframe_registration import NUM_RECENT
 
 if TYPE_CHECKING:
     from hickory_stream.config import MapperConfig
     from hickory_stream.journal.step import OpenJob
-    from hickory_stream.map_folder.history.registration_history import RegistrationHistory
     from hickory_stream.map_folder.writer import MapFolder
     from hickory_stream.mapping.core import MapperCore
 

@@ -16,7 +16,7 @@ from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.known_map import known_map
 from hickory_stream.map_folder.manifest import read_manifest
-from hickory_stream.records import MapSnapshot, PoseGraphRecord
+from hickory_stream.records import MapSnapshot, PoseGraphRecord, TrackedObject
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hickory_stream.config import MapperConfig
-    from hickory_stream.records import TrackedObject
 
 ChangeKind = Literal["appeared", "new", "merged", "dropped", "gone", "moved", "better view", "shape changed"]
 

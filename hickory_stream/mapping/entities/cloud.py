@@ -6,27 +6,21 @@ that were not seen recently are compressed, to a fifth to a half, and read back 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import RLock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.bounds import extent_of
 from hickory_stream.geometry.lattice import STEPS_PER_M, on_steps
-from hickory_stream.geometry.lazy_arrays import compressed, in_memory, restored
+from hickory_stream.geometry.lazy_arrays import Keep, compressed, in_memory, restored
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import are_near, coarse_keys, contains, keys_of_points, places, sorted_unique
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.lazy_arrays import Keep
-
 
 NAMES = ("keys", "points", "colors", "hits")
 

@@ -7,17 +7,13 @@ adds up as log-odds do (occupancy grids: Moravec and Elfes, ICRA 1985).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Observation
+from hickory_stream.records import Observation
 
 # Maximum number of stored viewpoints: an object seen from this many was confirmed long ago.
 _MOST_PLACES = 12

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.arrays import check_array
+from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.lazy_arrays import GivesUpArrays, read_briefly
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import (
@@ -26,16 +29,7 @@ from hickory_stream.geometry.voxels import (
     sorted_unique,
     union,
 )
-from hickory_stream.records import ObservedSpace
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.boxes import OrientedBox
-    from hickory_stream.records import SpaceObservation
-
+from hickory_stream.records import ObservedSpace, SpaceObservation
 
 # The height above a level up to which a column is examined, and the minimum share of it along which a column of a wall
 # has structure: the rest may be unobserved.

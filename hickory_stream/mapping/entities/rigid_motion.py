@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import apply, compose
 from hickory_stream.geometry.superquadric import moved
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import ObjectShape, TrackedObject, View
+from hickory_stream.records import ObjectShape, TrackedObject, View
 
 
 def moved_object(item: TrackedObject, new_from_old: NDArray[np.float64]) -> TrackedObject:

@@ -7,9 +7,9 @@ the camera: the two sides of a wall are never confused.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
@@ -17,11 +17,7 @@ from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.lazy_arrays import GivesUpArrays
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import groups_of, keys_of_points
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import CoarseFrame
+from hickory_stream.records import CoarseFrame
 
 _NEAREST_M = 0.2
 _MOST_HITS = 255

@@ -7,16 +7,19 @@ everything seen since the last jump in submaps *rigid with the open one*, i.e. w
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
+from hickory_stream.events import FrameObserved, KeyframeRegistered
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.lazy_arrays import compress, give_up, in_memory, read_briefly
+from hickory_stream.geometry.lazy_arrays import Keep, compress, give_up, in_memory, read_briefly
 from hickory_stream.geometry.rigid import compose, invert, rotation_angle_rad, turned_directions
 from hickory_stream.geometry.voxels import contains, difference, exchanged, places, union
 from hickory_stream.mapping.entities import observed_space
@@ -34,14 +37,6 @@ from hickory_stream.mapping.entities.observed_space import (
 )
 from hickory_stream.mapping.entities.submap_surface import SubmapSurface, no_surface, surface_points, with_points
 from hickory_stream.records import SpaceObservation, Submap, SurveyedSubmap
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.events import FrameObserved, KeyframeRegistered
-    from hickory_stream.geometry.lazy_arrays import Keep
 
 
 def longer(

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.lazy_arrays import give_up
 from hickory_stream.geometry.sketch import sketch
+from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.geometry.voxels import without_outliers
 from hickory_stream.mapping.entities.cloud import Cloud, array_of, fuse, solid_part
 from hickory_stream.mapping.entities.existence import Existence, no_evidence
 from hickory_stream.mapping.entities.views import better
-from hickory_stream.records import Phase, TrackedObject, View
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.records import ObjectShape, Observation
-
+from hickory_stream.records import ObjectShape, Observation, Phase, TrackedObject, View
 
 _BOX_POINTS = 10_000
 _NO_POINTS, _NO_COLORS = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)

@@ -7,19 +7,13 @@ are sorted, and derived values ask only for changes.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right, insort
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from hickory_stream.mapping.entities.track import touching
+import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.entities.track import Track, touching
 
 # The side of a cell of the grid: about a large object, so that most tracks lie in one to four.
 _CELL_M = 2.0

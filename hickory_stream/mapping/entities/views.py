@@ -10,17 +10,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, assert_never
+from typing import Literal, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.portable_kernels import arctan2, log1p, power
-from hickory_stream.records import View
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Observation
+from hickory_stream.records import Observation, View
 
 Strategy = Literal["s_score", "initial", "max_area", "max_box", "max_volume"]
 

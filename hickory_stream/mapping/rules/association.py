@@ -6,8 +6,9 @@ The box of an object that the image border cuts is small inside the track's larg
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,14 +17,9 @@ from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.entities.cloud import share_near
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from hickory_stream.mapping.entities.track import Track
-    from hickory_stream.mapping.entities.track_table import TrackTable
-    from hickory_stream.records import Observation
-
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.entities.track_table import TrackTable
+from hickory_stream.records import Observation
 
 A = TypeVar("A")
 B = TypeVar("B")

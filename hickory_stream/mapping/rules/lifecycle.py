@@ -6,18 +6,13 @@ these effects. The first matching row applies. `steps.ageing` implements guards 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 from hickory_stream.base.ranges import Ranged, number
-from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.mapping.entities.track import Track
-    from hickory_stream.records import DropCause
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.records import DropCause, Phase
 
 # Rounding tolerance: evidence is a sum of floats.
 _ROUNDING = 1e-6

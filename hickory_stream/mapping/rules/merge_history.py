@@ -6,25 +6,18 @@ poses: another one can take them back.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.mapping.entities.cloud import share_near
+from hickory_stream.mapping.entities.cloud import Cloud, share_near
 from hickory_stream.mapping.entities.existence import united
 from hickory_stream.mapping.entities.track import Track, without_views
+from hickory_stream.mapping.rules.merging import Votes
 from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.mapping.entities.cloud import Cloud
-    from hickory_stream.mapping.rules.merging import Votes
-
 
 # Joins deeper within joins are final: each holds the clouds of its tracks.
 _DEEPEST = 3

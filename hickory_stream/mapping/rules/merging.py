@@ -5,31 +5,24 @@ One under-segmented frame must not merge two objects: points on another track ar
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.boxes import intersection_volume_m3
 from hickory_stream.geometry.voxels import contains
-from hickory_stream.mapping.entities.cloud import fuse, is_near, share_near
+from hickory_stream.mapping.entities.cloud import Cloud, fuse, is_near, share_near
 from hickory_stream.mapping.entities.existence import united
 from hickory_stream.mapping.entities.track import Track, with_cloud
+from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import better, covers_better
 from hickory_stream.mapping.rules.lifecycle import Guard, LifeEvent, transition
+from hickory_stream.mapping.rules.support_graph import SupportGraph
 from hickory_stream.records import Phase, View
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.mapping.entities.cloud import Cloud
-    from hickory_stream.mapping.entities.track_table import TrackTable
-    from hickory_stream.mapping.rules.support_graph import SupportGraph
-
 
 _FOOT_GAP_M = 0.2
 # Boxes with a smaller gap count as touching: a segmenter can take their objects for one.

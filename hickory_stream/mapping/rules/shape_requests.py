@@ -6,21 +6,15 @@ that the map does not depend on the speed of the machine.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.events import RequestShape
-from hickory_stream.mapping.entities.track import ShapeState, is_object
+from hickory_stream.mapping.entities.track import ShapeState, Track, is_object
 from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from hickory_stream.mapping.entities.track import Track
-
 
 # Later than any time of the core's clock: some hundred years.
 _NEVER_NS = 1 << 62

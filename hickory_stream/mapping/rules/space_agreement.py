@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary, ref
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.lazy_arrays import read_briefly
 from hickory_stream.geometry.rigid import apply, invert
@@ -28,13 +28,8 @@ from hickory_stream.geometry.voxels import (
     union,
     within_bounds,
 )
-from hickory_stream.mapping.entities.observed_space import structure_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.mapping.entities.observed_space import SpaceState
-    from hickory_stream.mapping.entities.submaps import Submaps, SubmapState
+from hickory_stream.mapping.entities.observed_space import SpaceState, structure_of
+from hickory_stream.mapping.entities.submaps import Submaps, SubmapState
 
 # So many compared spaces are held at once; each takes a few megabytes.
 _MOST_SPACES = 16

@@ -6,15 +6,11 @@ keyframe matches is a part of that track, its host. A part that recurs, mostly a
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.mapping.entities.cloud import Cloud, fuse, share_near
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
 
 # Minimum ratio of the keyframes that segment a part apart to those that segment it together with the host.
 _APART_RATIO = 2.0

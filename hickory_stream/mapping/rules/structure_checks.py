@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.voxels import keys_of_points
-from hickory_stream.mapping.entities.observed_space import is_edge, is_flush, share_in, structure_hits
-from hickory_stream.mapping.rules.lifecycle import is_sure
+from hickory_stream.mapping.config import MappingConfig
+from hickory_stream.mapping.entities.observed_space import SpaceState, is_edge, is_flush, share_in, structure_hits
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.rules.lifecycle import LifecycleConfig, is_sure
 from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.mapping.entities.observed_space import SpaceState
-    from hickory_stream.mapping.entities.track import Track
-    from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 
 # A track that was not seen for this long is at rest: its extent no longer changes.
 RESTING_S = 1.0

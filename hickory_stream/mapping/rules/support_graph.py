@@ -10,16 +10,18 @@ nearest track.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry.voxels import contains, keys_of_points, sorted_unique
-from hickory_stream.mapping.entities.observed_space import sees_structure
+from hickory_stream.mapping.entities.observed_space import SpaceState, sees_structure
 from hickory_stream.mapping.rules.support_relations import (
+    Body,
     bottom_of_box_m,
     height_under,
     is_hidden_by,
@@ -28,15 +30,6 @@ from hickory_stream.mapping.rules.support_relations import (
     is_on_foot,
     stands_in,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.mapping.entities.observed_space import SpaceState
-    from hickory_stream.mapping.rules.support_relations import Body
-
 
 # The lowest points of a track: those up to this height above this percentile of z.
 _LOWEST_PCT = 2

@@ -5,23 +5,17 @@ Occluded contact gives two masks on one object, which neither overlap nor votes 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Iterable
+from typing import Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.boxes import intersection_volume_m3
-from hickory_stream.mapping.entities.cloud import is_near
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.boxes import OrientedBox
-    from hickory_stream.mapping.entities.cloud import Cloud
+from hickory_stream.geometry.boxes import OrientedBox, intersection_volume_m3
+from hickory_stream.mapping.entities.cloud import Cloud, is_near
 
 # The number of a body's points that are tested for lying on another one: gives the share to a few per cent.
 _SAMPLE = 600

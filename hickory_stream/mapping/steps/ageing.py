@@ -8,41 +8,38 @@ late. A generated shape whose invented parts a keyframe sees to be free is reque
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.events import Effect, FrameObserved
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import contains, keys_of_points, layers_of_keys
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import is_packed, pack_part, without
 from hickory_stream.mapping.entities.existence import with_evidence_against
-from hickory_stream.mapping.entities.observed_space import share_in, window_of
+from hickory_stream.mapping.entities.observed_space import SpaceState, share_in, window_of
 from hickory_stream.mapping.entities.submaps import space_around
-from hickory_stream.mapping.entities.track import is_object, sketched, with_cloud
-from hickory_stream.mapping.entities.track_table import REACH_M
-from hickory_stream.mapping.rules.lifecycle import Guard, LifeEvent, TrackEffect, is_sure, transition
+from hickory_stream.mapping.entities.track import Track, is_object, sketched, with_cloud
+from hickory_stream.mapping.entities.track_table import REACH_M, Mark
+from hickory_stream.mapping.map_state import MapState
+from hickory_stream.mapping.rules.lifecycle import (
+    Guard,
+    LifecycleConfig,
+    LifeEvent,
+    TrackEffect,
+    Transition,
+    is_sure,
+    transition,
+)
 from hickory_stream.mapping.rules.structure_checks import RESTING_S, is_seen_through, points_in_wall, why_structure
 from hickory_stream.mapping.rules.support_graph import ATTACH_M
 from hickory_stream.mapping.steps.endings import cancelled, drop, unite
-from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.events import Effect, FrameObserved
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.mapping.entities.observed_space import SpaceState
-    from hickory_stream.mapping.entities.track import Track
-    from hickory_stream.mapping.entities.track_table import Mark
-    from hickory_stream.mapping.map_state import MapState
-    from hickory_stream.mapping.rules.lifecycle import LifecycleConfig, Transition
-    from hickory_stream.records import ObjectShape
-
+from hickory_stream.records import ObjectShape, Phase
 
 _ROUNDING_NS = 2
 # A track with more than this share of its points on tracks that are part of the room is itself part of the room.

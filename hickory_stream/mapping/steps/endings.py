@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
-from hickory_stream.events import CancelShape
+from hickory_stream.events import CancelShape, Effect
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import pack, pack_part
 from hickory_stream.mapping.entities.submaps import compress_unused
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules.merge_history import after_merge, after_union, tracks_in
 from hickory_stream.mapping.rules.merging import merge
 from hickory_stream.mapping.rules.splitting import reassigned
-from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from hickory_stream.events import Effect
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.mapping.entities.track import Track
-    from hickory_stream.mapping.map_state import MapState
-    from hickory_stream.records import DropCause
+from hickory_stream.records import DropCause, Phase
 
 
 def drop(state: MapState, track: Track, cause: DropCause, reason: str | None = None) -> list[Effect]:

@@ -8,23 +8,27 @@ track lies where it was joined, or on the rest of its host; otherwise it is take
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.events import Effect, FrameObserved, PosesCorrected
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.bounds import bounds_of
 from hickory_stream.geometry.boxes import box_iou, intersection_volume_m3
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import moved
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import fuse, grown_since, moved_cloud, share_near
 from hickory_stream.mapping.entities.existence import Existence, no_evidence, plus_since
 from hickory_stream.mapping.entities.rigid_motion import moved_box, moved_shape, moved_view
-from hickory_stream.mapping.entities.submaps import placed_at
-from hickory_stream.mapping.entities.track import is_object, new_track, sketched, with_cloud, without_views
+from hickory_stream.mapping.entities.submaps import Submaps, placed_at
+from hickory_stream.mapping.entities.track import Track, is_object, new_track, sketched, with_cloud, without_views
 from hickory_stream.mapping.entities.track_table import TrackTable
 from hickory_stream.mapping.entities.views import sector_of
+from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules.association import associate, one_to_one
 from hickory_stream.mapping.rules.lifecycle import LifeEvent, first_phase, is_sure
 from hickory_stream.mapping.rules.merge_history import Join, Past, after_unmerge, with_join
@@ -32,17 +36,6 @@ from hickory_stream.mapping.rules.merging import with_better_views
 from hickory_stream.mapping.rules.space_agreement import agreed_after_placement
 from hickory_stream.mapping.steps.endings import cancelled, compress_elsewhere, drop, unite
 from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.events import Effect, FrameObserved, PosesCorrected
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.mapping.entities.submaps import Submaps
-    from hickory_stream.mapping.entities.track import Track
-    from hickory_stream.mapping.map_state import MapState
 
 
 def moved_track(track: Track, new_from_old: NDArray[np.float64], voxel_m: float) -> Track:

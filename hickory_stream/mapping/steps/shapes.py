@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from hickory_stream.events import CancelShape, ShapeReady
+from hickory_stream.events import CancelShape, Effect, ShapeFailed, ShapeReady
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.track_table import REACH_M
+from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules import shape_requests
 from hickory_stream.mapping.rules.shape_requests import increase_in_score, next_requests, predicted_s
-
-if TYPE_CHECKING:
-    from hickory_stream.events import Effect, ShapeFailed
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.mapping.map_state import MapState
 
 
 def request_shapes(state: MapState, mapping: MappingConfig, *, is_final: bool) -> list[Effect]:

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
-from hickory_stream.events import SearchLoops
+from hickory_stream.events import FrameObserved, LoopsSearched, PoseJumped, SearchLoops
 from hickory_stream.geometry import portable
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities import submaps
 from hickory_stream.mapping.entities.observed_space import floor_change
-from hickory_stream.mapping.entities.submaps import looking_at
+from hickory_stream.mapping.entities.submaps import SubmapConfig, looking_at
+from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules.space_agreement import agreed_after
 from hickory_stream.mapping.steps.ageing import settle
 from hickory_stream.mapping.steps.endings import compress_tracks
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.events import FrameObserved, LoopsSearched, PoseJumped
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.mapping.entities.submaps import SubmapConfig
-    from hickory_stream.mapping.map_state import MapState
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.records import MapSnapshot
 
 
 def begin_keyframe(state: MapState, event: FrameObserved, config: MappingConfig) -> None:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from hickory_stream.events import DropView, KeepView
-from hickory_stream.mapping.entities.views import better, covers_better, score, score_bound, sector_of, view_of
-
-if TYPE_CHECKING:
-    from hickory_stream.events import Effect, FeaturesReady, FrameObserved
-    from hickory_stream.mapping.entities.track import Sighting
-    from hickory_stream.mapping.entities.views import ViewConfig
-    from hickory_stream.mapping.map_state import MapState, PendingFeatures
-    from hickory_stream.records import MaskFeature, View
+from hickory_stream.events import DropView, Effect, FeaturesReady, FrameObserved, KeepView
+from hickory_stream.mapping.entities.track import Sighting
+from hickory_stream.mapping.entities.views import (
+    ViewConfig,
+    better,
+    covers_better,
+    score,
+    score_bound,
+    sector_of,
+    view_of,
+)
+from hickory_stream.mapping.map_state import MapState, PendingFeatures
+from hickory_stream.records import MaskFeature, View
 
 
 def propose_views(

@@ -7,19 +7,14 @@ joins two neighbouring pixels, a repulsive one between distant pixels forbids jo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
-from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, ODDS_UNIT, ODDS_ZERO, OFFSETS
+from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, ODDS_UNIT, ODDS_ZERO, OFFSETS, PixelOdds
 from hickory_stream.perception.fragments.union_find import find_root
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.affinity.pixel_network import PixelOdds
 
 _PER_DISTANCE = len(OFFSETS) // len(DISTANCES_PX)
 # Minimum size of a piece in pixels of the network's output: smaller pieces go to the neighbour of the greatest summed

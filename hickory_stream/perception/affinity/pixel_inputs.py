@@ -7,18 +7,13 @@ units of its noise. The network was trained to work without scale, height or col
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import log
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.surface import Surface
+from hickory_stream.perception.surface import Surface
 
 CHANNELS = (
     *("valid", "normal_forward", "normal_right", "normal_up", "bend_x_1", "bend_y_1", "bend_x_4", "bend_y_4"),

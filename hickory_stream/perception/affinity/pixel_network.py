@@ -10,19 +10,14 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import resources
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.perception.affinity.pixel_inputs import NUM_INPUTS, pixel_inputs
 from hickory_stream.perception.models.network import Network, NetworkConfig
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.surface import Surface
+from hickory_stream.perception.surface import Surface
 
 EMBEDDED = "weights/affinities.onnx"
 # Distances to the neighbours, in output pixels; one output pixel is two pixels of the surface.

@@ -6,17 +6,12 @@ along their principal colour axis (Otsu 1979). It over-segments on purpose: `joi
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 # Side of the averaging windows.
 _WINDOW_PX = 9

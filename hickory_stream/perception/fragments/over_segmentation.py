@@ -6,20 +6,15 @@ Union-find joins neighbouring pixels: only which pairs may be joined matters, no
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import cos
 from hickory_stream.perception.fragments.union_find import find_root
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.structure.room_structure import RoomStructure
-    from hickory_stream.perception.surface import Surface
-
+from hickory_stream.perception.structure.room_structure import RoomStructure
+from hickory_stream.perception.surface import Surface
 
 # Minimum depth edge: distance of a pixel from its neighbour's tangent plane, plus 3 sigma.
 _STEP_M = 0.008

@@ -7,19 +7,15 @@ of which are the patches row by row, or a map (1, D, h, w).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ModelError
+from hickory_stream.perception.models.network import Network
 from hickory_stream.perception.models.preprocessing import normalised
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.models.network import Network
 
 _MOST_EXTRA_TOKENS = 16
 

@@ -8,26 +8,20 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged_mask
+from hickory_stream.perception.models.network import Network
 from hickory_stream.perception.models.preprocessing import letterbox_of, letterboxed
 from hickory_stream.perception.models.yolo_masks import detections_of, masks_of
+from hickory_stream.perception.structure.detection import StructureConfig
 from hickory_stream.perception.structure.room_structure import room_structure_of
-from hickory_stream.perception.surface import Surface, surface_of
-from hickory_stream.records import RejectedMask, Segmentation
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.models.network import Network
-    from hickory_stream.perception.structure.detection import StructureConfig
-    from hickory_stream.perception.surface import SurfaceConfig
-    from hickory_stream.records import Frame, MapPrior
+from hickory_stream.perception.surface import Surface, SurfaceConfig, surface_of
+from hickory_stream.records import Frame, MapPrior, RejectedMask, Segmentation
 
 logger = logging.getLogger(__name__)
 

@@ -8,21 +8,16 @@ of texts. Source: Radford et al., Learning transferable visual models from natur
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import ConfigError, ModelError
 from hickory_stream.perception.models.image_text_pixels import pixels_of, read_preprocessing
-from hickory_stream.perception.models.network import Network
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.models.library import ModelEntry
-    from hickory_stream.perception.models.network import NetworkConfig
+from hickory_stream.perception.models.library import ModelEntry
+from hickory_stream.perception.models.network import Network, NetworkConfig
 
 # Where such networks are published each file has one of these names; what comes first is taken.
 PUBLISHED = {

@@ -13,17 +13,15 @@ import os
 import re
 import shutil
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 from platformdirs import user_data_path
 
 from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import ModelError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 Kind = Literal["fastsam", "dinov2", "oneformer", "semantic", "image-text"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

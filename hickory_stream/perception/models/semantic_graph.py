@@ -6,22 +6,18 @@ Ranks distinguish the three kinds of output. Steps and thresholds of queries are
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.errors import ModelError
+from hickory_stream.perception.models.network import Network
 from hickory_stream.perception.models.preprocessing import normalised
 from hickory_stream.perception.semantic_filter import FilterConfig
 from hickory_stream.records import SemanticImage
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.models.network import Network
-
 
 # Minimum probability of a pixel in a query's mask.
 MASK_THRESHOLD = 0.5

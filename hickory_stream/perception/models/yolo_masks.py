@@ -7,17 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.perception.masks import InstanceMask
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.models.preprocessing import Letterbox
+from hickory_stream.perception.models.preprocessing import Letterbox
 
 # Boxes are offset by this distance per class, so that boxes of different classes never suppress each other.
 _CLASS_OFFSET_PX = 7680.0

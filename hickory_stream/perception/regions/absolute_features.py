@@ -5,16 +5,12 @@ They help in rooms with furniture of the size in the training data. `pair_featur
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import log, log1p
 from hickory_stream.perception.regions.features import Features, of_both
-
-if TYPE_CHECKING:
-    from hickory_stream.perception.regions.ordered_pairs import OrderedPairs
+from hickory_stream.perception.regions.ordered_pairs import OrderedPairs
 
 _FAR_M = 0.3
 _UNITS = ("_m", "_m2", "_m3")

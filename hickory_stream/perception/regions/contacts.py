@@ -7,16 +7,12 @@ support surface is searched below the lowest part of a region's outline, the foo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.surface import Surface
+from hickory_stream.perception.surface import Surface
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

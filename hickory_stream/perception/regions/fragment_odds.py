@@ -6,18 +6,13 @@ Sums of bytes are integers: the sums of a group of fragments follow from its mem
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, ODDS_UNIT, ODDS_ZERO, OFFSETS
+from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, ODDS_UNIT, ODDS_ZERO, OFFSETS, PixelOdds
 from hickory_stream.perception.regions.region_graph import merged_keys
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.affinity.pixel_network import PixelOdds
 
 # Bin edges of pixel log-odds; the counts per bin (level) approximate their distribution.
 LEVELS = (-2.0, 0.0, 2.0)

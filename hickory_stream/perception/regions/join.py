@@ -6,32 +6,26 @@ which each region is the most probable partner of the other. Bridged regions are
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
+from hickory_stream.perception.fragments.over_segmentation import Fragments
 from hickory_stream.perception.regions.features import joined
-from hickory_stream.perception.regions.map_prior import MapPriorConfig
+from hickory_stream.perception.regions.fragment_odds import FragmentOdds
+from hickory_stream.perception.regions.map_prior import FragmentOwners, MapPriorConfig
 from hickory_stream.perception.regions.occlusion_bridging import is_bridged
 from hickory_stream.perception.regions.odds_features import odds_features
 from hickory_stream.perception.regions.pair_features import pair_features
-from hickory_stream.perception.regions.region_graph import build_region_graph
-from hickory_stream.perception.regions.trees import Forest  # noqa: TC001 (read with the configuration)
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.fragments.over_segmentation import Fragments
-    from hickory_stream.perception.regions.fragment_odds import FragmentOdds
-    from hickory_stream.perception.regions.map_prior import FragmentOwners
-    from hickory_stream.perception.regions.region_graph import RegionGraph
-    from hickory_stream.perception.regions.trees import Trees
-
+from hickory_stream.perception.regions.region_graph import RegionGraph, build_region_graph
+from hickory_stream.perception.regions.trees import (
+    Forest,
+    Trees,
+)
 
 # Maximum number of rounds.
 _MAX_ROUNDS = 12

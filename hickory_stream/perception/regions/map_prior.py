@@ -7,24 +7,18 @@ and one map object is no evidence for joining fragments on it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.voxels import key_of_point, keys_of_points
-from hickory_stream.records import Phase
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.surface import Surface
-    from hickory_stream.records import MapPrior, TrackedObject
+from hickory_stream.perception.surface import Surface
+from hickory_stream.records import MapPrior, Phase, TrackedObject
 
 _STRIDE_PX = 2
 _SURE = 1e-6

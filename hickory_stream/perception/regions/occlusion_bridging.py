@@ -7,17 +7,11 @@ a horizontal and a vertical plane must both continue.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.surface import Surface
-
+from hickory_stream.perception.surface import Surface
 
 # Maximum length of the extrapolation; the trees were grown with it.
 BRIDGED_M = 0.5

@@ -6,19 +6,13 @@ network may be uncertain; the difference to the best partner of either; the log-
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, ODDS_UNIT
 from hickory_stream.perception.regions.features import Features
-from hickory_stream.perception.regions.fragment_odds import NUM_NEAR
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.regions.fragment_odds import FragmentOdds
+from hickory_stream.perception.regions.fragment_odds import NUM_NEAR, FragmentOdds
 
 _NUM_DISTANCES = len(DISTANCES_PX)
 _SIDES = ("large", "small")

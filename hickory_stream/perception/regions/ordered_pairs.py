@@ -6,21 +6,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.perception.regions.contacts import support_contacts_of
-from hickory_stream.perception.regions.region_extents import extents_of, union_of
-from hickory_stream.perception.regions.region_graph import merged_pairs, merged_regions
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.regions.contacts import SupportContacts
-    from hickory_stream.perception.regions.region_extents import Extents
-    from hickory_stream.perception.regions.region_graph import RegionGraph, RegionPairs, Regions
+from hickory_stream.perception.regions.contacts import SupportContacts, support_contacts_of
+from hickory_stream.perception.regions.region_extents import Extents, extents_of, union_of
+from hickory_stream.perception.regions.region_graph import (
+    RegionGraph,
+    RegionPairs,
+    Regions,
+    merged_pairs,
+    merged_regions,
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

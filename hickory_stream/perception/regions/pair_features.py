@@ -7,22 +7,16 @@ each of them takes longer than its arithmetic.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import log, log1p
 from hickory_stream.perception.regions.absolute_features import absolute_features
 from hickory_stream.perception.regions.features import Features, joined, of_both
-from hickory_stream.perception.regions.ordered_pairs import ordered_pairs
+from hickory_stream.perception.regions.ordered_pairs import OrderedPairs, ordered_pairs
 from hickory_stream.perception.regions.region_extents import LEAST_M
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.regions.ordered_pairs import OrderedPairs
-    from hickory_stream.perception.regions.region_graph import RegionGraph
+from hickory_stream.perception.regions.region_graph import RegionGraph
 
 # Of each region: its shape (flatness, slenderness, orientation, the share of its outline that is cut off), its colour
 # variation, overall and between neighbouring pixels, and the share of its foot that rests on structure, on anything,

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import diagonalise
-from hickory_stream.perception.regions.region_graph import HEIGHT_BIN_M
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.regions.region_graph import Regions
+from hickory_stream.perception.regions.region_graph import HEIGHT_BIN_M, Regions
 
 # Lower bound of sizes, so that noise does not dominate ratios of sizes.
 LEAST_M = 0.01

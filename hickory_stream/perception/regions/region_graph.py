@@ -6,21 +6,16 @@ All measures are sums, minima or maxima, so a merged region's follow from its fr
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
-from hickory_stream.perception.regions.contacts import contacts_of
+from hickory_stream.perception.fragments.over_segmentation import Fragments
+from hickory_stream.perception.regions.contacts import Contacts, contacts_of
 from hickory_stream.perception.regions.occlusion_bridging import bridges
 from hickory_stream.perception.regions.region_sums import RegionSums, region_sums
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.fragments.over_segmentation import Fragments
-    from hickory_stream.perception.regions.contacts import Contacts
-    from hickory_stream.perception.surface import Surface
+from hickory_stream.perception.surface import Surface
 
 HEIGHT_BIN_M = 0.01
 _CONCAVE = 0.15

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.errors import ModelError
 from hickory_stream.geometry import portable
 from hickory_stream.perception.regions.features import Features
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 # `sizes` uses absolute features (metres, heights, colours); `mixed` averages it with a forest of relative features
 # (ratios, sigmas, angles) alone; `odds` also uses the features of the affinity network, which may be NaN.

@@ -7,9 +7,9 @@ open door has surface behind it, like a cupboard's front: it is known by its hei
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
@@ -17,12 +17,7 @@ from hickory_stream.geometry.portable_kernels import cos, sin
 from hickory_stream.perception.structure import detection_kernels as kernels
 from hickory_stream.perception.structure.ground import Ground, GroundConfig
 from hickory_stream.perception.structure.raised_patches import NearPlane
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.surface import Surface
-
+from hickory_stream.perception.surface import Surface
 
 # Minimum height of a storey: a camera higher than this above the map's floor is on another storey, and a floor this
 # much lower than the map's floor is the floor of the storey below.

@@ -8,18 +8,13 @@ step above ground and wide enough to stand on, or up to two steps below. Objects
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.surface import Surface
-
+from hickory_stream.perception.surface import Surface
 
 # Side of a cell of the height grid.
 _CELL_M = 0.2

@@ -6,22 +6,16 @@ patch, so a patch must differ in colour, too, from the plane around it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.surface import Surface
-
+from hickory_stream.perception.surface import Surface
 
 # Side of the averaging window.
 _WINDOW_PX = 5

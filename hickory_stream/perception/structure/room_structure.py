@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.voxels import first_not_below, key_of_point
 from hickory_stream.perception.structure import detection
+from hickory_stream.perception.structure.detection import HorizontalPlane, StructureConfig
 from hickory_stream.perception.structure.ground import uneven_ground
 from hickory_stream.perception.structure.raised_patches import raised_patches
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.structure.detection import HorizontalPlane, StructureConfig
-    from hickory_stream.perception.surface import Surface
-    from hickory_stream.records import ObservedSpace
+from hickory_stream.perception.surface import Surface
+from hickory_stream.records import ObservedSpace
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.portable_kernels import exp
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.sketch import sketch
 from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, log_implicit_value, volumes_m3
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def box_superquadric(vertices: NDArray[np.float64], min_size_m: float) -> Superquadrics:

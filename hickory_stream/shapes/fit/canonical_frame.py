@@ -7,16 +7,13 @@ the normals' coordinates, weighted by area, by a fixed point (symmetric FastICA'
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _ITERATIONS = 40
 _AT_REST = 1e-6

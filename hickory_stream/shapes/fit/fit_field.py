@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.portable_kernels import exp, log
@@ -14,11 +13,7 @@ from hickory_stream.shapes.fit.quadric_lm import lm_fit
 from hickory_stream.shapes.fit.seeds import chessboard_depth
 from hickory_stream.shapes.fit.tangent_planes import BLOCK, DISTANCE, X, Y, Z, distances_of, fill_distances, new_block
 from hickory_stream.shapes.fit.thinning import share_of, thinned
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.shapes.sdf import DistanceGrid
+from hickory_stream.shapes.sdf import DistanceGrid
 
 # A fit has eleven parameters.
 _FEWEST = 11

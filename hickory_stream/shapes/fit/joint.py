@@ -7,18 +7,14 @@ constrains exponents (0.1 or 0.2 for a box): simple shapes are kept if they fit 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import exp_each
 from hickory_stream.shapes.fit.quadric_lm import OUTER_BAND, cut_distances, normal_step
 from hickory_stream.shapes.fit.thinning import thinned
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # The exponents of the simple shapes, and the number of distinct cyclic orders of their axes: one for a box.
 _SIMPLE = ((0.1, 0.1, 1), (1.0, 1.0, 1), (0.1, 1.0, 3), (2.0, 1.0, 3))

@@ -8,15 +8,17 @@ candidate's score is its increase of the intersection over union, which also sto
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.portable_kernels import exp_each
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, canonical, moved, volumes_m3
+from hickory_stream.records import FitKind
 from hickory_stream.shapes.connected import pieces_of
 from hickory_stream.shapes.fit.bounding_superquadric import around_all
 from hickory_stream.shapes.fit.canonical_frame import object_axes
@@ -28,13 +30,6 @@ from hickory_stream.shapes.fit.quadric_lm import ROW, row_of
 from hickory_stream.shapes.fit.seeds import bounds_along, chessboard_depth, grown_box, principal_axes
 from hickory_stream.shapes.mesh_validation import usable
 from hickory_stream.shapes.sdf import DistanceGrid, adapted_cells, distance_grid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.records import FitKind
-
 
 SEEDS_PER_COMPONENT = 2
 # What is thinner than this share of its length is flat, and a primitive is no thinner.

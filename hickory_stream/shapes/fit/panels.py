@@ -8,9 +8,9 @@ area A is about 2 V / A thick, and so are its panels; a bent one is cut further,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
@@ -22,9 +22,6 @@ from hickory_stream.shapes.fit.bounding_superquadric import around_all, surface_
 from hickory_stream.shapes.fit.canonical_frame import object_axes
 from hickory_stream.shapes.fit.quadric_lm import rows_in
 from hickory_stream.shapes.fit.surface_partition import owned_pieces
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # A sheet is this many times wider than thick; its panel may be so much thicker before it is called bent.
 _SHEET = 4.0

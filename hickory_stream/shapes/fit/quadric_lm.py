@@ -10,13 +10,13 @@ distribution for the share that belongs to another primitive. Only missing cover
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, exp, exp_each, log, sin, solve_in_place, times_3
+from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.shapes.fit.tangent_planes import (
     BLOCK,
     DISTANCE,
@@ -29,11 +29,6 @@ from hickory_stream.shapes.fit.tangent_planes import (
     fill_jacobian,
     new_block,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.superquadric import Superquadrics
 
 # A primitive is a row of 17 numbers: e1, e2, ln a1..a3, the centre, the rotation row by row.
 ROW = 17

@@ -5,16 +5,12 @@ A box grown from a deep cell finds a table's top or a chair's leg; the bounds of
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import diagonalise
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def grown_box(solid: NDArray[np.bool_], seed: tuple[int, int, int], min_fill: float) -> NDArray[np.int64]:

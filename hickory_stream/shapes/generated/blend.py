@@ -7,25 +7,19 @@ both meet without a step; space that was seen to be free is cut away. The result
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.ports import NoShape, Reconstruction
+from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.reconstruct.completion import large_pieces
 from hickory_stream.shapes.reconstruct.fused import VolumeConfig, mesh_of_field, view_of, voxel_over
-from hickory_stream.shapes.reconstruct.tsdf import VoxelGrid, gaussian_blurred, integrate
+from hickory_stream.shapes.reconstruct.tsdf import DepthView, Evidence, VoxelGrid, gaussian_blurred, integrate
 from hickory_stream.shapes.sdf import distance_grid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import ShapeInputs
-    from hickory_stream.shapes.reconstruct.tsdf import DepthView, Evidence
 
 _BAND_VOXELS = 8.0
 _MIN_HALF_EXTENT_M = 0.01

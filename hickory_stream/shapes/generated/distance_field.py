@@ -6,15 +6,13 @@ A cell with even samples of the surface keeps their mean; every other cell has t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _MARGIN_CELLS = 4
 _SAMPLES_PER_CELL = 6

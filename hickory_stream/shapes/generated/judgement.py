@@ -9,9 +9,9 @@ yet corrected, lies there or not. The embedded shape made from those first views
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hickory_stream.base.compiled import kernel
@@ -19,16 +19,15 @@ from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys, keys_of_points
-from hickory_stream.ports import Reconstruction
+from hickory_stream.ports import Reconstruction, Reconstructor, ShapeInputs
 from hickory_stream.shapes.generated.distance_field import even_samples
-from hickory_stream.shapes.generated.placement_evidence import evidence_of, noise_of, shown_surface_of, surface_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Reconstructor, ShapeInputs
-    from hickory_stream.shapes.generated.placement_evidence import Evidence
-
+from hickory_stream.shapes.generated.placement_evidence import (
+    Evidence,
+    evidence_of,
+    noise_of,
+    shown_surface_of,
+    surface_of,
+)
 
 _SAMPLES = 30_000
 _AGREES, _MISSING, _BEHIND, _BEFORE, _BESIDE, _OVERLAP = range(6)

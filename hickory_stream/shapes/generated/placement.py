@@ -8,24 +8,19 @@ Then the mesh may be stretched along its own axes, within bounds, if that explai
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import rotation_from_quaternion
-from hickory_stream.ports import MeshPlacement, NotPlaced
+from hickory_stream.ports import MeshPlacement, NotPlaced, ShapeInputs
 from hickory_stream.shapes.generated.distance_field import distance_field, even_samples, field_at
 from hickory_stream.shapes.generated.placement_evidence import Evidence, evidence_of
 from hickory_stream.shapes.generated.placement_fit import cost_of, descend, residuals
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.ports import ShapeInputs
 
 _MIN_SURFACE = 12
 # Poses whose meshes are nearer to one another than this share of the object's size are the same surface.

@@ -6,9 +6,9 @@ Images have a stride that leaves a few thousand pixels a view: a placement reads
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
@@ -16,11 +16,7 @@ from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.depth_sensor import sigma_at
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.geometry.voxels import keys_of_points
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Crop, ShapeInputs
+from hickory_stream.ports import Crop, ShapeInputs
 
 _SIDE_PX = 96
 _SIDES = (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])

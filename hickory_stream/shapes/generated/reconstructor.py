@@ -7,22 +7,27 @@ it contradicts them no more, and where it foretold as much of what other views s
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, compose, invert
-from hickory_stream.ports import GeneratedMesh, NoShape, NotPlaced, Reconstruction
+from hickory_stream.ports import (
+    GeneratedMesh,
+    MeshGenerator,
+    MeshPlacement,
+    NoShape,
+    NotPlaced,
+    PoseRefiner,
+    Reconstruction,
+    Reconstructor,
+    ShapeInputs,
+)
 from hickory_stream.shapes.generated.blend import blended
-from hickory_stream.shapes.generated.judgement import by_other_views, judged, replaces, shape_evidence
+from hickory_stream.shapes.generated.judgement import JudgementConfig, by_other_views, judged, replaces, shape_evidence
 from hickory_stream.shapes.mesh_validation import usable
-
-if TYPE_CHECKING:
-    from hickory_stream.ports import MeshGenerator, MeshPlacement, PoseRefiner, Reconstructor, ShapeInputs
-    from hickory_stream.shapes.generated.judgement import JudgementConfig
-    from hickory_stream.shapes.reconstruct.fused import VolumeConfig
+from hickory_stream.shapes.reconstruct.fused import VolumeConfig
 
 _MIN_POINTS = 20
 

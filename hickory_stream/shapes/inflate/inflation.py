@@ -13,15 +13,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Literal, assert_never
+from typing import Any, Literal, assert_never
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import exp, log, power
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import MIN_EXPONENT, Superquadrics, joined, volumes_m3
+from hickory_stream.ports import Reconstruction
 from hickory_stream.records import Containment
 from hickory_stream.shapes.certify import Certificate, Inside, certify, inside_of, uncovered_cells
 from hickory_stream.shapes.fit.quadric_lm import rows_in
@@ -37,13 +39,6 @@ from hickory_stream.shapes.inflate.cover import (
     worst_balls,
 )
 from hickory_stream.shapes.inflate.residual_boxes import boxes_around
-
-if TYPE_CHECKING:
-    from typing import Any
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Reconstruction
 
 _UNIT_CELLS = 64
 # Exponents below these may be raised to them: the rounder candidate is used if it has less volume.

@@ -7,15 +7,12 @@ follow the axes of the object or the principal axes of the group, whichever give
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # A split must save at least this share of the volume of all boxes.
 _LEAST_GAIN = 0.03

@@ -6,17 +6,12 @@ box is filled, the space behind a leg is not, nor that below a wide object whose
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.shapes.reconstruct.tsdf import Evidence
+from hickory_stream.shapes.reconstruct.tsdf import Evidence
 
 UNKNOWN, FREE, SOLID = 0, 1, 2
 # The lowest voxels of an object may be merged with its support surface by blur.

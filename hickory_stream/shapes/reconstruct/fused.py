@@ -6,28 +6,21 @@ A surface of revolution, by its best view, is completed by rotating its views to
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged, check_order, check_ranges, number
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.boxes import faced_box, gravity_aligned_box
+from hickory_stream.geometry.boxes import OrientedBox, faced_box, gravity_aligned_box
 from hickory_stream.geometry.camera import backproject
-from hickory_stream.geometry.depth_sensor import sigma_at
+from hickory_stream.geometry.depth_sensor import Law, sigma_at
 from hickory_stream.geometry.rigid import apply, compose, invert
-from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.ports import Crop, NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.reconstruct.completion import classify, solid_of
 from hickory_stream.shapes.reconstruct.meshing import extract, in_object_frame, painted, surface_field, taubin_smoothed
 from hickory_stream.shapes.reconstruct.symmetry import half_turn_of
 from hickory_stream.shapes.reconstruct.tsdf import DepthView, VoxelGrid, integrate, smoothed_depth
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.boxes import OrientedBox
-    from hickory_stream.geometry.depth_sensor import Law
-    from hickory_stream.ports import Crop
 
 _MARGIN_VOXELS = 3
 _MIN_POINTS = 20

@@ -6,9 +6,10 @@ transform looks at all cells.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from hickory_stream.base.compiled import kernel
@@ -16,14 +17,8 @@ from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import project
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, invert
-from hickory_stream.ports import Reconstruction
-from hickory_stream.shapes.reconstruct.tsdf import gaussian_blurred
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Crop
-    from hickory_stream.shapes.reconstruct.tsdf import Evidence, VoxelGrid
+from hickory_stream.ports import Crop, Reconstruction
+from hickory_stream.shapes.reconstruct.tsdf import Evidence, VoxelGrid, gaussian_blurred
 
 
 @kernel

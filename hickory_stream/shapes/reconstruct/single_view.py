@@ -6,14 +6,14 @@ A mirrored view is a view of a mirrored camera, so that it is fused like any oth
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.ranges import Ranged
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, compose, invert
-from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.ports import Crop, NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.reconstruct.fused import (
     VolumeConfig,
     moved_views,
@@ -23,12 +23,7 @@ from hickory_stream.shapes.reconstruct.fused import (
     view_of,
 )
 from hickory_stream.shapes.reconstruct.symmetry import GROWTH_PENALTY, SymmetryConfig, mirror_plane
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Crop
-    from hickory_stream.shapes.reconstruct.tsdf import DepthView
+from hickory_stream.shapes.reconstruct.tsdf import DepthView
 
 _MIN_POINTS = 20
 # Weight of a mirrored view relative to the view itself.

@@ -8,21 +8,16 @@ front of a round object is a semicircle in the view from above; if an arc fits i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.base.ranges import Ranged, number
 from hickory_stream.geometry import portable
 from hickory_stream.geometry.portable_kernels import cos, sin
 from hickory_stream.geometry.rigid import apply
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.shapes.reconstruct.tsdf import DepthView
-
+from hickory_stream.shapes.reconstruct.tsdf import DepthView
 
 # A plane is rejected with more than this share of the mirrored points in observed free space.
 _MAX_MIRRORED_CONTRADICTION = 0.1

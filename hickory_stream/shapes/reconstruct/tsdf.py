@@ -7,21 +7,17 @@ band stay unknown, so that the front of a thin plate never overrules its far sid
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.depth_sensor import sigma_at
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.depth_sensor import Law, sigma_at
 from hickory_stream.geometry.rigid import apply, compose
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.geometry.depth_sensor import Law
 
 
 def gaussian_blurred(

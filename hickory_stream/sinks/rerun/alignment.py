@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hickory_stream.alignment.answer import Alignment
+from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.geometry.display import color_of_id
 from hickory_stream.geometry.rigid import apply, from_rotation_translation
 from hickory_stream.geometry.superquadric import moved
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.alignment.answer import NoAlignment
     from hickory_stream.alignment.object_map import ObjectMap
 
 _BLUE, _ORANGE = (58, 118, 190), (238, 138, 48)

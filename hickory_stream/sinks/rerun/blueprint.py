@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+import numpy as np
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, SIDE_ASPECT, WHOLE_ASPECT, eye_on
 from hickory_stream.sinks.rerun.frame import CAMERA, TRAJECTORY
@@ -15,10 +15,6 @@ from hickory_stream.sinks.rerun.objects import FILLED, FITTED_LAYER, INFLATED_LA
 from hickory_stream.sinks.rerun.plots import DECISIONS, OBJECT_DECISIONS, PLOTS
 from hickory_stream.sinks.rerun.structure import FLOOR
 from hickory_stream.sinks.rerun.views import VIEWS, sheet_px
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 BACKGROUND = (22, 25, 31)
 ROBOT = "robot"

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.display import looking, nearest_eye
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 # How much wider than high the views are at least, in a window of usual shape.
 MAIN_ASPECT, SIDE_ASPECT, WHOLE_ASPECT = 1.15, 0.9, 1.6

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.errors import OutputError, ViewerError
 from hickory_stream.sinks.rerun.items import LogItem, Moment, Weight, emit, new_stream
 from hickory_stream.sinks.rerun.piped_file import PipedFile
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 # Fewer and larger pieces than the SDK would write: each costs about a kilobyte beside what is in it.
 _BATCH_S = 1.0

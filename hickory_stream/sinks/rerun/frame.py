@@ -5,22 +5,18 @@ Between keyframes only the pose and the compressed colour are logged; the masks 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from typing import Any
 
 import cv2
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.display import Components, color_of_id, main_components, readable_on_dark, rises
+from hickory_stream.records import Frame, FrameReport, Observation
 from hickory_stream.sinks.rerun.items import LogItem, Span, Weight
 from hickory_stream.sinks.rerun.labels import label_size
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Frame, FrameReport, Observation
 
 CAMERA = "world/camera"
 TRAJECTORY = "world/trajectory"

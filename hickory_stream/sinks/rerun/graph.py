@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.graph.trajectories import ways_of
+from hickory_stream.records import EdgeStatus, FrameReport, GraphEdge, PoseGraphRecord
 from hickory_stream.sinks.rerun.items import LogItem, Span
 from hickory_stream.sinks.rerun.plots import PLOTS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import EdgeStatus, FrameReport, GraphEdge, PoseGraphRecord
 
 GRAPH = "world/graph"
 _BEFORE, _AFTER, _LOOP = (232, 150, 60), (90, 170, 255), (70, 210, 120)

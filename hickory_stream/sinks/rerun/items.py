@@ -6,17 +6,15 @@ others (an image, a plot value) only for their moment.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import timedelta
 from enum import Enum, auto
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from hickory_stream.records import FrameReport
+from hickory_stream.records import FrameReport
 
 LOG_TIME, FRAME, KEYFRAME = "log_time", "frame", "keyframe"
 

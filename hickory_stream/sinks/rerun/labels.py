@@ -5,23 +5,16 @@ The viewer draws a label below its point and over everything else, so the points
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.display import color_of_id, readable_on_dark, rises
-from hickory_stream.records import Phase
-from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, eye_on
+from hickory_stream.records import Phase, TrackedObject
+from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, Eye, eye_on
 from hickory_stream.sinks.rerun.items import LogItem, Span, clear_item
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import TrackedObject
-    from hickory_stream.sinks.rerun.eye import Eye
 
 LABELS = "world/labels"
 # Of a label, as shares of the height of the main view: 24 pixels of 670.

@@ -11,16 +11,14 @@ import socket
 import threading
 import time
 from collections import Counter, deque
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import rerun as rr
 
 from hickory_stream.sinks.rerun.items import LogItem, Moment, Span, Weight, emit, new_stream
 from hickory_stream.sinks.rerun.viewer import host_and_port
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _POLL_S = 0.2
 _PATIENCE_S = 2.0

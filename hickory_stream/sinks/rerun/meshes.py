@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from hickory_stream.base.confined import read_within
 from hickory_stream.geometry.codecs.mesh_file import mesh_of_file
 from hickory_stream.geometry.display import shaded
 from hickory_stream.geometry.rigid import quaternion_from_rotation
-from hickory_stream.geometry.superquadric import outward_normals
+from hickory_stream.geometry.superquadric import Superquadrics, outward_normals
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.map_folder.layout import SHAPES, VIEWS
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.records import TrackedObject
+from hickory_stream.records import TrackedObject
 
 
 def placed_mesh(path: Path, world_from_object: NDArray[np.float64]) -> Any:

@@ -7,25 +7,20 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.display import color_of_id, shaded
 from hickory_stream.geometry.rigid import quaternion_from_rotation
-from hickory_stream.records import Phase
+from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.records import ObjectShape, Phase, TrackedObject
 from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item
 from hickory_stream.sinks.rerun.meshes import placed_mesh, superquadric_mesh, textured_layer2
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.records import ObjectShape, TrackedObject
 
 LAYERS = ("world/layer1", "world/layer2", "world/layer3", "world/layer4")
 POINTS_LAYER, MESH_LAYER, FITTED_LAYER, INFLATED_LAYER = LAYERS

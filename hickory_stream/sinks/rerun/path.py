@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hickory_stream.geometry.display import color_of_id
-from hickory_stream.navigation.free_space import layer_four_of, obstacles_of
+from hickory_stream.navigation.free_space import FreeSpace, layer_four_of, obstacles_of
 from hickory_stream.navigation.observed import rectangles
-from hickory_stream.navigation.search import NoPath
+from hickory_stream.navigation.search import NoPath, Path
 from hickory_stream.sinks.rerun.items import new_stream
 from hickory_stream.sinks.rerun.piped_file import recorded_to
 
@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hickory_stream.navigation.free_space import FreeSpace
     from hickory_stream.navigation.robot import Posture
-    from hickory_stream.navigation.search import Path
     from hickory_stream.records import MapSnapshot
 
 TIMELINE = "path_m"

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hickory_stream.base.atomic_files import PARTIAL_SUFFIX, sync
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _PIECE_BYTES = 1 << 20
 _HAS_PIPES = os.name == "posix" and Path("/dev/fd").exists()

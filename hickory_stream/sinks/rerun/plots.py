@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import rerun as rr
 
 from hickory_stream.geometry.display import color_of_id, readable_on_dark
-from hickory_stream.records import Phase
+from hickory_stream.records import Decision, FrameReport, Phase, View
 from hickory_stream.sinks.rerun.items import LogItem, Span
-
-if TYPE_CHECKING:
-    from hickory_stream.records import Decision, FrameReport, View
 
 # Every decision is logged under its kind; one that is about an object also under that object, to be read by itself:
 # a merge under both, so that what is gone says what it became.

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.voxels import centers_of_keys
+from hickory_stream.records import MapSnapshot, Submap
 from hickory_stream.sinks.rerun.items import LogItem, Span, Weight
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapSnapshot, Submap
 
 FLOOR, WALLS = "world/structure/floor", "world/structure/walls"
 _MAX_POINTS = 20_000

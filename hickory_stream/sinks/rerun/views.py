@@ -5,20 +5,15 @@ The number is drawn into the thumbnail: a label of the viewer keeps its size and
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.display import color_of_id, readable_on_dark
+from hickory_stream.records import FrameReport, TrackedObject
 from hickory_stream.sinks.rerun.frame import encoded_jpeg
 from hickory_stream.sinks.rerun.items import LogItem, Span, Weight, clear_item
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import FrameReport, TrackedObject
 
 VIEWS = "views"
 _TILE_PX, _STRIP_PX, _GAP_PX = 128, 30, 12

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.box_scene import SCENE_BOXES, SCENE_CAMERA, cast_scene, scene_pose
 from hickory_stream.engine.shape_jobs.generators.choose import ExternalGenerator
-from hickory_stream.engine.shape_jobs.generators.spec import fingerprint, missing_of
+from hickory_stream.engine.shape_jobs.generators.spec import GeneratorSpec, fingerprint, missing_of
 from hickory_stream.errors import WorkerError
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import backproject, project
 from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.ports import Crop, MeshPlacement, NoShape, ShapeInputs
 from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.engine.shape_jobs.generators.spec import GeneratorSpec
 
 _FRAMES = (0, 6, 12)
 _DRAWN = np.array([230, 60, 40], np.uint8)

@@ -14,14 +14,12 @@ from hickory_stream.engine.shape_jobs.generators.exchange import read_answer, wr
 from hickory_stream.engine.shape_jobs.generators.process import GeneratorLimitError, GeneratorProcess
 from hickory_stream.engine.shape_jobs.generators.refine import ExternalRefiner
 from hickory_stream.errors import ConfigError, WorkerError
-from hickory_stream.ports import NoShape
-from hickory_stream.shapes.build import make_reconstructor
+from hickory_stream.ports import GeneratedMesh, NoShape, Reconstructor, ShapeInputs
+from hickory_stream.shapes.build import ShapeConfig, make_reconstructor
 from hickory_stream.shapes.generated.placement import EmbeddedPlacement
 
 if TYPE_CHECKING:
     from hickory_stream.config import MapperConfig
-    from hickory_stream.ports import GeneratedMesh, Reconstructor, ShapeInputs
-    from hickory_stream.shapes.build import ShapeConfig
 
 _ATTEMPTS = 2
 

@@ -19,26 +19,20 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.confined import OutsideError, path_within, read_within
 from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import WorkerError
 from hickory_stream.geometry import portable
-from hickory_stream.geometry.mesh import mesh_of_glb
-from hickory_stream.ports import GeneratedMesh, NoShape
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.ports import Crop, ShapeInputs
+from hickory_stream.geometry.mesh import Mesh, mesh_of_glb
+from hickory_stream.ports import Crop, GeneratedMesh, NoShape, ShapeInputs
 
 MESH, RESULT, NO_SHAPE, JOB = "mesh.glb", "result.json", "no_shape.json", "job.json"
 MODEL = "model.npz"

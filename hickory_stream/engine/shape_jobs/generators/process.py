@@ -13,18 +13,14 @@ import queue
 import subprocess
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import psutil
 
 from hickory_stream.base.json_text import dumps_exactly
-from hickory_stream.engine.shape_jobs.generators.spec import missing_of, program_of
+from hickory_stream.engine.shape_jobs.generators.spec import GeneratorSpec, missing_of, program_of
 from hickory_stream.errors import WorkerError
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.engine.shape_jobs.generators.spec import GeneratorSpec
 
 _LOOK_EVERY_S = 0.1
 _MOST_LINE = 1 << 16

@@ -9,21 +9,16 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.engine.shape_jobs.generators.exchange import read_pose, write_question
+from hickory_stream.engine.shape_jobs.generators.process import GeneratorProcess
 from hickory_stream.errors import WorkerError
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation
-from hickory_stream.ports import NoShape, NotPlaced
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.engine.shape_jobs.generators.process import GeneratorProcess
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.ports import MeshPlacement, PoseRefiner, ShapeInputs
+from hickory_stream.ports import MeshPlacement, NoShape, NotPlaced, PoseRefiner, ShapeInputs
 
 
 class ExternalRefiner:
