@@ -1,21 +1,16 @@
 """Shared settings: hypothesis without deadlines (the first call of a numba kernel compiles it), places of real data."""
 
-from __future__ import annotations
-
 import asyncio
 import fcntl
 import gc
 import json
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
+from typing import Any
 import pytest
 from hypothesis import settings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 # The processes that tests start load compiled modules: to compile ours takes each of them a second.
 sys.dont_write_bytecode = False
@@ -140,13 +135,21 @@ def coarse_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def short_map(short_log: Path, coarse_config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The map of the first three seconds of the demo, as the command line makes it; not to be changed."""
-    from tests.test_cli import EAGER, look
+    from tests.cli.test_cli import EAGER, look
 
     def make(out: Path) -> None:
         ended = look("play", short_log, "--config", coarse_config, "--viewer", "none", "--out", out, *EAGER)
         assert ended.status == 0, ended.stderr
 
     return made_once(tmp_path_factory, "short.map", make)
+
+
+@pytest.fixture(scope="session")
+def undisturbed_run(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The run of the scene by one worker, which nobody disturbs; its folder is not to be changed."""
+    from tests.engine.run_fixtures import map_scene
+
+    return map_scene(tmp_path_factory.mktemp("undisturbed"), child_workers=True)
 
 
 def copy_log(source: Path, target: Path, *, seconds: float) -> Path:
@@ -157,8 +160,6 @@ def copy_log(source: Path, target: Path, *, seconds: float) -> Path:
     with source.open("rb") as read, target.open("wb") as written:
         reader, writer = make_reader(read), Writer(written)
         summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
         end_ns = summary.statistics.message_start_time + int(seconds * 1e9)
         writer.start(profile="ros2")
         channels: dict[int, int] = {}

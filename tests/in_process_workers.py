@@ -4,16 +4,11 @@ A child process takes two seconds to start, and most runs of the tests have thre
 as one: conformance/test_workers_conformance.py.
 """
 
-from __future__ import annotations
-
 import asyncio
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Self
-
+from pathlib import Path
+from typing import Self
 from hickory_stream.engine.shape_jobs.worker import serve
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 class InProcessWorkers:

@@ -1,12 +1,8 @@
 """What commands print with `--json`, held against the schema that they declare."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
-
 import jsonschema
-
 from hickory_stream.outputs import output_schema
 
 

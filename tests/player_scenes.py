@@ -4,15 +4,14 @@ The scene is a room with a floor, a wall, a box and a ball, cast analytically: c
 camera, so that what a player yields can be compared with what a camera at that place would have seen.
 """
 
-from __future__ import annotations
-
 import json
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
+from pathlib import Path
+from typing import Any
 import cv2
 import numpy as np
-
+from numpy.typing import NDArray
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import (
     from_rotation_translation,
@@ -21,12 +20,6 @@ from hickory_stream.geometry.rigid import (
     rotation_from_quaternion,
     yaw_rotation,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 CAMERA = Camera(width=80, height=60, fx=70.0, fy=70.0, cx=39.5, cy=29.5)
 START_NS = 1_700_000_000_123_456_789
@@ -95,9 +88,6 @@ def make_scene(camera: Camera = CAMERA, num_frames: int = NUM_FRAMES) -> list[Sc
     return frames
 
 
-# ---- folders --------------------------------------------------------------------------------------------------------
-
-
 def write_seven_scenes(folder: Path, frames: list[SceneFrame], camera: Camera = CAMERA) -> Path:
     """Write a registered 7-Scenes folder whose world is tilted by 30 degrees about x."""
     folder.mkdir(parents=True)
@@ -139,22 +129,14 @@ def write_posed_folder(folder: Path, frames: list[SceneFrame], camera: Camera = 
     for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True)
     parameters = {
-        "w": camera.width,
-        "h": camera.height,
-        "fx": camera.fx,
-        "fy": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
-    }
+        "w": camera.width, "h": camera.height, "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy,
+    }  # fmt: skip
     (folder / "cam_params.json").write_text(json.dumps({"camera": {**parameters, "scale": 1000.0}}))
     np.savetxt(folder / "camera_poses.txt", [frame.world_from_camera.ravel() for frame in frames])
     for i, frame in enumerate(frames):
         write_png(folder / "rgb" / f"frame{i:06d}.png", frame.rgb[..., ::-1])
         write_png(folder / "depth" / f"depth{i:06d}.png", frame.depth_mm)
     return folder
-
-
-# ---- logs -----------------------------------------------------------------------------------------------------------
 
 
 class Messages:
@@ -181,15 +163,9 @@ class Messages:
         rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
         data = np.pad(rows, ((0, 0), (0, padding)))
         return self.make(
-            "sensor_msgs/msg/Image",
-            header=self.header(stamp_ns, frame),
-            height=pixels.shape[0],
-            width=pixels.shape[1],
-            encoding=encoding,
-            is_bigendian=int(pixels.dtype.byteorder == ">"),
-            step=data.shape[1],
-            data=data.ravel(),
-        )
+            "sensor_msgs/msg/Image", header=self.header(stamp_ns, frame), height=pixels.shape[0], width=pixels.shape[1],
+            encoding=encoding, is_bigendian=int(pixels.dtype.byteorder == ">"), step=data.shape[1], data=data.ravel(),
+        )  # fmt: skip
 
     def compressed(self, stamp_ns: int, frame: str, image_format: str, data: bytes) -> Any:
         return self.make(
@@ -210,16 +186,10 @@ class Messages:
             "p": np.hstack([camera.K, np.zeros((3, 1))]).ravel(),
         }
         return self.make(
-            "sensor_msgs/msg/CameraInfo",
-            header=self.header(stamp_ns, frame),
-            height=camera.height,
-            width=camera.width,
-            distortion_model="plumb_bob",
-            binning_x=0,
-            binning_y=0,
-            roi=region,
+            "sensor_msgs/msg/CameraInfo", header=self.header(stamp_ns, frame), height=camera.height, width=camera.width,
+            distortion_model="plumb_bob", binning_x=0, binning_y=0, roi=region,
             **{name.upper() if self.ros == 1 else name: value for name, value in matrices.items()},
-        )
+        )  # fmt: skip
 
     def pose(self, a_from_b: NDArray[np.float64]) -> Any:
         x, y, z, qx, qy, qz, qw = pose_row(a_from_b)
@@ -370,9 +340,6 @@ def write_mcap(path: Path, m: Messages, messages: list[Message], **settings: Any
             writer.add_message(channels[entry.topic], entry.stamp_ns, data, entry.stamp_ns)
         writer.finish()
     return path
-
-
-# ---- small things ---------------------------------------------------------------------------------------------------
 
 
 def pose_row(a_from_b: NDArray[np.float64]) -> list[float]:

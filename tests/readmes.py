@@ -1,12 +1,7 @@
 """Code blocks and prose of a README."""
 
-from __future__ import annotations
-
 import re
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from pathlib import Path
 
 
 def blocks_of(language: str, readme: Path) -> str:

@@ -4,7 +4,6 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
@@ -73,28 +72,17 @@ def frame_clouds(draw: st.DrawFn, voxel_m: float = 0.01) -> Cloud:
 def cameras(draw: st.DrawFn) -> Camera:
     width, height = draw(st.integers(8, 64)), draw(st.integers(8, 64))
     return Camera(
-        width=width,
-        height=height,
-        fx=draw(st.floats(10, 900)),
-        fy=draw(st.floats(10, 900)),
-        cx=draw(st.floats(0, width)),
-        cy=draw(st.floats(0, height)),
-    )
+        width=width, height=height, fx=draw(st.floats(10, 900)), fy=draw(st.floats(10, 900)),
+        cx=draw(st.floats(0, width)), cy=draw(st.floats(0, height)),
+    )  # fmt: skip
 
 
 @st.composite
 def views(draw: st.DrawFn, frame_index: int | None = None) -> View:
     x0, y0 = draw(st.integers(0, 100)), draw(st.integers(0, 100))
     return View(
-        object_id=1,
-        frame_index=draw(st.integers(0, 500)) if frame_index is None else frame_index,
-        stamp_ns=0,
-        box_px=(x0, y0, x0 + draw(st.integers(1, 400)), y0 + draw(st.integers(1, 400))),
-        world_from_camera=np.eye(4),
-        r_area=draw(unit_share),
-        r_depth=draw(unit_share),
-        box_volume_m3=draw(st.floats(1e-6, 10)),
-        score=None,
-        variance=None,
-        feature=None,
-    )
+        object_id=1, frame_index=draw(st.integers(0, 500)) if frame_index is None else frame_index, stamp_ns=0,
+        box_px=(x0, y0, x0 + draw(st.integers(1, 400)), y0 + draw(st.integers(1, 400))), world_from_camera=np.eye(4),
+        r_area=draw(unit_share), r_depth=draw(unit_share), box_volume_m3=draw(st.floats(1e-6, 10)), score=None,
+        variance=None, feature=None,
+    )  # fmt: skip

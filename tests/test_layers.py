@@ -1,14 +1,10 @@
 """The layers: imports point down only and never in circles, asyncio lives in one place, and so does printing."""
 
-from __future__ import annotations
-
 import ast
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-
 import pytest
-
 from tests.readmes import blocks_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -91,12 +87,12 @@ def picture_of_layers() -> str:
     return "\n".join(["flowchart TB", *reversed(lines), f"    {arrows}", ""])
 
 
-def test_the_main_readme_shows_the_layers() -> None:
+def test_the_main_readme_shows_the_layers():
     assert blocks_of("mermaid", ROOT / "README.md") == picture_of_layers()
 
 
 @pytest.mark.parametrize("file", FILES, ids=module_of)
-def test_imports_point_down_only(file: Path) -> None:
+def test_imports_point_down_only(file):
     rank, part = place_of(module_of(file))
     for name in imports_of(file):
         if name.split(".")[0] in OURS and name != "hickory_stream":
@@ -104,7 +100,7 @@ def test_imports_point_down_only(file: Path) -> None:
             assert its_part == part or its_rank < rank, f"{module_of(file)} must not import {name}"
 
 
-def test_no_module_imports_itself_through_others() -> None:
+def test_no_module_imports_itself_through_others():
     """Imports for types and those within functions count, too: who reads one file of a circle has to read them all."""
     modules = {module_of(file) for file in FILES} - {"hickory_stream"}
     graph = {
@@ -118,19 +114,19 @@ def test_no_module_imports_itself_through_others() -> None:
         pytest.fail("imports go round in a circle: " + " <- ".join(error.args[1]))
 
 
-def test_importing_the_package_for_its_version_loads_nothing_of_it() -> None:
+def test_importing_the_package_for_its_version_loads_nothing():
     tree = ast.parse((ROOT / "hickory_stream/__init__.py").read_text())
     imported = [node.module or "" for node in tree.body if isinstance(node, ast.ImportFrom)]
     assert [name for name in imported if name.split(".")[0] in OURS] == []
 
 
-def test_asyncio_lives_in_the_engine_only() -> None:
+def test_asyncio_lives_in_the_engine_only():
     users = [module_of(file) for file in FILES if any(name.split(".")[0] == "asyncio" for name in imports_of(file))]
     assert users
     assert [name for name in users if not name.startswith("hickory_stream.engine.")] == []
 
 
-def test_nothing_prints_but_the_command_line() -> None:
+def test_nothing_prints_but_the_command_line():
     printers = {
         module_of(file)
         for file in FILES
@@ -141,14 +137,14 @@ def test_nothing_prints_but_the_command_line() -> None:
     assert {name for name in printers if not f"{name}.".startswith("hickory_stream.cli.")} == set()
 
 
-def test_twins_for_tests_are_imported_by_tests_only() -> None:
+def test_twins_for_tests_are_imported_by_tests_only():
     """What a run needs, such as the scene that warms it up, is no twin for tests."""
     users = [module_of(file) for file in FILES if "hickory_stream.testing" in set(imports_of(file))]
     assert users == []
 
 
 @pytest.mark.parametrize("file", FILES, ids=module_of)
-def test_all_functions_but_kernels_have_type_hints(file: Path) -> None:
+def test_all_functions_but_kernels_have_type_hints(file):
     bare = []
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
@@ -158,6 +154,6 @@ def test_all_functions_but_kernels_have_type_hints(file: Path) -> None:
     assert bare == []
 
 
-def test_the_product_imports_no_tools() -> None:
+def test_the_product_imports_no_tools():
     users = [module_of(file) for file in FILES if any(name.split(".")[0] == "tools" for name in imports_of(file))]
     assert users == []

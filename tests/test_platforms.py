@@ -1,22 +1,13 @@
-"""What `tools/check --platforms` asks the package index for: the dependencies of that machine, not of this one."""
-
-from __future__ import annotations
-
 import subprocess
-from typing import TYPE_CHECKING
-
 from tools import platforms
 from tools.platforms import Target, dependencies, without_wheel
-
-if TYPE_CHECKING:
-    import pytest
 
 
 def names(target: Target) -> set[str]:
     return {requirement.partition(">")[0].partition("<")[0] for requirement in dependencies(target)}
 
 
-def test_markers_are_those_of_the_machine_that_is_asked_for() -> None:
+def test_markers_are_those_of_the_machine_that_is_asked_for():
     pc, jetson = names(Target("x86_64", "3.12")), names(Target("aarch64", "3.12"))
     assert "embreex" in pc
     assert "embreex" not in jetson
@@ -24,11 +15,11 @@ def test_markers_are_those_of_the_machine_that_is_asked_for() -> None:
     assert {"numpy", "eclipse-zenoh", "rerun-sdk"} <= pc & jetson
 
 
-def test_what_only_developers_and_extras_need_is_not_asked_for() -> None:
+def test_what_only_developers_and_extras_need_is_not_asked_for():
     assert not {"mypy", "cyclonedds", "torch"} & names(Target("x86_64", "3.11"))
 
 
-def test_what_has_no_wheel_is_found_among_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_has_no_wheel_is_found_among_the_others(monkeypatch):
     asked: list[list[str]] = []
 
     def pip(command: list[str], **_: object) -> subprocess.CompletedProcess[str]:

@@ -3,17 +3,11 @@
 What is allowed is named with its reason; what is not is done by `hickory_stream.geometry.portable`.
 """
 
-from __future__ import annotations
-
 import ast
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 ROOT = Path(__file__).resolve().parent.parent
 # Networks round as onnxruntime does: a run with them says so (`engine/shape_jobs/processor.py`).
@@ -131,7 +125,7 @@ def _why_no_call(name: str, keywords: set[str], in_kernel: bool) -> str | None:
 
 
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_the_way_to_a_map_rounds_in_one_way_only(path: Path) -> None:
+def test_the_way_to_a_map_rounds_in_one_way_only(path):
     if path.relative_to(ROOT).as_posix() not in EXEMPT:
         assert list(forbidden_in(path.read_text(encoding="utf-8"))) == []
 
@@ -155,16 +149,16 @@ def test_the_way_to_a_map_rounds_in_one_way_only(path: Path) -> None:
         "@kernel(parallel=True)\ndef f(): ...",
     ],
 )
-def test_what_rounds_as_its_processor_does_is_found(line: str) -> None:
+def test_what_rounds_as_its_processor_does_is_found(line):
     assert len(list(forbidden_in(line))) == 1
 
 
-def test_every_exemption_is_of_a_file_that_needs_it() -> None:
+def test_every_exemption_is_of_a_file_that_needs_it():
     for name in EXEMPT:
         assert list(forbidden_in((ROOT / name).read_text(encoding="utf-8"))), f"{name} needs no exemption"
 
 
-def test_sums_and_norms_along_an_axis_go_from_first_to_last() -> None:
+def test_sums_and_norms_along_an_axis_go_from_first_to_last():
     values = np.random.default_rng(0).normal(size=(50, 7)) * 10.0 ** np.arange(-3, 4)
     for row in values:
         total = squares = 0.0

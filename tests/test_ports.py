@@ -1,18 +1,14 @@
-"""Optional abilities of a source: asked for by a protocol, passed on by a source around another one."""
-
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
-
 import pytest
-
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.ports import Accounting, Interruptible, Seekable, SourceAround, account_of, interrupt, num_seeks
 from players import open_source
 from players.playback import PlaybackClock, PlayedSource
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    pass
 
 
 class Able(SceneSource):
@@ -32,7 +28,7 @@ class Able(SceneSource):
 
 
 @pytest.mark.parametrize("depth", [0, 1, 2])
-def test_abilities_are_those_of_the_innermost_source(depth: int) -> None:
+def test_abilities_are_those_of_the_innermost_source(depth):
     able, bare = Able(), SceneSource()
     around_able, around_bare = able, bare
     for _ in range(depth):
@@ -46,11 +42,11 @@ def test_abilities_are_those_of_the_innermost_source(depth: int) -> None:
     interrupt(around_bare)
 
 
-def test_a_source_without_abilities_has_none_of_them() -> None:
+def test_a_source_without_abilities_has_none_of_them():
     assert not isinstance(SceneSource(), Accounting | Interruptible | Seekable)
 
 
-def test_a_log_keeps_account_and_a_log_that_is_played_can_be_sought_in(short_log: Path) -> None:
+def test_a_log_keeps_an_account_and_can_be_sought_in(short_log):
     log = open_source(short_log)
     assert isinstance(log, Accounting)
     clock = PlaybackClock()

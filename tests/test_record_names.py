@@ -1,18 +1,15 @@
 """The file format of the journal: names of its records, of their fields, and of the values of enums."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from enum import Enum
 from pathlib import Path
-
 from hickory_stream.journal.record_codec import record_classes
 
 FROZEN = Path(__file__).parent / "golden" / "record_names.json"
 
 
-def test_journal_records_keep_their_names_and_fields() -> None:
+def test_journal_records_keep_their_names_and_fields():
     """A journal written before names them: a name changes only with an alias on reading, and then here."""
     found = {
         name: [member.value for member in kind]

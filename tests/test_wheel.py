@@ -10,11 +10,9 @@ import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
-
 import cv2
 import pytest
 from packaging.requirements import Requirement
-
 from hickory_stream.map_folder.saved_map import open_map
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -24,7 +22,7 @@ ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYT
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_the_wheel_makes_and_maps_a_log_outside_the_checkout(tmp_path: Path) -> None:
+def test_the_wheel_makes_and_maps_a_log_outside_the_checkout(tmp_path):
     wheels, venv, work = tmp_path / "wheels", tmp_path / "venv", tmp_path / "work"
     work.mkdir()
     _run(
@@ -67,7 +65,7 @@ def _check_demo(told: str, work: Path) -> Path:
     return Path(demo["map"])
 
 
-def test_nothing_that_is_installed_points_into_the_checkout() -> None:
+def test_nothing_that_is_installed_points_into_the_checkout():
     told = []
     for path in sorted([*(ROOT / "hickory_stream").rglob("*.py"), *(ROOT / "players").rglob("*.py")]):
         tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -83,7 +81,7 @@ def test_nothing_that_is_installed_points_into_the_checkout() -> None:
     assert told == []
 
 
-def test_open3d_is_measured_with_and_mapped_without() -> None:
+def test_open3d_is_measured_with_and_mapped_without():
     with (ROOT / "pyproject.toml").open("rb") as stream:
         project = tomllib.load(stream)["project"]
     x86 = {"sys_platform": "linux", "platform_machine": "x86_64"}

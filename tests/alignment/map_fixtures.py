@@ -1,18 +1,11 @@
 """Small maps for alignment: boxes with clouds on a floor that was seen, as `play` would have saved them."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
-
+from numpy.typing import NDArray
 from hickory_stream.geometry.boxes import OrientedBox, gravity_aligned_box
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.records import MapSnapshot, ObservedSpace, Phase, Submap, TrackedObject
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 VOXEL_M = 0.1
 

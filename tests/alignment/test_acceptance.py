@@ -1,10 +1,7 @@
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
-
 from hickory_stream.alignment.acceptance import Chance, effective_volume_m3, log_expected_sets
 from tests.strategies import seeds
 
@@ -22,24 +19,24 @@ def logs(seed: int, residual_m: float, log_rank: float, *, is_level: bool = True
 
 
 @given(seed=seeds, residual_m=st.floats(0.01, 0.3), log_rank=st.floats(-6, 0))
-def test_closer_and_likelier_pairs_are_less_easily_chance(seed: int, residual_m: float, log_rank: float) -> None:
+def test_closer_and_likelier_pairs_are_less_easily_chance(seed, residual_m, log_rank):
     given_ = logs(seed, residual_m, log_rank)[3:]
     assert (logs(seed, residual_m / 2, log_rank)[3:] <= given_ + 1e-9).all()
     assert (logs(seed, residual_m, log_rank - 1)[3:] <= given_ + 1e-9).all()
 
 
-def test_two_pairs_prove_nothing_whatever_they_look_like() -> None:
+def test_two_pairs_prove_nothing_whatever_they_look_like():
     assert np.isinf(logs(0, 0.001, -7.0)[:2]).all()
     assert np.isinf(logs(0, 0.001, -7.0, is_level=False)[:3]).all()
 
 
-def test_four_pairs_are_proof_where_few_look_alike_and_chance_where_many_do() -> None:
+def test_four_pairs_prove_where_few_look_alike():
     easy, hard = np.log(5 / 1600), np.log(270 / 1600)
     assert logs(1, 0.1, easy)[3] < np.log(1e-3)
     assert logs(1, 0.1, hard)[3] > np.log(1e-2)
 
 
-def test_the_formula_bounds_how_often_three_random_pairs_stand_alike_and_grows_as_they_do() -> None:
+def test_the_formula_bounds_chance_agreement_of_three_pairs():
     rng = np.random.default_rng(5)
     size = np.array([6.0, 6.0, 2.0])
     a, b = rng.uniform(0, 1, (2, 200_000, 3, 3)) * size
@@ -64,7 +61,7 @@ def test_the_formula_bounds_how_often_three_random_pairs_stand_alike_and_grows_a
     assert np.isclose(predicted[1] / predicted[0], found[1] / found[0], rtol=0.3)
 
 
-def test_ranks_are_combined_as_fisher_does() -> None:
+def test_ranks_are_combined_as_fisher_does():
     ranks = np.log([0.1, 0.02, 0.3, 0.005])
     points = np.random.default_rng(0).uniform(-4, 4, (4, 3))
     squares = np.cumsum(np.full(4, 0.01))
@@ -73,7 +70,7 @@ def test_ranks_are_combined_as_fisher_does() -> None:
     assert np.isclose(given_ - certain, chi2(8).logsf(-2 * ranks.sum()))
 
 
-def test_the_volume_is_the_rooms_where_objects_stand_evenly_and_less_where_they_crowd() -> None:
+def test_the_volume_shrinks_where_objects_crowd():
     rng = np.random.default_rng(0)
     even = rng.uniform(0, 1, (400, 3)) * (20, 20, 2)
     assert 600 < effective_volume_m3(even) < 1100

@@ -1,12 +1,8 @@
-from __future__ import annotations
-
 from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from hickory_stream.alignment.affinity import (
     AffinityConfig,
     build_affinity,
@@ -18,16 +14,16 @@ from tests.strategies import seeds
 from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
 
 
-def test_a_rank_is_the_share_of_pairs_that_are_at_least_as_good() -> None:
+def test_a_rank_is_the_share_of_pairs_that_are_at_least_as_good():
     ranks = np.exp(fused_log_ranks((np.array([[0.9, 0.1], [0.5, 0.5]]),), (2, 2)))
     assert np.allclose(ranks, [[0.25, 1.0], [0.75, 0.75]])
 
 
-def test_without_scores_every_pair_ranks_the_same() -> None:
+def test_without_scores_every_pair_ranks_the_same():
     assert (fused_log_ranks((None, None), (3, 4)) == np.zeros((3, 4))).all()
 
 
-def test_an_unknown_score_neither_helps_nor_hurts() -> None:
+def test_an_unknown_score_neither_helps_nor_hurts():
     sure = np.array([[0.9, 0.2, 0.1, 0.3]])
     unknown = np.full((1, 4), np.nan)
     assert np.argmin(fused_log_ranks((sure, unknown), (1, 4))) == 0
@@ -35,7 +31,7 @@ def test_an_unknown_score_neither_helps_nor_hurts() -> None:
 
 @settings(max_examples=25)
 @given(seed=seeds, count=st.integers(2, 12), is_level=st.booleans())
-def test_the_graph_holds_exactly_the_pairs_whose_distances_agree(seed: int, count: int, is_level: bool) -> None:
+def test_the_graph_holds_exactly_the_pairs_whose_distances_agree(seed, count, is_level):
     rng = np.random.default_rng(seed)
     a, b = rng.uniform(0, 4, (count, 3)), rng.uniform(0, 4, (count + 1, 3))
     config = AffinityConfig(level_tilt_deg=1.0)
@@ -60,7 +56,7 @@ def test_the_graph_holds_exactly_the_pairs_whose_distances_agree(seed: int, coun
     assert ((found.weights > 0) & (found.weights <= 1)).all()
 
 
-def test_only_the_best_pairs_are_candidates() -> None:
+def test_only_the_best_pairs_are_candidates():
     rng = np.random.default_rng(0)
     scores = rng.random((50, 60))
     ranks = fused_log_ranks((scores,), scores.shape)
@@ -70,12 +66,11 @@ def test_only_the_best_pairs_are_candidates() -> None:
     assert scores[found.pairs[:, 0], found.pairs[:, 1]].min() >= np.sort(scores, axis=None)[-500]
 
 
-def test_cosines_of_two_extractors_are_not_compared() -> None:
+def test_cosines_of_two_extractors_are_not_compared():
     pair = simulate_pair(SimulationConfig(num_objects=8), 0)
     a, b = pair.map_a, replace(pair.map_b, extractor="color")
     assert why_no_semantics(a, b) is None
     assert why_no_semantics(replace(a, extractor="color"), b) is None
-    assert a.features is not None
     for other, word in (
         (replace(a, features=None), "no features"),
         (replace(a, features=a.features[:, :5]), "dimensions"),
@@ -85,6 +80,6 @@ def test_cosines_of_two_extractors_are_not_compared() -> None:
         assert semantic_scores(other, b) is None
 
 
-def test_a_wrong_tolerance_is_refused() -> None:
+def test_a_wrong_tolerance_is_refused():
     with pytest.raises(ValueError, match="centroid_m"):
         AffinityConfig(centroid_m=0.0)

@@ -1,11 +1,7 @@
-from __future__ import annotations
-
 from itertools import combinations
-
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-
 from hickory_stream.alignment.affinity import Affinity
 from hickory_stream.alignment.consensus import ConsensusConfig, ascended_clique, densest_clique
 from tests.strategies import seeds
@@ -35,7 +31,7 @@ def random_graph(seed: int, count: int, share: float) -> np.ndarray:
 @settings(max_examples=60)
 @given(seed=seeds, count=st.integers(1, 11), share=st.floats(0, 1))
 @example(seed=6, count=6, share=0.0625)  # the heaviest is one vertex without a neighbour
-def test_no_clique_is_heavier_than_the_one_found(seed: int, count: int, share: float) -> None:
+def test_no_clique_is_heavier_than_the_one_found(seed, count, share):
     linked = random_graph(seed, count, share)
     ranks = -np.random.default_rng(seed + 1).exponential(2.0, count)
     found = densest_clique(graph(linked, ranks), np.ones(count, dtype=bool), ConsensusConfig())
@@ -52,14 +48,14 @@ def test_no_clique_is_heavier_than_the_one_found(seed: int, count: int, share: f
 
 @given(seed=seeds)
 @settings(max_examples=20)
-def test_ascent_alone_gives_a_clique_that_nothing_can_be_added_to(seed: int) -> None:
+def test_ascent_gives_a_maximal_clique(seed):
     linked = random_graph(seed, 40, 0.3)
     found = ascended_clique(linked.astype(float), np.ones(40), ConsensusConfig())
     assert is_clique(linked, found)
     assert not any(linked[v, found].all() for v in np.setdiff1d(np.arange(40), found))
 
 
-def test_a_planted_clique_is_found_without_the_exact_search() -> None:
+def test_a_planted_clique_is_found_without_the_exact_search():
     linked = random_graph(3, 200, 0.05)
     planted = np.arange(0, 200, 16)
     linked[np.ix_(planted, planted)] = True
@@ -67,7 +63,7 @@ def test_a_planted_clique_is_found_without_the_exact_search() -> None:
     assert set(planted) <= set(ascended_clique(linked.astype(float), np.ones(200), ConsensusConfig()).tolist())
 
 
-def test_the_dead_take_no_part_and_nothing_alive_is_an_empty_clique() -> None:
+def test_dead_nodes_take_no_part_and_no_nodes_give_no_clique():
     linked = ~np.eye(6, dtype=bool)
     affinity = graph(linked, np.zeros(6))
     alive = np.array([True, True, False, True, False, False])

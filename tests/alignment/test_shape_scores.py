@@ -1,10 +1,6 @@
-from __future__ import annotations
-
 from dataclasses import replace
-
 import numpy as np
 from hypothesis import given, settings
-
 from hickory_stream.alignment.object_map import ObjectMap, shape_box
 from hickory_stream.alignment.shape_scores import box_scores, literal_scores, point_scores, superquadric_scores
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, taken
@@ -17,18 +13,14 @@ from tools.evaluation.simulated_maps.variants import moved_map
 def map_of(shapes: list[Superquadrics | None]) -> ObjectMap:
     count = len(shapes)
     return ObjectMap(
-        ids=np.arange(count),
-        centroids=np.zeros((count, 3)),
-        features=None,
-        shapes=tuple(shapes),
-        boxes=tuple(box_at(np.zeros(3)) for _ in shapes),
-        points=(None,) * count,
-    )
+        ids=np.arange(count), centroids=np.zeros((count, 3)), features=None, shapes=tuple(shapes),
+        boxes=tuple(box_at(np.zeros(3)) for _ in shapes), points=(None,) * count,
+    )  # fmt: skip
 
 
 @settings(max_examples=15)
 @given(seed=seeds)
-def test_a_shape_is_itself_in_any_order_and_turned_about_the_vertical(seed: int) -> None:
+def test_a_shape_equals_itself_in_any_order_and_heading(seed):
     rng = np.random.default_rng(seed)
     shapes = [real_fits()[i] for i in rng.choice(len(real_fits()), 4, replace=False)]
     shuffled = [taken(shape, rng.permutation(len(shape))) for shape in shapes]
@@ -40,14 +32,14 @@ def test_a_shape_is_itself_in_any_order_and_turned_about_the_vertical(seed: int)
     assert np.allclose(scores, superquadric_scores(turned, map_of(list(shapes))).T)
 
 
-def test_losing_a_small_part_costs_little() -> None:
+def test_losing_a_small_part_costs_little():
     for shape in real_fits()[:10]:
         if len(shape) > 4:
             rest = taken(shape, np.arange(len(shape) - 1))
             assert superquadric_scores(map_of([shape]), map_of([rest]))[0, 0] > 0.8
 
 
-def test_an_object_without_shape_has_no_score() -> None:
+def test_an_object_without_shape_has_no_score():
     scores = superquadric_scores(map_of([None, real_fits()[0]]), map_of([real_fits()[0], None]))
     assert np.isnan(scores[0]).all()
     assert scores[1, 0] > 0.999
@@ -55,7 +47,7 @@ def test_an_object_without_shape_has_no_score() -> None:
     assert np.isnan(superquadric_scores(map_of([None]), map_of([None]))).all()
 
 
-def test_the_literal_score_is_the_papers_formula() -> None:
+def test_the_literal_score_is_the_papers_formula():
     def two(e: float, large: float) -> Superquadrics:
         return Superquadrics(
             exponents=np.array([[e, 1.0], [1.0, 1.0]]),
@@ -74,7 +66,7 @@ def test_the_literal_score_is_the_papers_formula() -> None:
     assert share_a * np.exp(-0.2) * 0.8 * 0.9 < found < np.exp(-0.2) * 0.8 + 0.25
 
 
-def test_the_box_of_a_shape_holds_it_and_touches_it() -> None:
+def test_the_box_of_a_shape_holds_it_and_touches_it():
     rng = np.random.default_rng(0)
     for shape in real_fits()[:6]:
         box = shape_box(shape)
@@ -83,7 +75,7 @@ def test_the_box_of_a_shape_holds_it_and_touches_it() -> None:
         assert box.contains(points[inside], 0.02).all()
 
 
-def test_boxes_and_clouds_of_one_object_score_one() -> None:
+def test_boxes_and_clouds_of_one_object_score_one():
     rng = np.random.default_rng(0)
     cloud = rng.normal(size=(50, 3)).astype(np.float32) * np.float32([1, 0.5, 0.1])
     plain = replace(map_of([None]), points=(cloud,))

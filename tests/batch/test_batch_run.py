@@ -3,18 +3,16 @@
 Here a worker is a script that writes a folder instead of mapping; `test_batch_command.py` maps.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import sys
+from collections.abc import Callable
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import pytest
-
 from hickory_stream.batch import child, executors, one_log
 from hickory_stream.batch.page import text_of, write_page
+from hickory_stream.batch.result import BatchResult
 from hickory_stream.batch.run import BatchPlan, run_batch
 from hickory_stream.batch.tasks import LogTask, names_of, software
 from hickory_stream.config import MapperConfig
@@ -22,12 +20,6 @@ from hickory_stream.errors import ConfigError, InputError, MapFolderError
 from hickory_stream.map_folder.layout import FolderLock
 from hickory_stream.sinks.disk_sink import DiskSinkConfig
 from players import SourceOptions
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from hickory_stream.batch.result import BatchResult
 
 # Reads a task and answers; a log named "kill" kills its process the first time, "crash" always, "full" has no space.
 WORKER = """
@@ -72,13 +64,9 @@ def planned(tmp_path: Path) -> Callable[..., BatchPlan]:
             if not log.exists():
                 log.write_bytes(b"log")
         return BatchPlan(
-            uris=tuple(map(str, logs)),
-            options=SourceOptions(),
-            out=tmp_path / "out",
-            mapper=MapperConfig(),
-            disk=DiskSinkConfig(),
-            workers=workers,
-        )
+            uris=tuple(map(str, logs)), options=SourceOptions(), out=tmp_path / "out", mapper=MapperConfig(),
+            disk=DiskSinkConfig(), workers=workers,
+        )  # fmt: skip
 
     return plan
 
@@ -87,9 +75,7 @@ def made(plan: BatchPlan) -> list[str]:
     return sorted((plan.out / "maps" / "made.txt").read_text().split())
 
 
-def test_a_killed_process_is_started_again_and_goes_on_and_one_that_always_dies_is_a_row_that_says_so(
-    planned: Callable[..., BatchPlan], tmp_path: Path
-) -> None:
+def test_a_killed_process_restarts_and_a_dying_one_is_a_row(planned, tmp_path):
     plan = planned("a", "kill", "crash")
     result = run_batch(plan)
     _check_table(result, tmp_path)
@@ -114,7 +100,7 @@ def _check_table(result: BatchResult, tmp_path: Path) -> None:
     assert page.count("<tr class=") == 4
 
 
-def test_what_was_mapped_before_is_not_mapped_again_and_new_logs_may_follow(planned: Callable[..., BatchPlan]) -> None:
+def test_mapped_logs_are_kept_and_new_ones_may_follow(planned):
     first = run_batch(planned("a", "b"))
     said: list[str] = []
     again = run_batch(planned("a", "b", "c"), said.append)
@@ -124,7 +110,7 @@ def test_what_was_mapped_before_is_not_mapped_again_and_new_logs_may_follow(plan
     assert said[0] == "2 of 3 logs were mapped before"
 
 
-def test_on_a_full_disk_nothing_more_is_begun_and_the_same_command_goes_on(planned: Callable[..., BatchPlan]) -> None:
+def test_the_same_command_goes_on_after_a_full_disk(planned):
     plan = planned("a", "full", "b", workers=1)
     result = run_batch(plan)
     assert result.stopped == "the disk is full: free space, then continue with the same command"
@@ -133,7 +119,7 @@ def test_on_a_full_disk_nothing_more_is_begun_and_the_same_command_goes_on(plann
     assert run_batch(plan).rows[0].was_there
 
 
-def test_a_second_batch_in_one_folder_is_refused(planned: Callable[..., BatchPlan], tmp_path: Path) -> None:
+def test_a_second_batch_in_one_folder_is_refused(planned, tmp_path):
     plan = planned("a", "b")
     run_batch(plan)
     with pytest.raises(InputError, match="holds a batch whose log b is another one, or has changed"):
@@ -154,14 +140,14 @@ def test_a_second_batch_in_one_folder_is_refused(planned: Callable[..., BatchPla
         run_batch(plan)
 
 
-def test_a_log_that_is_not_there_is_refused_before_anything_is_made(planned: Callable[..., BatchPlan]) -> None:
+def test_a_missing_log_is_refused_before_anything_is_made(planned):
     plan = planned("a")
     with pytest.raises(InputError, match=r"there is no log .*missing\.mcap"):
         run_batch(replace(plan, uris=(*plan.uris, "missing.mcap")))
     assert not plan.out.exists()
 
 
-def test_logs_of_one_name_get_names_of_their_own() -> None:
+def test_logs_of_one_name_get_names_of_their_own():
     assert names_of(["r1/log.mcap", "r2/log.mcap", "r2/log-2.bag", "a b.mcap"]) == ("log", "log-2", "log-2-2", "a-b")
 
 
@@ -183,7 +169,7 @@ class FakeClient:
         (ModuleNotFoundError("No module named 'hickory_stream'"), "cannot run hickory-stream .*No module named"),
     ],
 )
-def test_a_cluster_with_other_workers_is_refused(answer: dict[str, str] | Exception, said: str) -> None:
+def test_a_cluster_with_other_workers_is_refused(answer, said):
     with pytest.raises(ConfigError, match=said):
         executors._check_workers(FakeClient(answer), "tcp://s:1")
     executors._check_workers(FakeClient({"tcp://w:2": software()}), "tcp://s:1")
@@ -191,16 +177,12 @@ def test_a_cluster_with_other_workers_is_refused(answer: dict[str, str] | Except
 
 def task(tmp_path: Path) -> LogTask:
     return LogTask(
-        name="a",
-        note={"uris": [str(tmp_path / "a.mcap")]},
-        out=tmp_path / "a.map",
-        mapper=MapperConfig(),
-        disk=DiskSinkConfig(),
-        software=software(),
-    )
+        name="a", note={"uris": [str(tmp_path / "a.mcap")]}, out=tmp_path / "a.map", mapper=MapperConfig(),
+        disk=DiskSinkConfig(), software=software(),
+    )  # fmt: skip
 
 
-def test_a_worker_that_came_later_with_another_version_says_so_and_maps_nothing(tmp_path: Path) -> None:
+def test_a_worker_of_another_version_says_so_and_maps_nothing(tmp_path):
     outcome = one_log.outcome_of(replace(task(tmp_path), software="hickory-stream 9"))
     assert outcome.state == "failed"
     assert "the batch hickory-stream 9; install the same version" in outcome.reason
@@ -208,9 +190,7 @@ def test_a_worker_that_came_later_with_another_version_says_so_and_maps_nothing(
 
 
 @pytest.mark.parametrize(("number", "state"), [(errno.ENOSPC, "disk full"), (errno.EACCES, "failed")])
-def test_a_disk_that_fills_up_is_told_from_other_failures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, state: str
-) -> None:
+def test_a_disk_that_fills_up_is_told_from_other_failures(tmp_path, monkeypatch, number, state):
     def refuse(*_: object, **__: object) -> None:
         try:
             raise OSError(number, os.strerror(number))

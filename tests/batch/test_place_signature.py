@@ -1,10 +1,5 @@
-"""Place signatures find the maps that overlap without asking all pairs, in whatever frame each map is."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
-
 from hickory_stream.alignment.object_map import taken
 from hickory_stream.batch.place_signature import candidate_pairs, place_signatures
 from tools.evaluation.simulated_maps.fleet import FleetMaps, FleetMapsConfig, simulate_fleet
@@ -16,7 +11,7 @@ def fleet() -> FleetMaps:
     return simulate_fleet(FleetMapsConfig(num_maps=24, difficulty="easy"), 101)
 
 
-def test_maps_with_ten_objects_in_common_are_found_and_few_others_are_asked(fleet: FleetMaps) -> None:
+def test_maps_with_ten_common_objects_are_found_with_few_queries(fleet):
     asked = set(candidate_pairs(place_signatures(fleet.maps)))
     overlapping = {pair for pair, count in fleet.common.items() if count >= 10}
     assert len(overlapping) >= 5
@@ -25,7 +20,7 @@ def test_maps_with_ten_objects_in_common_are_found_and_few_others_are_asked(flee
     assert all(a < b for a, b in asked)
 
 
-def test_the_frame_of_a_map_and_the_order_of_its_objects_change_nothing(fleet: FleetMaps) -> None:
+def test_frame_and_order_of_a_map_change_nothing(fleet):
     maps = fleet.maps
     rng = np.random.default_rng(3)
     others = [taken(moved_map(one, random_frame(rng)), rng.permutation(len(one))) for one in maps]
@@ -35,14 +30,14 @@ def test_the_frame_of_a_map_and_the_order_of_its_objects_change_nothing(fleet: F
     assert found
 
 
-def test_a_map_without_objects_or_features_overlaps_nothing_and_breaks_nothing(fleet: FleetMaps) -> None:
+def test_a_map_without_objects_or_features_overlaps_nothing(fleet):
     empty = taken(fleet.maps[0], np.empty(0, dtype=np.int64))
     one = taken(fleet.maps[0], np.array([0]))
     assert candidate_pairs(place_signatures([empty, one, fleet.maps[1]])) == {}
     assert candidate_pairs(place_signatures([])) == {}
 
 
-def test_the_same_map_twice_is_a_pair_and_its_signature_is_compact(fleet: FleetMaps) -> None:
+def test_the_same_map_twice_is_a_pair_of_compact_signatures(fleet):
     signatures = place_signatures([fleet.maps[0], fleet.maps[0]])
     assert list(candidate_pairs(signatures)) == [(0, 1)]
     assert signatures[0].num_bytes < 400 * len(fleet.maps[0])

@@ -1,13 +1,6 @@
-"""What is said of objects between two maps of one room, of which it is known what happened."""
-
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.changes import evidence
 from hickory_stream.changes.compare import compare_maps, probability_changed
 from hickory_stream.changes.evidence import evidence_at, seen_places
@@ -15,11 +8,9 @@ from hickory_stream.changes.records import ChangesConfig, Evidence, MapChanges, 
 from hickory_stream.changes.within_run import changes_within_run
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.mapping.entities.rigid_motion import moved_object
+from hickory_stream.records import MapSnapshot, TrackedObject
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
 from tests.navigation.rooms import seen_room, snapshot
-
-if TYPE_CHECKING:
-    from hickory_stream.records import MapSnapshot, TrackedObject
 
 RED, BLUE = (200, 40, 30), (40, 60, 190)
 A_FROM_B = from_rotation_translation(yaw_rotation(0.7), np.array([2.0, -1.0, 0.3]))
@@ -47,14 +38,12 @@ STAYS, LEAVES, OTHER = crate(1, 1.0, 1.0), crate(2, 1.5, 3.0), crate(3, 4.5, 1.0
 
 
 @pytest.mark.parametrize("sizes", [((0.3, 0.3, 0.3), (0.3, 0.3, 1.0)), ((0.3, 0.3, 1.0), (0.3, 0.3, 0.3))])
-def test_what_has_the_colour_but_not_the_extent_of_what_stood_there_was_exchanged(
-    sizes: tuple[tuple[float, float, float], ...],
-) -> None:
+def test_same_colour_and_other_extent_means_exchanged(sizes):
     before, after = (crate(i, 1.0, 1.0, size) for i, size in enumerate(sizes, 1))
     assert said(snapshot(before), snapshot(after)) == {(1, 2): Verdict.EXCHANGED}
 
 
-def test_what_was_turned_on_the_spot_was_moved() -> None:
+def test_what_was_turned_on_the_spot_was_moved():
     long = crate(1, 1.0, 1.0, (1.2, 0.3, 0.6))
     quarter = from_rotation_translation(yaw_rotation(np.pi / 2), np.zeros(3))
     away = from_rotation_translation(np.eye(3), np.array([1.0, 1.0, 0.0]))
@@ -63,7 +52,7 @@ def test_what_was_turned_on_the_spot_was_moved() -> None:
     assert [(one.verdict, one.id_a, one.id_b) for one in found.changes] == [(Verdict.MOVED, 1, 2)]
 
 
-def test_what_stays_is_still_there_and_what_left_is_gone() -> None:
+def test_what_stays_is_still_there_and_what_left_is_gone():
     found = compared(snapshot(STAYS, LEAVES), snapshot(replace(STAYS, id=7)))
     assert {(one.id_a, one.id_b): one.verdict for one in found.changes} == {
         (1, 7): Verdict.STILL_THERE,
@@ -77,18 +66,18 @@ def test_what_stays_is_still_there_and_what_left_is_gone() -> None:
     )
 
 
-def test_what_nobody_looked_at_is_not_gone_and_not_new() -> None:
+def test_what_nobody_looked_at_is_not_gone_and_not_new():
     dark = seen_room(dark_m=(0.5, 2.5))
     assert said(snapshot(LEAVES), snapshot(OTHER, space=dark))[(2, None)] is Verdict.NOT_SEEN_AGAIN
     assert said(snapshot(OTHER, space=dark), snapshot(LEAVES))[(None, 2)] is Verdict.NOT_SEEN_BEFORE
 
 
-def test_what_appears_where_there_was_free_space_is_new() -> None:
+def test_what_appears_where_there_was_free_space_is_new():
     assert said(snapshot(STAYS), snapshot(STAYS, OTHER)) == {(1, 1): Verdict.STILL_THERE, (None, 3): Verdict.NEW}
 
 
 @pytest.mark.parametrize(("x", "y"), [(4.5, 3.0), (1.9, 3.0)])
-def test_what_stands_elsewhere_has_moved_by_so_much(x: float, y: float) -> None:
+def test_what_stands_elsewhere_has_moved_by_so_much(x, y):
     found = compared(snapshot(STAYS, OTHER, LEAVES), snapshot(STAYS, OTHER, crate(9, x, y)))
     [moved] = [one for one in found.changes if one.verdict is Verdict.MOVED]
     assert (moved.id_a, moved.id_b) == (2, 9)
@@ -96,12 +85,12 @@ def test_what_stands_elsewhere_has_moved_by_so_much(x: float, y: float) -> None:
     assert np.allclose(moved.shift_m, (x - 1.5, y - 3.0, 0.0), atol=0.05)
 
 
-def test_what_looks_otherwise_in_the_same_place_was_exchanged() -> None:
+def test_what_looks_otherwise_in_the_same_place_was_exchanged():
     blue = crate(5, 1.0, 1.0, color=BLUE)
     assert said(snapshot(STAYS), snapshot(blue)) == {(1, 5): Verdict.EXCHANGED}
 
 
-def test_of_two_that_look_alike_neither_is_known_to_be_the_one_that_moved() -> None:
+def test_of_two_alike_objects_neither_is_known_to_have_moved():
     twins = (crate(2, 1.5, 3.0), crate(3, 4.5, 1.0))
     certain = compared(snapshot(twins[0]), snapshot(crate(9, 4.5, 3.0))).changes[0]
     shared = [one for one in compared(snapshot(*twins), snapshot(crate(9, 4.5, 3.0))).changes if one.id_b == 9]
@@ -109,18 +98,18 @@ def test_of_two_that_look_alike_neither_is_known_to_be_the_one_that_moved() -> N
     assert shared[0].probability < certain.probability
 
 
-def test_a_plate_on_a_table_is_not_still_there_because_the_table_is() -> None:
+def test_a_plate_is_not_still_there_because_its_table_is():
     table = crate(1, 1.5, 3.0, (1.2, 0.8, 0.7), BLUE)
     bowl = make_object(2, box_mesh((0.3, 0.3, 0.2), RED), placed(1.5, 3.0, 0.81))
     assert said(snapshot(table, bowl), snapshot(table))[(2, None)] is Verdict.GONE
 
 
-def test_empty_maps_have_no_changes() -> None:
+def test_empty_maps_have_no_changes():
     assert compared(snapshot(), snapshot()).changes == ()
     assert said(snapshot(), snapshot(STAYS)) == {(None, 1): Verdict.NEW}
 
 
-def test_the_probability_of_a_change_follows_bayes_rule() -> None:
+def test_the_probability_of_a_change_follows_bayes_rule():
     def seen(free: float, objects: float) -> Evidence:
         return Evidence(free=free, structure=0.0, objects=objects, unseen=1 - free - objects, num_clear=100)
 
@@ -131,7 +120,7 @@ def test_the_probability_of_a_change_follows_bayes_rule() -> None:
     assert probability_changed(seen(0.0, 1.0), config) == pytest.approx(0.02 / 0.74)
 
 
-def test_within_a_run_what_is_seen_through_is_gone_and_what_came_is_new_or_moved() -> None:
+def test_in_a_run_what_is_seen_through_is_gone():
     tall = crate(8, 4.6, 2.9, (0.3, 0.3, 1.2), (240, 240, 240))
     before = snapshot(STAYS, LEAVES, OTHER)
     # The core gives what stands elsewhere a new id.
@@ -143,7 +132,7 @@ def test_within_a_run_what_is_seen_through_is_gone_and_what_came_is_new_or_moved
     assert changes_within_run(before, before) == ()
 
 
-def test_within_a_run_what_nobody_looked_at_again_only_dropped_or_appeared() -> None:
+def test_in_a_run_the_unrevisited_only_dropped_or_appeared():
     dark = seen_room(dark_m=(0.5, 2.5))
     (dropped,) = changes_within_run(snapshot(LEAVES), snapshot(space=dark))
     assert (dropped.kind, dropped.probability) == ("dropped", None)
@@ -151,7 +140,7 @@ def test_within_a_run_what_nobody_looked_at_again_only_dropped_or_appeared() -> 
     assert (appeared.kind, appeared.probability) == ("appeared", None)
 
 
-def test_within_a_run_what_was_not_seen_since_is_gone_only_if_its_place_was_seen_through() -> None:
+def test_in_a_run_gone_needs_a_place_that_was_seen_through():
     seen_through = snapshot(STAYS, LEAVES)
     dark = seen_room(dark_m=(0.5, 2.5))
     again = replace(STAYS, sightings=STAYS.sightings + 5)
@@ -165,7 +154,7 @@ def test_within_a_run_what_was_not_seen_since_is_gone_only_if_its_place_was_seen
     assert (moved.object_id, moved.kind, moved.was) == (9, "moved", 2)
 
 
-def test_a_submap_far_away_is_not_asked_for_what_it_cannot_have_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_submap_far_away_is_not_asked(monkeypatch):
     room = snapshot(STAYS, LEAVES)
     far = replace(
         room.submaps[0],

@@ -1,26 +1,16 @@
 """What every odometry owes whoever plays a log by it, shown on one walk through an empty room."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
+from numpy.typing import NDArray
 from hickory_stream.geometry.rigid import compose, invert, is_rigid
-from hickory_stream.ports import NotRegistered, Registered
+from hickory_stream.ports import NotRegistered, Odometry, Registered
 from hickory_stream.poses.choose import make_odometry
 from hickory_stream.records import Scan
 from tests.examples.dead_reckoning import DeadReckoning
 from tools.worlds.corridor import CorridorConfig, corridor_scans
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Odometry
 
 ROOM = CorridorConfig(length_m=7.0, width_m=5.0, margin_m=2.0, way_m=1.5, beams=16, columns=360)
 WALK = corridor_scans(ROOM, seed=3)
@@ -44,7 +34,7 @@ def walked(odometry: Odometry) -> list[Registered | NotRegistered]:
     return [odometry.register(scan, step(i)) for i, (scan, _) in enumerate(WALK)]
 
 
-def test_poses_begin_at_the_identity_and_follow_the_walk(make: Callable[[], Odometry]) -> None:
+def test_poses_begin_at_the_identity_and_follow_the_walk(make):
     found = walked(make())
     assert all(isinstance(each, Registered) for each in found)
     poses = [each.start_from_sensor for each in found if isinstance(each, Registered)]
@@ -56,14 +46,14 @@ def test_poses_begin_at_the_identity_and_follow_the_walk(make: Callable[[], Odom
     assert np.linalg.norm(poses[-1][:3, 3] - true_end[:3, 3]) < 0.4
 
 
-def test_the_same_scans_give_the_same_poses_to_the_last_bit(make: Callable[[], Odometry]) -> None:
+def test_the_same_scans_give_the_same_poses_to_the_last_bit(make):
     first, second = walked(make()), walked(make())
     for a, b in zip(first, second, strict=True):
         assert isinstance(a, Registered) and isinstance(b, Registered)
         assert a.start_from_sensor.tobytes() == b.start_from_sensor.tobytes()
 
 
-def test_directions_are_unit_and_information_is_of_a_covariance(make: Callable[[], Odometry]) -> None:
+def test_directions_are_unit_and_information_is_of_a_covariance(make):
     for found in walked(make()):
         assert isinstance(found, Registered)
         np.testing.assert_allclose(np.linalg.norm(found.degenerate, axis=1), 1.0, atol=1e-9)
@@ -72,7 +62,7 @@ def test_directions_are_unit_and_information_is_of_a_covariance(make: Callable[[
             assert np.linalg.eigvalsh(found.information).min() >= -1e-6 * max(1.0, np.abs(found.information).max())
 
 
-def test_a_scan_of_nothing_is_refused_and_changes_nothing(make: Callable[[], Odometry]) -> None:
+def test_a_scan_of_nothing_is_refused_and_changes_nothing(make):
     empty = Scan(stamp_ns=WALK[4][0].stamp_ns + 1, frame="lidar", points=np.empty((0, 3), dtype=np.float32))
     plain, disturbed = make(), make()
     for i, (scan, _) in enumerate(WALK):

@@ -1,32 +1,22 @@
 """What every reconstructor owes the map, shown on the same views of the same boxes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING, get_args
-
+from typing import get_args
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-
 from hickory_stream.box_scene import SCENE_BOXES
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import is_closed, read_glb, sha256_of, volume_m3, write_glb
 from hickory_stream.geometry.rigid import apply, is_rigid
 from hickory_stream.map_folder.views import read_crop
-from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
+from hickory_stream.ports import Crop, NoShape, Reconstruction, Reconstructor, ShapeInputs
 from hickory_stream.shapes.build import ReconstructorName, ShapeConfig, make_reconstructor
 from hickory_stream.testing import BoxReconstructor
 from tests.engine.run_fixtures import scene_request
 from tests.examples.generators import box_generator
 from tests.examples.hull_reconstructor import HullReconstructor
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Crop, Reconstructor
 
 # The last of the boxes: which one the inputs are of.
 TRUTH = SCENE_BOXES[-1]
@@ -53,12 +43,9 @@ def inputs(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     views = tmp_path_factory.mktemp("views")
     asked = scene_request(views, num_views=request.param)
     return ShapeInputs(
-        crops=tuple(read_crop(views, view.name) for view in asked.views),
-        points_world=asked.points_world,
-        colors=asked.colors,
-        box=asked.box,
-        support_z_m=asked.support_z_m,
-    )
+        crops=tuple(read_crop(views, view.name) for view in asked.views), points_world=asked.points_world,
+        colors=asked.colors, box=asked.box, support_z_m=asked.support_z_m,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -72,13 +59,13 @@ def made(reconstructor: Reconstructor, inputs: ShapeInputs) -> Reconstruction:
     return answer
 
 
-def test_it_goes_by_the_name_that_the_configuration_chooses_it_by() -> None:
+def test_its_name_is_the_one_the_configuration_chooses_it_by():
     assert {name: reconstructor.name for name, reconstructor in reconstructors().items()} == {
         name: name for name in (*get_args(ReconstructorName), "box", "hull")
     }
 
 
-def test_the_mesh_is_closed_finite_and_looks_outwards(answer: Reconstruction) -> None:
+def test_the_mesh_is_closed_finite_and_looks_outwards(answer):
     mesh = answer.mesh
     assert is_closed(mesh)
     assert np.isfinite(mesh.vertices).all()
@@ -87,7 +74,7 @@ def test_the_mesh_is_closed_finite_and_looks_outwards(answer: Reconstruction) ->
     assert volume_m3(mesh) > 0
 
 
-def test_every_vertex_has_a_colour_and_says_whether_it_was_seen(answer: Reconstruction) -> None:
+def test_every_vertex_has_a_colour_and_says_whether_it_was_seen(answer):
     mesh = answer.mesh
     assert mesh.colors.shape == (len(mesh.vertices), 3)
     assert mesh.is_seen.shape == (len(mesh.vertices),)
@@ -95,7 +82,7 @@ def test_every_vertex_has_a_colour_and_says_whether_it_was_seen(answer: Reconstr
     assert 0 < mesh.is_seen.sum() < len(mesh.vertices)
 
 
-def test_the_shape_stands_where_the_object_stands_and_is_about_as_large(answer: Reconstruction) -> None:
+def test_the_shape_has_the_place_and_size_of_the_object(answer):
     assert is_rigid(answer.world_from_object)
     vertices_world = apply(answer.world_from_object, answer.mesh.vertices.astype(np.float64))
     assert (vertices_world.min(axis=0) > np.array(TRUTH.low) - 0.08).all()
@@ -103,7 +90,7 @@ def test_the_shape_stands_where_the_object_stands_and_is_about_as_large(answer: 
     assert 0.4 * TRUE_VOLUME_M3 < volume_m3(answer.mesh) < 1.6 * TRUE_VOLUME_M3
 
 
-def test_what_was_seen_lies_where_a_view_or_layer_1_has_a_point(answer: Reconstruction, inputs: ShapeInputs) -> None:
+def test_what_was_seen_lies_where_a_view_or_layer_1_has_a_point(answer, inputs):
     measured = np.concatenate([inputs.points_world, *(points_of(crop) for crop in inputs.crops)])
     seen_world = apply(answer.world_from_object, answer.mesh.vertices[answer.mesh.is_seen].astype(np.float64))
     distances_m, _ = cKDTree(measured).query(seen_world)
@@ -116,9 +103,7 @@ def points_of(crop: Crop) -> NDArray[np.float32]:
     return np.asarray(apply(crop.world_from_camera, points_camera))
 
 
-def test_the_same_inputs_give_the_same_file_to_the_byte(
-    reconstructor: Reconstructor, inputs: ShapeInputs, answer: Reconstruction, tmp_path: Path
-) -> None:
+def test_the_same_inputs_give_the_same_file_to_the_byte(reconstructor, inputs, answer, tmp_path):
     again = made(reconstructors()[reconstructor.name], inputs)
     for name, made_shape in (("a", answer), ("b", again)):
         write_glb(made_shape.mesh, tmp_path / f"{name}.glb")
@@ -126,7 +111,7 @@ def test_the_same_inputs_give_the_same_file_to_the_byte(
     assert answer.world_from_object.tobytes() == again.world_from_object.tobytes()
 
 
-def test_the_file_keeps_what_was_seen(answer: Reconstruction, tmp_path: Path) -> None:
+def test_the_file_keeps_what_was_seen(answer, tmp_path):
     write_glb(answer.mesh, tmp_path / "a.glb")
     again = read_glb(tmp_path / "a.glb")
     assert is_closed(again)
@@ -135,9 +120,7 @@ def test_the_file_keeps_what_was_seen(answer: Reconstruction, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("crops", ["none", "blind"])
-def test_a_hopeless_input_is_no_shape_with_a_reason(
-    reconstructor: Reconstructor, inputs: ShapeInputs, crops: str
-) -> None:
+def test_a_hopeless_input_is_no_shape_with_a_reason(reconstructor, inputs, crops):
     blind = tuple(replace(crop, depth_m=np.full_like(crop.depth_m, np.nan)) for crop in inputs.crops)
     nothing = replace(
         inputs,

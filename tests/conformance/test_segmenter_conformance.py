@@ -1,29 +1,19 @@
 """What every segmenter owes the mapper, shown on the same rendered boxes."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.choose import make_segmenter
 from hickory_stream.perception.perceive import PerceptionConfig
-from hickory_stream.records import MapPrior, ObservedSpace
+from hickory_stream.ports import Segmenter
+from hickory_stream.records import Frame, MapPrior, ObservedSpace, Segmentation
 from hickory_stream.testing import InstanceSegmenter
 from tests.engine.run_fixtures import NO_SHAPES, map_scene
 from tests.examples.plane_segmenter import PlaneSegmenter
 from tests.perception.perception_scenes import CAMERA, Block, best_iou, floor, looking, render
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.ports import Segmenter
-    from hickory_stream.records import Frame, Segmentation
 
 SIZES = {
     "whole": CAMERA,
@@ -62,11 +52,11 @@ def check(frame: Frame, result: Segmentation) -> None:
 
 
 @pytest.mark.parametrize("size", sorted(FRAMES))
-def test_an_image_of_any_size_has_a_label_for_every_pixel(segmenter: Segmenter, size: str) -> None:
+def test_an_image_of_any_size_has_a_label_for_every_pixel(segmenter, size):
     check(FRAMES[size], segmenter.segment(FRAMES[size]))
 
 
-def test_boxes_that_stand_apart_on_a_floor_are_instances_and_the_floor_is_structure(segmenter: Segmenter) -> None:
+def test_boxes_apart_are_instances_and_the_floor_is_structure(segmenter):
     frame, shown = FRAMES["whole"], TRUTH[FRAMES["whole"].stamp_ns]
     result = segmenter.segment(frame)
     (iou_left, label_left), (iou_right, label_right) = (best_iou(result.instances, shown == i) for i in (1, 2))
@@ -77,13 +67,13 @@ def test_boxes_that_stand_apart_on_a_floor_are_instances_and_the_floor_is_struct
     assert result.floor_z_m == pytest.approx(0.0, abs=0.03)
 
 
-def test_the_same_frame_gives_the_same_labels_to_the_byte(segmenter: Segmenter) -> None:
+def test_the_same_frame_gives_the_same_labels_to_the_byte(segmenter):
     first, second = segmenter.segment(FRAMES["whole"]), segmenter.segment(FRAMES["whole"])
     assert first.instances.tobytes() == second.instances.tobytes()
     assert first.structure.tobytes() == second.structure.tobytes()
 
 
-def test_what_was_prepared_ahead_on_another_thread_changes_nothing(segmenter: Segmenter) -> None:
+def test_preparing_on_another_thread_changes_nothing(segmenter):
     frame = FRAMES["whole"]
     with ThreadPoolExecutor(1) as ahead:
         prepared = ahead.submit(segmenter.prepare, frame).result()
@@ -92,7 +82,7 @@ def test_what_was_prepared_ahead_on_another_thread_changes_nothing(segmenter: Se
     assert with_it.structure.tobytes() == alone.structure.tobytes()
 
 
-def test_a_map_that_knows_nothing_yet_is_a_prior_like_none(segmenter: Segmenter) -> None:
+def test_a_map_that_knows_nothing_yet_is_a_prior_like_none(segmenter):
     nothing = np.zeros(0, np.int64)
     space = ObservedSpace(voxel_m=0.05, free=nothing, structure=nothing, floor_z_m=None)
     result = segmenter.segment(FRAMES["whole"], MapPrior(space=space, objects=(), points_m=0.01))
@@ -100,7 +90,7 @@ def test_a_map_that_knows_nothing_yet_is_a_prior_like_none(segmenter: Segmenter)
     assert result.instances.max() >= 2
 
 
-def test_a_frame_without_depth_is_answered_and_shows_no_structure(segmenter: Segmenter) -> None:
+def test_a_frame_without_depth_shows_no_structure(segmenter):
     frame = FRAMES["whole"]
     blind = replace(frame, depth_m=np.full_like(frame.depth_m, np.nan))
     result = segmenter.segment(blind, None, segmenter.prepare(blind))
@@ -108,7 +98,7 @@ def test_a_frame_without_depth_is_answered_and_shows_no_structure(segmenter: Seg
     assert not result.structure.any()
 
 
-def test_a_run_with_it_gives_the_same_map_twice(segmenter: Segmenter, tmp_path: Path) -> None:
+def test_a_run_with_it_gives_the_same_map_twice(segmenter, tmp_path):
     runs = [
         map_scene(tmp_path, *NO_SHAPES, name=name, source=SceneSource(4), segmenter=segmenter) for name in ("a", "b")
     ]

@@ -1,16 +1,15 @@
 """What every sink owes the engine, shown on the reports of a real run of two rounds: with shapes and a jump of time."""
 
-from __future__ import annotations
-
 import itertools
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import pytest
-
 from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.navigation.robot import load_robot
+from hickory_stream.ports import Sink
+from hickory_stream.records import FrameReport
 from hickory_stream.sinks.costmap_sink import CostmapSink
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.sinks.rerun.config import RerunConfig
@@ -19,13 +18,6 @@ from hickory_stream.sinks.rerun.viewer import ViewerChoice, ViewerKind
 from hickory_stream.testing import RememberingSink, SlowSink
 from tests.engine.run_fixtures import NO_SHAPES, map_scene
 from tests.examples.csv_sink import COLUMNS, CsvSink
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from hickory_stream.ports import Sink
-    from hickory_stream.records import FrameReport
 
 pytestmark = pytest.mark.timeout(60)
 
@@ -53,14 +45,10 @@ def _example(folder: MapFolder) -> Sink:
 
 # A sink of one's own adds its line here.
 SINKS: dict[str, Callable[[MapFolder], Sink]] = {
-    "costmap": _costmap,
-    "disk": _disk,
-    "example": _example,
-    "rerun_file": _rerun_file,
-    "rerun_of_nothing": _rerun_of_nothing,
-    "remembering": lambda _: RememberingSink(),
+    "costmap": _costmap, "disk": _disk, "example": _example, "rerun_file": _rerun_file,
+    "rerun_of_nothing": _rerun_of_nothing, "remembering": lambda _: RememberingSink(),
     "slow": lambda _: SlowSink(RememberingSink(), 0.001),
-}
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +77,7 @@ def folder(played: tuple[MapFolder, list[FrameReport]], tmp_path: Path) -> MapFo
     return MapFolder(tmp_path / "map", played[0].manifest)
 
 
-def test_the_reports_are_of_every_kind(played: tuple[MapFolder, list[FrameReport]]) -> None:
+def test_the_reports_are_of_every_kind(played):
     _, reports = played
     assert any(report.snapshot and any(tracked.shape for tracked in report.snapshot.objects) for report in reports)
     assert any(b.stamp_ns < a.stamp_ns for a, b in itertools.pairwise(reports))
@@ -97,53 +85,37 @@ def test_the_reports_are_of_every_kind(played: tuple[MapFolder, list[FrameReport
     assert reports[-1].snapshot is not None
 
 
-def test_a_sink_takes_every_report_of_a_run(
-    make_sink: Callable[[MapFolder], Sink], folder: MapFolder, played: tuple[MapFolder, list[FrameReport]]
-) -> None:
+def test_a_sink_takes_every_report_of_a_run(make_sink, folder, played):
     sink = make_sink(folder)
     for report in played[1]:
         sink.show(report)
     sink.close()
 
 
-def test_a_sink_can_be_closed_before_it_was_shown_anything(
-    make_sink: Callable[[MapFolder], Sink], folder: MapFolder
-) -> None:
+def test_a_sink_can_be_closed_before_it_was_shown_anything(make_sink, folder):
     make_sink(folder).close()
 
 
-def test_a_sink_takes_a_map_without_objects_and_a_frame_without_anything(
-    make_sink: Callable[[MapFolder], Sink], folder: MapFolder, played: tuple[MapFolder, list[FrameReport]]
-) -> None:
+def test_a_sink_takes_an_empty_map_and_an_empty_frame(make_sink, folder, played):
     first = played[1][0]
     assert first.snapshot is not None
     empty = replace(first, snapshot=replace(first.snapshot, objects=()), observations=(), object_ids=(), decisions=())
     bare = replace(
-        first,
-        index=1,
-        keyframe_index=None,
-        frame=None,
-        segmentation=None,
-        snapshot=None,
-        observations=(),
+        first, index=1, keyframe_index=None, frame=None, segmentation=None, snapshot=None, observations=(),
         object_ids=(),
-    )
+    )  # fmt: skip
     sink = make_sink(folder)
     for report in (empty, bare):
         sink.show(report)
     sink.close()
 
 
-def test_a_sink_on_a_thread_of_its_own_does_not_change_the_map(
-    make_sink: Callable[[MapFolder], Sink], tmp_path: Path, undisturbed_digest: str
-) -> None:
+def test_a_sink_on_a_thread_of_its_own_does_not_change_the_map(make_sink, tmp_path, undisturbed_digest):
     run = map_scene(tmp_path, *NO_SHAPES, sinks=lambda folder: [(_disk(folder), True), (make_sink(folder), True)])
     assert run.digest == undisturbed_digest
 
 
-def test_the_example_writes_a_line_for_each_object_of_each_keyframe(
-    folder: MapFolder, played: tuple[MapFolder, list[FrameReport]]
-) -> None:
+def test_the_example_writes_a_line_per_object_and_keyframe(folder, played):
     sink = _example(folder)
     for report in played[1]:
         sink.show(report)

@@ -1,26 +1,18 @@
 """What every source owes its readers, shown on one scene written in every format."""
 
-from __future__ import annotations
-
 import shutil
-from typing import TYPE_CHECKING
-
+from collections.abc import Callable
+from pathlib import Path
 import cv2
 import numpy as np
-import player_scenes as scenes
 import pytest
-
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
+from hickory_stream.ports import Source
+from hickory_stream.records import RawFrame
 from players import SourceOptions, open_source
+from tests import player_scenes as scenes
 from tests.examples.npz_source import NpzSource
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from hickory_stream.ports import Source
-    from hickory_stream.records import RawFrame
 
 REGISTERED = SourceOptions(profile="registered")
 
@@ -81,17 +73,12 @@ def _open_registered(path: Path) -> Source:
 
 # How the scene is written in a format, and how what was written is opened. A source of one's own adds its line here.
 FORMATS: dict[str, tuple[Callable[[Path, list[scenes.SceneFrame]], Path], Callable[[Path], Source]]] = {
-    "7scenes": (scenes.write_seven_scenes, _open_registered),
-    "tum": (scenes.write_tum, open_source),
-    "posed": (scenes.write_posed_folder, open_source),
-    "ros1": (_ros1, open_source),
-    "ros2_sqlite": (_ros2_sqlite, open_source),
-    "ros2_database": (_ros2_database, open_source),
-    "ros2_mcap": (_ros2_mcap, open_source),
-    "mcap": (_mcap, open_source),
-    "mcap_without_index": (_mcap_without_index, open_source),
-    "example": (_npz, NpzSource),
-}
+    "7scenes": (scenes.write_seven_scenes, _open_registered), "tum": (scenes.write_tum, open_source),
+    "posed": (scenes.write_posed_folder, open_source), "ros1": (_ros1, open_source),
+    "ros2_sqlite": (_ros2_sqlite, open_source), "ros2_database": (_ros2_database, open_source),
+    "ros2_mcap": (_ros2_mcap, open_source), "mcap": (_mcap, open_source),
+    "mcap_without_index": (_mcap_without_index, open_source), "example": (_npz, NpzSource),
+}  # fmt: skip
 HAS_NO_STAMPS = ("7scenes", "posed")
 
 TRUTH = scenes.make_scene()
@@ -113,53 +100,53 @@ def _fields(frame: RawFrame) -> tuple[object, ...]:
     return frame.index, frame.stamp_ns, frame.camera, frame.world_from_camera.tobytes(), frame.color_bytes
 
 
-def test_every_frame_of_the_log_is_yielded_in_order(source: Source) -> None:
+def test_every_frame_of_the_log_is_yielded_in_order(source):
     frames = list(source.frames())
     assert [frame.index for frame in frames] == list(range(len(TRUTH)))
     stamps = [frame.stamp_ns for frame in frames]
     assert stamps == sorted(set(stamps))
 
 
-def test_stamps_are_those_of_the_colour_images_to_the_nanosecond(source: Source, recording: tuple[str, Path]) -> None:
+def test_stamps_are_those_of_the_colour_images_to_the_nanosecond(source, recording):
     if recording[0] in HAS_NO_STAMPS:
         pytest.skip("the layout has no stamps")
     assert [frame.stamp_ns for frame in source.frames()] == [frame.stamp_ns for frame in TRUTH]
 
 
-def test_colour_is_the_scene(source: Source) -> None:
+def test_colour_is_the_scene(source):
     for frame, truth in zip(source.frames(), TRUTH, strict=True):
         np.testing.assert_array_equal(frame.decode().rgb, truth.rgb)
 
 
-def test_depth_is_the_scene_in_metres_with_nan_where_nothing_returned(source: Source) -> None:
+def test_depth_is_in_metres_with_nan_where_nothing_returned(source):
     for frame, truth in zip(source.frames(), TRUTH, strict=True):
         np.testing.assert_allclose(frame.decode().depth_m, truth.depth_m, atol=1e-6)
 
 
-def test_poses_are_the_cameras_within_a_millimetre_and_a_twentieth_of_a_degree(source: Source) -> None:
+def test_poses_are_right_to_a_millimetre_and_a_twentieth_degree(source):
     for frame, truth in zip(source.frames(), TRUTH, strict=True):
         error = invert(truth.world_from_camera) @ frame.world_from_camera
         assert np.linalg.norm(error[:3, 3]) < 1e-3
         assert rotation_angle_rad(error[:3, :3]) < np.radians(0.05)
 
 
-def test_the_camera_is_the_scenes(source: Source) -> None:
+def test_the_camera_is_the_scenes(source):
     assert source.info.camera == scenes.CAMERA
     assert all(frame.camera == scenes.CAMERA for frame in source.frames())
 
 
-def test_a_second_pass_yields_the_same_frames(source: Source) -> None:
+def test_a_second_pass_yields_the_same_frames(source):
     assert [_fields(frame) for frame in source.frames()] == [_fields(frame) for frame in source.frames()]
 
 
-def test_a_pass_that_was_left_early_does_not_disturb_the_next(source: Source) -> None:
+def test_a_pass_that_was_left_early_does_not_disturb_the_next(source):
     abandoned = source.frames()
     next(abandoned)
     assert len(list(source.frames())) == len(TRUTH)
     assert len(list(abandoned)) == len(TRUTH) - 1
 
 
-def test_decoding_repeats_what_the_raw_frame_says(source: Source) -> None:
+def test_decoding_repeats_what_the_raw_frame_says(source):
     raw = next(source.frames())
     frame, again = raw.decode(), raw.decode()
     assert (frame.index, frame.stamp_ns, frame.camera) == (raw.index, raw.stamp_ns, raw.camera)
@@ -168,25 +155,25 @@ def test_decoding_repeats_what_the_raw_frame_says(source: Source) -> None:
     np.testing.assert_array_equal(frame.rgb, again.rgb)
 
 
-def test_a_frame_can_be_decoded_after_the_source_was_closed(source: Source) -> None:
+def test_a_frame_can_be_decoded_after_the_source_was_closed(source):
     frames = list(source.frames())
     source.close()
     np.testing.assert_array_equal(frames[-1].decode().rgb, TRUTH[-1].rgb)
 
 
-def test_compressed_colour_is_passed_on_as_it_was_recorded(source: Source) -> None:
+def test_compressed_colour_is_passed_on_as_it_was_recorded(source):
     for frame, truth in zip(source.frames(), TRUTH, strict=True):
         if frame.color_bytes is not None:
             bgr = cv2.imdecode(np.frombuffer(frame.color_bytes, dtype=np.uint8), cv2.IMREAD_COLOR)
             np.testing.assert_array_equal(np.asarray(bgr)[..., ::-1], truth.rgb)
 
 
-def test_the_ledger_counts_every_frame_and_nothing_else(source: Source) -> None:
+def test_the_ledger_counts_every_frame_and_nothing_else(source):
     assert len(list(source.frames())) == source.ledger()["frames"] == len(TRUTH)
     assert set(source.ledger()) == {"frames"}
 
 
-def test_the_info_names_kind_streams_and_length(source: Source, recording: tuple[str, Path]) -> None:
+def test_the_info_names_kind_streams_and_length(source, recording):
     info = source.info
     assert info.uri == str(recording[1])
     assert info.kind
@@ -195,9 +182,7 @@ def test_the_info_names_kind_streams_and_length(source: Source, recording: tuple
     assert info.start_ns == next(source.frames()).stamp_ns
 
 
-def test_the_identity_moves_with_the_log_and_differs_from_other_logs(
-    source: Source, recording: tuple[str, Path], tmp_path: Path
-) -> None:
+def test_the_identity_moves_with_the_log_and_differs_from_others(source, recording, tmp_path):
     name, path = recording
     write, opened = FORMATS[name]
     copy = tmp_path / "elsewhere" / path.name
@@ -207,7 +192,7 @@ def test_the_identity_moves_with_the_log_and_differs_from_other_logs(
     assert opened(shorter).info.identity != source.info.identity
 
 
-def test_a_log_without_the_files_it_needs_is_an_input_error(recording: tuple[str, Path], tmp_path: Path) -> None:
+def test_a_log_without_the_files_it_needs_is_an_input_error(recording, tmp_path):
     name, path = recording
     if path.is_dir():
         broken = tmp_path / path.name

@@ -1,24 +1,16 @@
 """What every kind of shape workers must do, here and on a cluster: the same jobs, the same answers."""
 
-from __future__ import annotations
-
 import asyncio
 import json
-from typing import TYPE_CHECKING, Any
-
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
 import pytest
-
 from hickory_stream.engine.shape_jobs.job_folder import take_result, write_job
-from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers, WorkerLimits
+from hickory_stream.engine.shape_jobs.local_workers import LocalWorkers, ShapeWorkers, WorkerLimits
 from tests.engine.run_fixtures import scene_config, scene_request
-from tests.engine.test_dask_workers import cluster
 from tests.in_process_workers import InProcessWorkers
-
-if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Iterator
-    from pathlib import Path
-
-    from hickory_stream.engine.shape_jobs.local_workers import ShapeWorkers
+from tests.shape_jobs.test_dask_workers import cluster
 
 pytestmark = [pytest.mark.timeout(180), pytest.mark.filterwarnings("ignore")]
 
@@ -54,7 +46,7 @@ def job(tmp_path: Path, name: str) -> Path:
     return folder
 
 
-def test_jobs_are_answered_with_the_same_shape_whoever_does_them(tmp_path: Path, use: Any) -> None:
+def test_jobs_are_answered_with_the_same_shape_whoever_does_them(tmp_path, use):
     folders = [job(tmp_path, str(i)) for i in range(3)]
 
     async def submit(workers: ShapeWorkers) -> list[str | None]:
@@ -75,7 +67,7 @@ def test_jobs_are_answered_with_the_same_shape_whoever_does_them(tmp_path: Path,
     assert None not in shapes
 
 
-def test_a_job_that_cannot_be_read_is_answered_with_the_reason(tmp_path: Path, use: Any) -> None:
+def test_a_job_that_cannot_be_read_is_answered_with_the_reason(tmp_path, use):
     folder = tmp_path / "nothing in it"
     folder.mkdir()
 
@@ -86,14 +78,14 @@ def test_a_job_that_cannot_be_read_is_answered_with_the_reason(tmp_path: Path, u
     assert "FileNotFoundError" in json.loads((folder / "result.json").read_text())["reason"]
 
 
-def test_a_job_whose_folder_is_gone_is_given_up_with_the_reason(tmp_path: Path, use: Any) -> None:
+def test_a_job_whose_folder_is_gone_is_given_up_with_the_reason(tmp_path, use):
     async def submit(workers: ShapeWorkers) -> str | None:
         return await workers.submit(tmp_path / "never made")
 
     assert "never made" in use(submit)
 
 
-def test_a_cancelled_job_holds_up_no_other(tmp_path: Path, use: Any) -> None:
+def test_a_cancelled_job_holds_up_no_other(tmp_path, use):
     folders = [job(tmp_path, str(i)) for i in range(3)]
 
     async def submit(workers: ShapeWorkers) -> list[str | None]:
@@ -104,7 +96,7 @@ def test_a_cancelled_job_holds_up_no_other(tmp_path: Path, use: Any) -> None:
     assert use(submit) == [None, None]
 
 
-def test_leaving_while_jobs_are_under_way_returns(tmp_path: Path, use: Any) -> None:
+def test_leaving_while_jobs_are_under_way_returns(tmp_path, use):
     folders = [job(tmp_path, str(i)) for i in range(2)]
 
     async def submit(workers: ShapeWorkers) -> None:

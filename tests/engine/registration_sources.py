@@ -1,24 +1,15 @@
 """A room that a camera goes around in with an odometry that errs: what tests of registration in runs share."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
-
 import numpy as np
-
+from numpy.typing import NDArray
 from hickory_stream.box_scene import SCENE_BOXES, SceneBox, SceneSource
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.ports import SourceAround
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Frame, RawFrame
+from hickory_stream.records import Frame, RawFrame
 
 NUM_FRAMES = 14
 _GREY = (128, 128, 128)

@@ -1,38 +1,28 @@
 """Runs over the in-memory scene: what the tests of the engine share."""
 
-from __future__ import annotations
-
 import asyncio
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import psutil
-
 from hickory_stream.base.config_text import read_config
-from hickory_stream.box_scene import SCENE_BOXES, SceneSource
+from hickory_stream.box_scene import SCENE_BOXES, SceneBox, SceneSource
 from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.effects import crop_of
 from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.modes import Mode, Progress
 from hickory_stream.events import RequestShape
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.map_folder.views import write_crop
+from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
-from hickory_stream.records import View
+from hickory_stream.ports import Segmenter, Sink, Source
+from hickory_stream.records import MapSnapshot, View
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.conftest import COARSE_SHAPES
 from tests.in_process_workers import InProcessWorkers
-
-if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Sequence
-    from pathlib import Path
-
-    from hickory_stream.box_scene import SceneBox
-    from hickory_stream.engine.modes import Mode, Progress
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.ports import Segmenter, Sink, Source
-    from hickory_stream.records import MapSnapshot
 
 NUM_FRAMES = 8
 SOON = ("mapping.requests.first_sightings=2", "mapping.requests.latency_s=0.5")
@@ -93,13 +83,9 @@ def map_scene(
         ) as mapper:
             snapshots = []
             played = mapper.run(
-                source or scene,
-                sinks=sinks,
-                loops=loops,
-                rate=rate,
-                mode=mode,
+                source or scene, sinks=sinks, loops=loops, rate=rate, mode=mode,
                 progress=lambda progress: on_progress(mapper, progress),
-            )
+            )  # fmt: skip
             async for snapshot in played:
                 snapshots.append(snapshot)
                 if on_snapshot is not None:
@@ -136,29 +122,16 @@ def scene_request(
         frame = raw.decode()
         observation = perceive(frame, None, None, segmenter, config, lattice=Lattice()).observations[-1]
         view = View(
-            object_id=3,
-            frame_index=frame.index,
-            stamp_ns=frame.stamp_ns,
-            box_px=observation.box_px,
-            world_from_camera=frame.world_from_camera,
-            r_area=observation.r_area,
-            r_depth=observation.r_depth,
-            box_volume_m3=observation.box.volume_m3,
-            score=None,
-            variance=None,
-            feature=None,
-        )
+            object_id=3, frame_index=frame.index, stamp_ns=frame.stamp_ns, box_px=observation.box_px,
+            world_from_camera=frame.world_from_camera, r_area=observation.r_area, r_depth=observation.r_depth,
+            box_volume_m3=observation.box.volume_m3, score=None, variance=None, feature=None,
+        )  # fmt: skip
         write_crop(views, view.name, crop_of(frame, observation, 0.08), views_as)
         kept.append(view)
         points.append(observation.points_world)
         colors.append(observation.colors)
     return RequestShape(
-        ticket=ticket,
-        object_id=3,
-        views=tuple(kept),
-        points_world=np.concatenate(points),
-        colors=np.concatenate(colors),
-        box=gravity_aligned_box(np.concatenate(points), 0.01),
-        support_z_m=0.0,
+        ticket=ticket, object_id=3, views=tuple(kept), points_world=np.concatenate(points),
+        colors=np.concatenate(colors), box=gravity_aligned_box(np.concatenate(points), 0.01), support_z_m=0.0,
         due_ns=due_ns,
-    )
+    )  # fmt: skip

@@ -1,13 +1,8 @@
 """Small maps with real records and real files: a table with a box on it, and a ball without shape."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 import trimesh
-
 from hickory_stream.config import RunConfig
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera
@@ -15,6 +10,7 @@ from hickory_stream.geometry.mesh import Mesh, sha256_of, write_glb
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.map_folder.views import write_crop
+from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.ports import Crop
 from hickory_stream.records import (
     Containment,
@@ -26,9 +22,6 @@ from hickory_stream.records import (
     TrackedObject,
     View,
 )
-
-if TYPE_CHECKING:
-    from hickory_stream.map_folder.writer import MapFolder
 
 VOXEL_M = 0.02
 DEFAULT_RUN = RunConfig()
@@ -53,18 +46,10 @@ def placed(x: float, y: float, z: float) -> np.ndarray:
 def make_view(object_id: int, frame_index: int, x: float) -> View:
     feature = np.random.default_rng(frame_index).normal(size=12).astype(np.float32)
     return View(
-        object_id=object_id,
-        frame_index=frame_index,
-        stamp_ns=1_700_000_000_123_456_789 + frame_index,
-        box_px=(10, 20, 10 + 16, 20 + 12),
-        world_from_camera=placed(x, -2.0, 1.3),
-        r_area=0.1 + 0.2,
-        r_depth=1.0 / 3.0,
-        box_volume_m3=0.07,
-        score=0.123456789 / 7,
-        variance=0.5,
-        feature=feature / np.linalg.norm(feature),
-    )
+        object_id=object_id, frame_index=frame_index, stamp_ns=1_700_000_000_123_456_789 + frame_index,
+        box_px=(10, 20, 10 + 16, 20 + 12), world_from_camera=placed(x, -2.0, 1.3), r_area=0.1 + 0.2, r_depth=1.0 / 3.0,
+        box_volume_m3=0.07, score=0.123456789 / 7, variance=0.5, feature=feature / np.linalg.norm(feature),
+    )  # fmt: skip
 
 
 def make_crop(seed: int = 0) -> Crop:
@@ -87,16 +72,10 @@ def make_shape(mesh: Mesh, world_from_object: np.ndarray, half_m: tuple[float, .
         )
 
     return ObjectShape(
-        revision=revision,
-        reconstructor="fused",
-        mesh_name=f"{revision:06d}.glb",
-        mesh_sha256=sha256_of(mesh),
-        world_from_object=world_from_object,
-        fitted=primitives(0.0),
-        inflated=primitives(0.03),
-        seen_share=[0.75],
+        revision=revision, reconstructor="fused", mesh_name=f"{revision:06d}.glb", mesh_sha256=sha256_of(mesh),
+        world_from_object=world_from_object, fitted=primitives(0.0), inflated=primitives(0.03), seen_share=[0.75],
         containment=Containment(num_checked=1000, num_outside=1, max_g=1.01),
-    )
+    )  # fmt: skip
 
 
 def make_object(
@@ -111,21 +90,12 @@ def make_object(
     points, _ = trimesh.sample.sample_surface(solid, 1500, seed=object_id)
     points_world = (points @ world_from_object[:3, :3].T + world_from_object[:3, 3]).astype(np.float32)
     return TrackedObject(
-        id=object_id,
-        phase=Phase.ACTIVE,
-        submap_id=0,
-        sightings=7,
-        first_seen_ns=1_700_000_000_000_000_001,
-        last_seen_ns=1_700_000_009_000_000_003,
-        points_world=points_world,
-        colors=np.tile(mesh.colors[:1], (len(points_world), 1)),
-        box=gravity_aligned_box(points_world, VOXEL_M),
-        feature=views[0].feature if views else None,
-        views=views,
-        best_view=views[-1] if views else None,
-        shape=shape,
+        id=object_id, phase=Phase.ACTIVE, submap_id=0, sightings=7, first_seen_ns=1_700_000_000_000_000_001,
+        last_seen_ns=1_700_000_009_000_000_003, points_world=points_world,
+        colors=np.tile(mesh.colors[:1], (len(points_world), 1)), box=gravity_aligned_box(points_world, VOXEL_M),
+        feature=views[0].feature if views else None, views=views, best_view=views[-1] if views else None, shape=shape,
         merged_ids=(90 + object_id,),
-    )
+    )  # fmt: skip
 
 
 def make_space() -> ObservedSpace:

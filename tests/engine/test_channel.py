@@ -1,11 +1,7 @@
-from __future__ import annotations
-
 import asyncio
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.engine.async_tools import Channel, ChannelClosed
 
 
@@ -32,9 +28,7 @@ PAUSES = st.lists(st.integers(0, 4), max_size=5)
 
 
 @given(capacity=st.integers(1, 5), items=st.lists(st.integers()), slow_sender=PAUSES, slow_receiver=PAUSES)
-def test_everything_comes_out_in_order_and_capacity_is_never_exceeded(
-    capacity: int, items: list[int], slow_sender: list[int], slow_receiver: list[int]
-) -> None:
+def test_items_keep_their_order_and_capacity_holds(capacity, items, slow_sender, slow_receiver):
     async def pass_through() -> tuple[list[int], Channel[int]]:
         channel: Channel[int] = Channel(capacity)
         taken, _ = await asyncio.gather(drain(channel, slow_receiver), fill(channel, items, slow_sender))
@@ -49,9 +43,7 @@ def test_everything_comes_out_in_order_and_capacity_is_never_exceeded(
 
 
 @given(capacity=st.integers(1, 4), senders=st.integers(1, 4), receivers=st.integers(1, 4), each=st.integers(0, 6))
-def test_many_senders_and_receivers_lose_and_double_nothing(
-    capacity: int, senders: int, receivers: int, each: int
-) -> None:
+def test_many_senders_and_receivers_lose_and_double_nothing(capacity, senders, receivers, each):
     async def pass_through() -> list[int]:
         channel: Channel[int] = Channel(capacity)
 
@@ -69,7 +61,7 @@ def test_many_senders_and_receivers_lose_and_double_nothing(
     assert asyncio.run(pass_through()) == [100 * i + k for i in range(senders) for k in range(each)]
 
 
-def test_a_full_channel_makes_the_sender_wait_until_something_is_taken() -> None:
+def test_a_full_channel_makes_the_sender_wait():
     async def run() -> None:
         channel: Channel[str] = Channel(1)
         await channel.send("a")
@@ -85,7 +77,7 @@ def test_a_full_channel_makes_the_sender_wait_until_something_is_taken() -> None
     asyncio.run(run())
 
 
-def test_closing_wakes_a_waiting_receiver() -> None:
+def test_closing_wakes_a_waiting_receiver():
     async def run() -> None:
         channel: Channel[int] = Channel(1)
         waiting = asyncio.create_task(channel.receive())
@@ -97,7 +89,7 @@ def test_closing_wakes_a_waiting_receiver() -> None:
     asyncio.run(run())
 
 
-def test_closing_wakes_a_waiting_sender_and_what_is_in_can_still_be_taken() -> None:
+def test_closing_wakes_the_sender_and_items_can_still_be_taken():
     async def run() -> None:
         channel: Channel[int] = Channel(1)
         await channel.send(1)
@@ -113,7 +105,7 @@ def test_closing_wakes_a_waiting_sender_and_what_is_in_can_still_be_taken() -> N
     asyncio.run(run())
 
 
-def test_a_cancelled_wait_takes_nothing_with_it() -> None:
+def test_a_cancelled_wait_takes_nothing_with_it():
     async def run() -> None:
         channel: Channel[int] = Channel(1)
         waiting = asyncio.create_task(channel.receive())
@@ -126,12 +118,12 @@ def test_a_cancelled_wait_takes_nothing_with_it() -> None:
     asyncio.run(run())
 
 
-def test_a_channel_without_room_is_refused() -> None:
+def test_a_channel_without_room_is_refused():
     with pytest.raises(ValueError, match="capacity 0"):
         Channel(0)
 
 
-def test_a_channel_that_drops_gives_back_the_oldest_and_never_waits() -> None:
+def test_a_dropping_channel_returns_the_oldest_and_never_waits():
     async def run() -> None:
         channel: Channel[int] = Channel(2, "drop_oldest")
         assert [await channel.send(i) for i in range(5)] == [None, None, 0, 1, 2]

@@ -1,15 +1,11 @@
-"""Submaps placed anew while a run goes on: in the map, its journal, what was known then, and what is shown."""
-
-from __future__ import annotations
-
 import asyncio
 import json
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
-
+from numpy.typing import NDArray
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.errors import InputError
@@ -17,21 +13,12 @@ from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.ports import Sink
+from hickory_stream.records import MapSnapshot, RawFrame
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene
 from tests.in_process_workers import InProcessWorkers
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.ports import Sink
-    from hickory_stream.records import MapSnapshot, RawFrame
-
-pytestmark = pytest.mark.timeout(120)
 
 MOVE = from_rotation_translation(yaw_rotation(0.3), np.array([2.0, 1.0, 0.0]))
 SLOW = 2.0
@@ -63,15 +50,9 @@ def corrected_run(
         return [(DiskSink(folder), True), *([(sink, True)] if sink is not None else [])]
 
     return map_scene(
-        path,
-        *NO_SHAPES,
-        "journal.checkpoint_keyframes=2",
-        name=name,
-        source=JumpingSource(NUM_FRAMES),
-        sinks=sinks,
-        on_snapshot=on_snapshot,
-        rate=SLOW,
-    )
+        path, *NO_SHAPES, "journal.checkpoint_keyframes=2", name=name, source=JumpingSource(NUM_FRAMES), sinks=sinks,
+        on_snapshot=on_snapshot, rate=SLOW,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -79,14 +60,12 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> SceneRun:
     return corrected_run(tmp_path_factory.mktemp("plain"), {})
 
 
-def test_a_jump_makes_a_second_submap(plain: SceneRun) -> None:
+def test_a_jump_makes_a_second_submap(plain):
     assert [submap.id for submap in plain.snapshots[-1].submaps] == [0, 1]
     assert {item.submap_id for item in plain.snapshots[-1].objects} == {0}
 
 
-def test_a_correction_moves_the_map_its_journal_replays_it_and_the_past_is_as_it_was(
-    tmp_path: Path, plain: SceneRun
-) -> None:
+def test_a_correction_moves_the_map_and_its_journal_replays_it(tmp_path, plain):
     sink = RememberingSink()
     moved = corrected_run(tmp_path, {3: {0: MOVE}}, sink)
     saved, before = open_map(moved.folder.path), plain.snapshots[-1]
@@ -111,21 +90,21 @@ def test_a_correction_moves_the_map_its_journal_replays_it_and_the_past_is_as_it
     assert np.allclose(sink.reports[-1].world_from_camera, MOVE @ raw[-1])
 
 
-def test_the_identity_brings_back_the_map_that_was_never_corrected(tmp_path: Path, plain: SceneRun) -> None:
+def test_the_identity_restores_the_uncorrected_map(tmp_path, plain):
     run = corrected_run(tmp_path, {2: {0: MOVE}, 5: {0: np.eye(4), 1: np.eye(4)}})
     assert run.digest == plain.digest
     document = json.loads((run.folder.path / "objects.json").read_text())
     assert document == json.loads((plain.folder.path / "objects.json").read_text())
 
 
-def test_a_correction_after_the_last_frame_is_in_the_finished_map(tmp_path: Path, plain: SceneRun) -> None:
+def test_a_correction_after_the_last_frame_is_in_the_map(tmp_path, plain):
     run = corrected_run(tmp_path, {NUM_FRAMES: {0: MOVE}})
     (moved, *_), (old, *_) = run.snapshots[-1].objects, plain.snapshots[-1].objects
     assert np.allclose(moved.box.world_from_box, MOVE @ old.box.world_from_box)
     assert map_digest(replay(run.folder.path)) == run.digest
 
 
-def test_a_run_that_was_stopped_goes_on_with_its_corrections(tmp_path: Path) -> None:
+def test_a_run_that_was_stopped_goes_on_with_its_corrections(tmp_path):
     async def stop(mapper: Mapper, snapshot: MapSnapshot) -> None:
         if snapshot.revision == 3:
             mapper.correct_poses({0: MOVE})
@@ -147,7 +126,7 @@ def test_a_run_that_was_stopped_goes_on_with_its_corrections(tmp_path: Path) -> 
     assert not open_map(tmp_path / "map").manifest.is_reproducible
 
 
-def test_what_cannot_be_a_correction_is_refused_and_the_run_goes_on(tmp_path: Path, plain: SceneRun) -> None:
+def test_an_invalid_correction_is_refused_and_the_run_goes_on(tmp_path, plain):
     refused: list[str] = []
 
     async def correct(mapper: Mapper, snapshot: MapSnapshot) -> None:

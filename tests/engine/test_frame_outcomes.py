@@ -1,11 +1,7 @@
 """Every frame has one outcome: which of those that have come is mapped, and what the others are counted as."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-
 import numpy as np
-
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.frame_accounting import FrameOutcome, KeyframeChoice
 from hickory_stream.engine.reading import QueuedFrame
@@ -24,14 +20,14 @@ def read(place_m: float, *, is_candidate: bool, is_corrupt: bool = False, second
     return QueuedFrame(raw=raw, round_index=0, first_index=0, is_candidate=is_candidate, is_corrupt=is_corrupt)
 
 
-def test_a_playback_maps_each_candidate_and_tells_torn_frames_from_those_between() -> None:
+def test_a_playback_maps_candidates_and_counts_corrupt_frames():
     choice = KeyframeChoice("playback", CONFIG)
     assert choice.outcomes([read(0.0, is_candidate=True)]) == [FrameOutcome.MAPPED]
     assert choice.outcomes([read(0.0, is_candidate=False)]) == [FrameOutcome.BETWEEN]
     assert choice.outcomes([read(FAR_M, is_candidate=False, is_corrupt=True)]) == [FrameOutcome.UNDECODABLE]
 
 
-def test_a_live_run_maps_the_newest_that_makes_a_keyframe_and_drops_the_other_candidates() -> None:
+def test_a_live_run_maps_the_newest_candidate_alone():
     choice = KeyframeChoice("live", CONFIG)
     come = [read(i * FAR_M, is_candidate=i % 2 == 0, seconds=i) for i in range(5)]
     assert choice.outcomes(come) == [
@@ -43,13 +39,13 @@ def test_a_live_run_maps_the_newest_that_makes_a_keyframe_and_drops_the_other_ca
     ]
 
 
-def test_a_frame_that_is_mapped_in_the_place_of_a_candidate_leaves_none_of_the_two_dropped() -> None:
+def test_a_frame_mapped_for_a_candidate_leaves_neither_dropped():
     choice = KeyframeChoice("live", CONFIG)
     come = [read(0.0, is_candidate=True), read(FAR_M, is_candidate=False, seconds=1.0)]
     assert choice.outcomes(come) == [FrameOutcome.BETWEEN, FrameOutcome.MAPPED]
 
 
-def test_a_candidate_that_is_none_any_more_is_dropped_where_nothing_is_mapped() -> None:
+def test_a_withdrawn_candidate_is_dropped_if_nothing_is_mapped():
     choice = KeyframeChoice("live", CONFIG)
     assert choice.outcomes([read(0.0, is_candidate=True)]) == [FrameOutcome.MAPPED]
     assert choice.outcomes([read(0.0, is_candidate=True)]) == [FrameOutcome.DROPPED]

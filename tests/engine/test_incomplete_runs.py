@@ -1,18 +1,14 @@
 """What is missing at the end of a run is told, and no file is cut off: failed shapes, damaged logs, full disks."""
 
-from __future__ import annotations
-
 import io
 import json
 import resource
+from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
+from typing import Any
 import pytest
-from bad_worker import write_interpreter
-
 from hickory_stream.base.atomic_files import write_output
 from hickory_stream.cli import main
 from hickory_stream.cli.runs.summary import failures_line
@@ -21,9 +17,7 @@ from hickory_stream.errors import OutputError
 from hickory_stream.sinks.rerun.file import RrdFile
 from hickory_stream.sinks.rerun.items import LogItem, Moment, new_stream
 from hickory_stream.sinks.rerun.piped_file import recorded_to
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from tests.shape_jobs.bad_worker import write_interpreter
 
 FULL = Path("/dev/full")  # every write there fails as on a full disk
 OLD = b"what was there before"
@@ -67,7 +61,7 @@ def failed(demo_log: Path, coarse_config: Path, tmp_path_factory: pytest.TempPat
     return Ended(status, folder / "map", json.loads(out.getvalue().splitlines()[-1]), err.getvalue())
 
 
-def test_a_run_whose_shape_jobs_all_failed_says_why_and_ends_with_three(failed: Ended) -> None:
+def test_a_run_with_only_failed_jobs_says_why_and_exits_with_3(failed):
     assert failed.status == 3
     assert failed.said["objects"] > 2
     assert failed.said["objects_with_shape"] == 0
@@ -79,12 +73,12 @@ def test_a_run_whose_shape_jobs_all_failed_says_why_and_ends_with_three(failed: 
         assert (Path(folder) / "job.json").is_file()
 
 
-def test_the_inputs_of_failed_jobs_can_be_repeated(failed: Ended, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_inputs_of_failed_jobs_can_be_repeated(failed, capsys):
     assert main(["reconstruct", failed.said["failed_shapes"][0]["inputs"][0], "--json"]) in (0, 3)
     assert json.loads(capsys.readouterr().out)
 
 
-def test_damage_of_the_log_is_told_and_kept_in_the_ledger(failed: Ended) -> None:
+def test_damage_of_the_log_is_told_and_kept_in_the_ledger(failed):
     assert "cut.mcap at byte" in failed.said["damage"]
     messages = json.loads((failed.folder / "ledger.json").read_text())["messages"]
     assert messages["damaged_places"] >= 1
@@ -92,7 +86,7 @@ def test_damage_of_the_log_is_told_and_kept_in_the_ledger(failed: Ended) -> None
 
 
 @needs_full_device
-def test_a_recording_that_the_disk_cut_short_is_told_in_one_line(failed: Ended) -> None:
+def test_a_recording_that_the_disk_cut_short_is_told_in_one_line(failed):
     (lost,) = failed.said["lost_outputs"]
     assert "/dev/full could not be written to its end (No space left on device)" in lost
     assert FULL.exists()
@@ -100,7 +94,7 @@ def test_a_recording_that_the_disk_cut_short_is_told_in_one_line(failed: Ended) 
     assert all(json.loads(line)["event"] for line in failed.stderr.splitlines())
 
 
-def test_reasons_are_grouped_and_objects_counted() -> None:
+def test_reasons_are_grouped_and_objects_counted():
     rare = FailedShapes(reason="torn", object_ids=(7,), folders=(Path("m/failed/000007"),))
     often = replace(rare, reason="slow", object_ids=tuple(range(8)), folders=(Path("m/failed/000000"),) * 8)
     assert failures_line((often, rare), 12) == (
@@ -110,7 +104,7 @@ def test_reasons_are_grouped_and_objects_counted() -> None:
     assert failures_line((), 12) == ""
 
 
-def test_a_reason_that_cannot_be_read_is_unknown(tmp_path: Path) -> None:
+def test_a_reason_that_cannot_be_read_is_unknown(tmp_path):
     for object_id, text in ((1, '{"reason": "slow"}'), (2, "no json"), (3, '{"reason": ["slow"]}'), (4, None)):
         folder = tmp_path / "failed" / f"{object_id:06d}"
         folder.mkdir(parents=True)
@@ -130,9 +124,7 @@ def test_a_reason_that_cannot_be_read_is_unknown(tmp_path: Path) -> None:
     ],
     ids=["json", "ply", "png", "html"],
 )
-def test_a_full_disk_leaves_the_file_that_was_there(
-    failed: Ended, arguments: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_leaves_the_file_that_was_there(failed, arguments, tmp_path, capsys):
     out = tmp_path / "out"
     out.write_bytes(OLD)
     places = {"map": failed.folder, "out": out, "log": failed.folder.parent / "cut.mcap"}
@@ -143,7 +135,7 @@ def test_a_full_disk_leaves_the_file_that_was_there(
     assert list(tmp_path.iterdir()) == [out]
 
 
-def test_a_recording_of_a_run_is_gone_where_the_disk_cut_it_short(tmp_path: Path) -> None:
+def test_a_recording_that_the_disk_cut_short_is_removed(tmp_path):
     import rerun as rr
 
     recording = RrdFile(tmp_path / "run.rrd", recording_id="cut", cap_mb=100.0)
@@ -156,7 +148,7 @@ def test_a_recording_of_a_run_is_gone_where_the_disk_cut_it_short(tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_recording_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_recording_is_written_whole_or_not_at_all(tmp_path):
     import rerun as rr
 
     out = tmp_path / "plan.rrd"
@@ -174,7 +166,7 @@ def test_a_recording_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     assert out.read_bytes()[-12:-4] == b"RRF2FOOT"  # the end of a recording that is complete
 
 
-def test_a_link_goes_on_pointing_to_its_file(tmp_path: Path) -> None:
+def test_a_link_goes_on_pointing_to_its_file(tmp_path):
     (tmp_path / "far").mkdir()
     (tmp_path / "far" / "file").write_bytes(OLD)
     (tmp_path / "link").symlink_to(tmp_path / "far" / "file")
@@ -184,7 +176,7 @@ def test_a_link_goes_on_pointing_to_its_file(tmp_path: Path) -> None:
 
 
 @needs_full_device
-def test_what_is_no_file_is_written_as_it_is() -> None:
+def test_what_is_no_file_is_written_as_it_is():
     write_output(Path("/dev/null"), b"new")
     assert Path("/dev/null").is_char_device()
     with pytest.raises(OSError, match="No space left"):

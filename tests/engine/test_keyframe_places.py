@@ -1,17 +1,13 @@
-"""Keyframes are mapped where they fit the map; the odometry's poses, what was kept out, and why, are kept beside it."""
-
-from __future__ import annotations
-
 import asyncio
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
-
 from hickory_stream.box_scene import scene_pose
 from hickory_stream.engine.keyframe_places import PlacedFrame, RegistrationFilter
 from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.modes import Progress
 from hickory_stream.events import FrameObserved, KeyframeKeptOut, KeyframeRegistered, PoseJumped
 from hickory_stream.geometry.rigid import compose, invert, no_directions
 from hickory_stream.journal.reader import Journal
@@ -19,22 +15,15 @@ from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.registration_history import registration_summary
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.ports import Sink, Source
 from hickory_stream.poses.registration_config import RegistrationConfig
+from hickory_stream.records import FrameReport, MapSnapshot
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.registration_sources import NUM_FRAMES, Drifting, Unaware, room
 from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
 from tests.in_process_workers import InProcessWorkers
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from hickory_stream.engine.modes import Progress
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.ports import Sink, Source
-    from hickory_stream.records import FrameReport, MapSnapshot
-
-pytestmark = pytest.mark.timeout(120)
 CONFIG = (*NO_SHAPES, "sensor.noise_per_m=0.0005")
 
 
@@ -69,14 +58,9 @@ def mapped(
     step_of: Callable[[int], int] = int,
 ) -> SceneRun:
     return map_scene(
-        tmp_path,
-        *CONFIG,
-        *overrides,
-        source=source,
-        segmenter=InstanceSegmenter(room(num_frames, step_of).instances),
-        sinks=None if sink is None else sink.of,
-        on_progress=on_progress,
-    )
+        tmp_path, *CONFIG, *overrides, source=source, segmenter=InstanceSegmenter(room(num_frames, step_of).instances),
+        sinks=None if sink is None else sink.of, on_progress=on_progress,
+    )  # fmt: skip
 
 
 def events_of(run_path: Path, kind: str) -> list[object]:
@@ -90,7 +74,7 @@ def drifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[SceneRun, Kept]:
     return mapped(tmp_path_factory.mktemp("drifted"), Drifting(room()), sink=sink), sink
 
 
-def test_a_frame_says_along_what_its_odometry_was_a_guess() -> None:
+def test_a_frame_says_along_what_its_odometry_was_a_guess():
     frames = [raw.decode() for raw in room(2, lambda index: 4 * index).frames()]
     sigmas_m = []
     for degenerate in (no_directions(), np.eye(6)[3:4]):
@@ -102,7 +86,7 @@ def test_a_frame_says_along_what_its_odometry_was_a_guess() -> None:
     assert sigmas_m[1] > 2 * sigmas_m[0]
 
 
-def test_with_exact_poses_nothing_changes(tmp_path: Path) -> None:
+def test_with_exact_poses_nothing_changes(tmp_path):
     on = mapped(tmp_path / "on", room())
     off = mapped(tmp_path / "off", room(), "registration.enabled=false")
     assert on.digest == off.digest
@@ -111,7 +95,7 @@ def test_with_exact_poses_nothing_changes(tmp_path: Path) -> None:
     assert events_of(off.folder.path, "KeyframeRegistered") == []
 
 
-def test_keyframes_of_a_drifting_odometry_are_mapped_where_they_truly_were(drifted: tuple[SceneRun, Kept]) -> None:
+def test_keyframes_of_a_drifting_odometry_are_mapped_truly(drifted):
     run, sink = drifted
     registered = events_of(run.folder.path, "KeyframeRegistered")
     observed = events_of(run.folder.path, "FrameObserved")
@@ -132,14 +116,13 @@ def test_keyframes_of_a_drifting_odometry_are_mapped_where_they_truly_were(drift
     assert np.linalg.norm(way[:3, 3] - true_way[:3, 3]) < 0.015
     saved = open_map(run.folder.path)
     told, ledger = registration_summary(run.folder.path, saved.ledger), saved.ledger["frames"]
-    assert told is not None
     assert told.moved_m > 0.05
     assert told.text().startswith(f"odometry: {told.corrected} of {NUM_FRAMES} keyframes were registered to the map")
     assert ledger["keyframes_corrected"] == told.corrected >= NUM_FRAMES - 4
     assert ledger["keyframes"] == ledger["read"] == NUM_FRAMES
 
 
-def test_the_odometry_is_kept_beside_the_corrected_poses(drifted: tuple[SceneRun, Kept]) -> None:
+def test_the_odometry_is_kept_beside_the_corrected_poses(drifted):
     run, _ = drifted
     with Journal(run.folder.path) as journal:
         raw = [frame for index in range(len(journal)) for frame in journal.step(index).frames]
@@ -147,7 +130,7 @@ def test_the_odometry_is_kept_beside_the_corrected_poses(drifted: tuple[SceneRun
     assert [frame.world_from_camera.tobytes() for frame in raw] == [pose.tobytes() for pose in given]
 
 
-def test_the_journal_of_a_corrected_run_gives_the_same_map_and_the_same_poses(drifted: tuple[SceneRun, Kept]) -> None:
+def test_the_journal_of_a_corrected_run_gives_the_same_map(drifted):
     run, sink = drifted
     again = Kept()
     assert map_digest(replay(run.folder.path, [again])) == run.digest
@@ -157,9 +140,7 @@ def test_the_journal_of_a_corrected_run_gives_the_same_map_and_the_same_poses(dr
 
 
 @pytest.mark.parametrize("keyframes", [2, 9])
-def test_a_corrected_run_that_was_stopped_goes_on_to_the_same_map(
-    drifted: tuple[SceneRun, Kept], tmp_path: Path, keyframes: int
-) -> None:
+def test_a_stopped_corrected_run_resumes_to_the_same_map(drifted, tmp_path, keyframes):
     def stop(mapper: Mapper, progress: Progress) -> None:
         if progress.keyframes == keyframes:
             mapper.stop()
@@ -173,13 +154,12 @@ def test_a_corrected_run_that_was_stopped_goes_on_to_the_same_map(
         ) as mapper:
             async for _ in mapper.run(Drifting(room())):
                 pass
-            assert mapper.folder is not None
             return mapper.folder.manifest.digest
 
     assert asyncio.run(resume()) == drifted[0].digest
 
 
-def test_keyframes_that_do_not_fit_are_kept_out_counted_and_told(tmp_path: Path) -> None:
+def test_keyframes_that_do_not_fit_are_kept_out_counted_and_told(tmp_path):
     # For three frames the odometry says that the camera went on, and it shows another side of the room.
     def step_of(i: int) -> int:
         return i + 20 if 8 <= i < 11 else i
@@ -199,7 +179,7 @@ def test_keyframes_that_do_not_fit_are_kept_out_counted_and_told(tmp_path: Path)
     assert decisions[0].startswith("frame 8 is kept out: ")
 
 
-def test_a_robot_that_was_carried_away_goes_on_in_a_submap_of_its_own(tmp_path: Path) -> None:
+def test_a_carried_robot_continues_in_a_new_submap(tmp_path):
     num_frames, carried_at = 26, 10
 
     def step_of(i: int) -> int:
@@ -216,7 +196,6 @@ def test_a_robot_that_was_carried_away_goes_on_in_a_submap_of_its_own(tmp_path: 
     assert frames["keyframes_kept_out"] == 7
     assert len(open_map(run.folder.path).snapshot.submaps) == 2
     told = registration_summary(run.folder.path, open_map(run.folder.path).ledger)
-    assert told is not None
     assert (told.kept_out, told.carried_away) == (7, 1)
     assert "7 did not fit and were kept out; 1 time(s) the robot was elsewhere" in told.text()
     jumps = events_of(run.folder.path, "PoseJumped")

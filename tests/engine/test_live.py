@@ -1,16 +1,11 @@
-"""Live runs: they wait for nothing, lose what they must, and count it."""
-
-from __future__ import annotations
-
 import asyncio
 import threading
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
-
 from hickory_stream.box_scene import START_NS, SceneSource
 from hickory_stream.cli import main
 from hickory_stream.config import MapperConfig
@@ -19,26 +14,18 @@ from hickory_stream.engine.publisher import ReportPublisher
 from hickory_stream.engine.shape_jobs.queue import ShapeQueue
 from hickory_stream.engine.warm_up import rehearse
 from hickory_stream.errors import OutputError, RecordingError
+from hickory_stream.events import RequestShape
 from hickory_stream.journal.format import JOURNAL
 from hickory_stream.journal.reader import Journal
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import MapFolder
 from hickory_stream.perception.choose import make_extractor, make_segmenter
+from hickory_stream.ports import Sink
+from hickory_stream.records import Frame, FrameReport, MapPrior, RawFrame, Segmentation
 from hickory_stream.testing import InstanceSegmenter, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, scene_config
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from hickory_stream.engine.modes import Mode
-    from hickory_stream.events import RequestShape
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.ports import Sink
-    from hickory_stream.records import Frame, FrameReport, MapPrior, RawFrame, Segmentation
-
-pytestmark = pytest.mark.timeout(120)
 
 
 class HeldSegmenter(InstanceSegmenter):
@@ -73,7 +60,7 @@ def fates(path: Path) -> dict[str, int]:
     return frames
 
 
-def test_a_live_run_that_keeps_up_maps_every_keyframe_and_replays_to_the_same_map(tmp_path: Path) -> None:
+def test_a_live_run_that_keeps_up_maps_all_and_replays_the_same(tmp_path):
     run = map_scene(tmp_path, mode="live", rate=3.0)
     manifest = open_map(run.folder.path).manifest
     assert manifest.finished_cleanly
@@ -85,7 +72,7 @@ def test_a_live_run_that_keeps_up_maps_every_keyframe_and_replays_to_the_same_ma
     assert map_digest(replay(run.folder.path)) == run.digest
 
 
-def test_what_comes_while_the_map_is_behind_is_dropped_and_every_frame_accounted_for(tmp_path: Path) -> None:
+def test_frames_during_a_busy_map_are_dropped_and_counted(tmp_path):
     segmenter = HeldSegmenter()
     source = TellingSource(segmenter, rounds=6)
     map_scene(tmp_path, *NO_SHAPES, source=source, segmenter=segmenter, mode="live", loops=6)
@@ -101,7 +88,7 @@ def test_what_comes_while_the_map_is_behind_is_dropped_and_every_frame_accounted
         assert journal.step(1).frames[-1].index == 6 * NUM_FRAMES - 1
 
 
-def test_the_map_is_shown_before_shapes_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_map_is_shown_before_shapes_are_asked_for(tmp_path, monkeypatch):
     happened: list[str] = []
     show = ReportPublisher.show
 
@@ -124,9 +111,7 @@ def test_the_map_is_shown_before_shapes_are_asked_for(tmp_path: Path, monkeypatc
 
 
 @pytest.mark.parametrize(("mode", "is_rehearsed"), [("live", True), ("playback", False)])
-def test_what_a_live_run_perceives_with_was_tried_out_before_the_first_frame_is_read(
-    mode: Mode, is_rehearsed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_live_run_tries_its_models_before_the_first_frame(mode, is_rehearsed, tmp_path, monkeypatch):
     happened: list[str] = []
 
     class NotingSource(SceneSource):
@@ -150,7 +135,7 @@ def test_what_a_live_run_perceives_with_was_tried_out_before_the_first_frame_is_
     assert happened == (["rehearsed", "read"] if is_rehearsed else ["read", "rehearsed"])
 
 
-def test_a_rehearsal_leaves_nothing_behind() -> None:
+def test_a_rehearsal_leaves_nothing_behind():
     config = MapperConfig()
     segmenter, extractor = make_segmenter(config.perception), make_extractor(config.perception)
     frame = next(SceneSource(1).frames()).decode()
@@ -170,7 +155,7 @@ class HangingSink(RememberingSink):
         super().show(report)
 
 
-def test_a_viewer_that_hangs_holds_nothing_up(tmp_path: Path) -> None:
+def test_a_viewer_that_hangs_holds_nothing_up(tmp_path):
     hanging = HangingSink()
 
     def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
@@ -196,7 +181,7 @@ class Releasing(RememberingSink):
         self._hanging.go_on.set()
 
 
-def test_a_killed_live_run_is_saved_up_to_its_last_step(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_killed_live_run_is_saved_up_to_its_last_step(tmp_path, capsys):
     import json
 
     folder = map_scene(tmp_path, *NO_SHAPES, mode="live", rate=3.0).folder.path
@@ -210,9 +195,6 @@ def test_a_killed_live_run_is_saved_up_to_its_last_step(tmp_path: Path, capsys: 
     assert saved["event"] == "saved"
     assert saved["digest"] == map_digest(open_map(folder).snapshot) == map_digest(replay(folder))
     assert not open_map(folder).manifest.finished_cleanly
-
-
-# ---- clocks that jump ------------------------------------------------------------------------------------------------
 
 
 class Restamped(SceneSource):
@@ -256,19 +238,17 @@ def jumps(path: Path, seconds: tuple[float, ...], loops: int = 1) -> tuple[list[
         ((0.0, 5.0, -1000.0), ["restart"]),
     ],
 )
-def test_a_seek_and_a_restart_of_the_clock_are_told_apart(
-    tmp_path: Path, seconds: tuple[float, ...], kinds: list[str]
-) -> None:
+def test_a_seek_and_a_restart_of_the_clock_are_told_apart(tmp_path, seconds, kinds):
     found, frames = jumps(tmp_path, seconds)
     assert found == kinds
     assert frames["read"] == len(seconds)
 
 
-def test_a_looped_log_is_a_loop(tmp_path: Path) -> None:
+def test_a_looped_log_is_a_loop(tmp_path):
     assert jumps(tmp_path, (0.0, 0.3), loops=3)[0] == ["loop", "loop"]
 
 
-def test_a_frame_that_is_merely_late_is_left_out_and_no_jump(tmp_path: Path) -> None:
+def test_a_frame_that_is_merely_late_is_left_out_and_no_jump(tmp_path):
     kinds, frames = jumps(tmp_path, (0.0, 0.3, 0.6, 0.4, 0.9))
     assert kinds == []
     assert frames == {"read": 5, "keyframes": 4, "frames_late": 1, "keyframes_without_depth": 0} or frames == {
@@ -278,7 +258,7 @@ def test_a_frame_that_is_merely_late_is_left_out_and_no_jump(tmp_path: Path) -> 
     }
 
 
-def test_a_live_frame_that_is_torn_is_counted(tmp_path: Path) -> None:
+def test_a_live_frame_that_is_torn_is_counted(tmp_path):
     class Torn(SceneSource):
         def frames(self) -> Iterator[RawFrame]:
             for raw in super().frames():
@@ -316,7 +296,7 @@ class FailingSink(RememberingSink):
         raise OutputError("no space is left")
 
 
-def test_a_run_that_fails_while_a_source_is_silent_ends_all_the_same(tmp_path: Path) -> None:
+def test_a_failing_run_ends_although_its_source_is_silent(tmp_path):
     source = SilentSource()
     with pytest.raises(OutputError, match="no space is left"):
         map_scene(tmp_path, *NO_SHAPES, mode="live", source=source, sinks=lambda _: [(FailingSink(), True)])

@@ -1,33 +1,20 @@
-"""A robot that comes back with odometry that has drifted: the loop is found, and the map becomes one."""
-
-from __future__ import annotations
-
 import asyncio
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
-
+from numpy.typing import NDArray
 from hickory_stream.box_scene import SCENE_CAMERA, SceneSource
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, yaw_rotation
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.records import Frame, MapSnapshot, RawFrame
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
 from tests.in_process_workers import InProcessWorkers
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Frame, MapSnapshot, RawFrame
-
-pytestmark = pytest.mark.timeout(240)
 
 NUM_FRAMES = 33  # once around the boxes, and a quarter, in steps of 14 degrees
 CAMERA = SCENE_CAMERA.scaled(2 / 3)
@@ -79,7 +66,7 @@ def worst_place_m(found: SceneRun) -> float:
     return float(np.linalg.norm(there[:3, 3]))
 
 
-def test_the_way_back_is_found_and_the_last_submap_lies_where_it_is(closed: SceneRun) -> None:
+def test_the_loop_is_found_and_the_last_submap_is_in_place(closed):
     graph = closed.snapshots[-1].graph
     assert graph is not None
     accepted = [(edge.earlier, edge.later) for edge in graph.loops if edge.status == "accepted"]
@@ -92,16 +79,14 @@ def test_the_way_back_is_found_and_the_last_submap_lies_where_it_is(closed: Scen
     assert ledger["loop_corrections"] >= 1
 
 
-def test_the_map_is_reproducible_and_its_journal_replays_it(closed: SceneRun) -> None:
+def test_the_map_is_reproducible_and_its_journal_replays_it(closed):
     saved = open_map(closed.folder.path)
     assert saved.manifest.is_reproducible
     assert map_digest(saved.snapshot) == closed.digest
     assert map_digest(replay(closed.folder.path)) == closed.digest
 
 
-def test_a_run_that_was_stopped_while_a_loop_was_searched_comes_to_the_same_map(
-    closed: SceneRun, tmp_path: Path
-) -> None:
+def test_a_run_stopped_during_a_loop_search_gives_the_same_map(closed, tmp_path):
     async def stop(mapper: Mapper, snapshot: MapSnapshot) -> None:
         if len(snapshot.submaps) == 4:  # the third has ended, and is searched
             mapper.stop()
@@ -124,9 +109,7 @@ def test_a_run_that_was_stopped_while_a_loop_was_searched_comes_to_the_same_map(
     assert map_digest(asyncio.run(resume())) == closed.digest
 
 
-def test_without_loops_the_map_stays_as_the_odometry_has_it_and_has_things_twice(
-    tmp_path: Path, closed: SceneRun
-) -> None:
+def test_without_loops_the_map_keeps_drift_and_duplicates(tmp_path, closed):
     plain = run(tmp_path, "mapping.submaps.searches_loops=false")
     assert plain.snapshots[-1].graph is None
     assert all(np.array_equal(s.world_from_submap, np.eye(4)) for s in plain.snapshots[-1].submaps)

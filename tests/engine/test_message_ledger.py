@@ -1,26 +1,18 @@
 """The account of a log's messages, completed by what the run made of the frames."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-import player_scenes as scenes
-
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.accounting import message_ledger
 from players import open_source
 from players.faults import Faults, FaultySource
 from players.first_frames import FirstFrames
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from tests import player_scenes as scenes
 
 M = scenes.Messages(ros=2)
 TRUTH = scenes.make_scene()
 LOG = scenes.scene_messages(M, TRUTH, scenes.png_images)
 
 
-def test_images_of_frames_that_were_no_keyframes_were_not_needed(tmp_path: Path) -> None:
+def test_images_of_frames_that_were_no_keyframes_were_not_needed(tmp_path):
     source = open_source(scenes.write_mcap(tmp_path / "log.mcap", M, LOG))
     assert len(list(source.frames())) == len(TRUTH)
     account = message_ledger(source, {"read": len(TRUTH), "keyframes": 2, "frames_undecodable": 1})
@@ -31,7 +23,7 @@ def test_images_of_frames_that_were_no_keyframes_were_not_needed(tmp_path: Path)
     assert account["explanation"] == ""
 
 
-def test_what_was_not_played_is_told_apart(tmp_path: Path) -> None:
+def test_what_was_not_played_is_told_apart(tmp_path):
     log = scenes.write_mcap(tmp_path / "log.mcap", M, LOG)
     source = FirstFrames(open_source(log), 2)
     assert len(list(source.frames())) == 2
@@ -41,7 +33,7 @@ def test_what_was_not_played_is_told_apart(tmp_path: Path) -> None:
     assert account["used"] + account["not_played"] == len(LOG)
 
 
-def test_a_log_that_is_played_with_faults_has_its_ledger_too(tmp_path: Path) -> None:
+def test_a_log_that_is_played_with_faults_has_its_ledger_too(tmp_path):
     log = open_source(scenes.write_mcap(tmp_path / "log.mcap", M, LOG))
     source = FaultySource(log, Faults(drop=0.5), seed=3)
     read = len(list(source.frames()))
@@ -51,6 +43,6 @@ def test_a_log_that_is_played_with_faults_has_its_ledger_too(tmp_path: Path) -> 
     assert account["used"] + account["not_needed"] == account["declared"] == len(LOG)
 
 
-def test_a_source_without_an_account_has_none() -> None:
+def test_a_source_without_an_account_has_none():
     assert message_ledger(SceneSource(2), {"read": 0}) == {}
     assert message_ledger(FirstFrames(SceneSource(2), 1), {"read": 0}) == {}

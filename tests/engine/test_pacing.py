@@ -1,17 +1,10 @@
 """Whether the pacer waits is seen from whether its coroutine gives up control, not from a clock."""
 
-from __future__ import annotations
-
 import asyncio
-from typing import TYPE_CHECKING
-
+from collections.abc import Awaitable, Callable
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.engine.async_tools import Pacer
-
-if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
 
 SECOND_NS = 1_000_000_000
 # A second of log lasts eleven days: what has to wait, waits for longer than any test.
@@ -47,24 +40,24 @@ async def soon(awaitable: Awaitable[None]) -> bool:
 
 
 @given(st.lists(st.integers(0, 10**19)))
-def test_as_fast_as_can_be_never_waits(stamps_ns: list[int]) -> None:
+def test_as_fast_as_can_be_never_waits(stamps_ns):
     pacer = Pacer(None)
     assert all(returns_at_once(pacer, stamp_ns) for stamp_ns in stamps_ns)
 
 
-def test_the_first_frame_is_due_at_once_and_a_later_one_is_not() -> None:
+def test_the_first_frame_is_due_at_once_and_a_later_one_is_not():
     pacer = Pacer(SLOW)
     assert in_loop(lambda: returns_at_once(pacer, 5 * SECOND_NS))
     assert in_loop(lambda: returns_at_once(pacer, 5 * SECOND_NS))
     assert not in_loop(lambda: returns_at_once(pacer, 6 * SECOND_NS))
 
 
-def test_a_frame_whose_time_has_passed_is_due_at_once() -> None:
+def test_a_frame_whose_time_has_passed_is_due_at_once():
     pacer = Pacer(1e15)
     assert in_loop(lambda: all(returns_at_once(pacer, i * SECOND_NS) for i in range(1, 100)))
 
 
-def test_a_jump_back_starts_the_clock_anew() -> None:
+def test_a_jump_back_starts_the_clock_anew():
     async def run() -> list[bool]:
         pacer = Pacer(SLOW)
         stamps_ns = [9 * SECOND_NS, 10 * SECOND_NS, 2 * SECOND_NS, 3 * SECOND_NS]

@@ -1,12 +1,6 @@
-"""What a run makes of a frame before anybody sees it: its number and its depth."""
-
-from __future__ import annotations
-
 import asyncio
 from dataclasses import replace
-
 import numpy as np
-
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.config import MapperConfig
 from hickory_stream.engine.async_tools import StopRequest
@@ -24,13 +18,13 @@ FRAME = RAW.decode()
 SEGMENTER = GeometricSegmenter(GeometricConfig())
 
 
-def test_without_a_configured_sensor_a_frame_stays_what_the_source_gave() -> None:
+def test_without_a_configured_sensor_a_frame_is_unchanged():
     frame = sensed(FRAME, 7, SensorConfig())
     assert (frame.index, frame.sensor) == (7, FRAME.sensor)
     assert frame.depth_m is FRAME.depth_m
 
 
-def test_a_configured_bias_takes_the_place_of_the_one_that_the_source_took_off() -> None:
+def test_a_configured_bias_replaces_the_one_of_the_source():
     source = replace(FRAME, sensor=DepthSensor(bias_m=0.03, noise_per_m=0.001))
     frame = sensed(source, 0, SensorConfig(bias_m=0.05, max_m=2.5))
     assert frame.sensor == DepthSensor(bias_m=0.05, noise_per_m=0.001, max_m=2.5)
@@ -39,7 +33,7 @@ def test_a_configured_bias_takes_the_place_of_the_one_that_the_source_took_off()
     assert 0 < np.isfinite(frame.depth_m).mean() < np.isfinite(FRAME.depth_m).mean()
 
 
-def test_a_keyframe_of_a_playback_comes_with_all_that_needs_no_map() -> None:
+def test_a_playback_keyframe_comes_with_all_that_needs_no_map():
     reads = asyncio.run(_read(SceneSource(4)))
     candidates = [read for read in reads if read.is_candidate]
     assert candidates
@@ -51,13 +45,12 @@ def test_a_keyframe_of_a_playback_comes_with_all_that_needs_no_map() -> None:
         ahead, frame = read.ahead, read.frame
         assert isinstance(ahead.prepared, Surface)
         np.testing.assert_array_equal(ahead.patches, ColorTextureDescriptor().extract(frame.rgb))
-        assert ahead.surface is not None
         np.testing.assert_array_equal(ahead.surface.points, keyframe_surface(frame).points)
         alone = perceive(frame, None, None, SEGMENTER, config.perception, lattice=config.mapping.voxels)
         np.testing.assert_array_equal(ahead.free_keys, alone.space.free_keys)
 
 
-def test_at_30_hz_the_next_keyframe_is_ready_before_anybody_takes_a_frame() -> None:
+def test_at_30_hz_the_next_keyframe_is_ready_in_advance():
     async def ready() -> list[QueuedFrame]:
         reader = _reader()
         await _reading(reader, SceneSource(16, period_ns=33_333_333))
@@ -68,7 +61,7 @@ def test_at_30_hz_the_next_keyframe_is_ready_before_anybody_takes_a_frame() -> N
     assert [read.raw.index for read in asyncio.run(ready()) if read.frame is not None] == [0, 8]
 
 
-def test_few_keyframes_wait_decoded_and_a_reader_that_waits_for_room_ends_when_nobody_takes_more() -> None:
+def test_few_keyframes_wait_decoded_and_a_waiting_reader_ends():
     async def left() -> list[QueuedFrame]:
         reader = _reader()
         async with asyncio.TaskGroup() as group:

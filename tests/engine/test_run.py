@@ -1,30 +1,16 @@
-"""Whole runs over the in-memory scene, with real shape workers."""
-
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
-
+from collections.abc import Callable
 import pytest
-
 from hickory_stream.box_scene import SCENE_BOXES, SceneSource
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.modes import Progress
 from hickory_stream.errors import MapFolderError, RecordingError
 from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.ports import Sink
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.testing import BreakingSource, FailingSink, RememberingSink, SlowSink
-from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, shape_workers
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from hickory_stream.engine.mapper import Mapper
-    from hickory_stream.engine.modes import Progress
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.ports import Sink
-    from tests.engine.run_fixtures import SceneRun
-
-pytestmark = pytest.mark.timeout(120)
+from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, SceneRun, map_scene, shape_workers
 
 
 @pytest.fixture
@@ -40,10 +26,7 @@ def saved_with(*others: tuple[Sink, bool]) -> Callable[[MapFolder], list[tuple[S
     return lambda folder: [(DiskSink(folder, DiskSinkConfig(every_keyframes=1)), True), *others]
 
 
-# ---- the same map ----------------------------------------------------------------------------------------------------
-
-
-def test_the_map_is_the_scene_with_all_four_layers(undisturbed_run: SceneRun) -> None:
+def test_the_map_is_the_scene_with_all_four_layers(undisturbed_run):
     run = undisturbed_run
     saved = open_map(run.folder.path)
     assert saved.manifest.finished_cleanly
@@ -60,7 +43,7 @@ def test_the_map_is_the_scene_with_all_four_layers(undisturbed_run: SceneRun) ->
     assert min(saved.timings.values()) >= 0.0
 
 
-def test_a_worker_that_is_killed_is_replaced_and_the_map_is_the_same(tmp_path: Path, calm_digest: str) -> None:
+def test_a_killed_worker_is_replaced_and_the_map_is_the_same(tmp_path, calm_digest):
     killed: list[int] = []
 
     def kill_once(_: Mapper, progress: Progress) -> None:
@@ -73,7 +56,7 @@ def test_a_worker_that_is_killed_is_replaced_and_the_map_is_the_same(tmp_path: P
     assert len(killed) == 1
 
 
-def test_jobs_that_time_out_leave_objects_without_shape_and_a_run_that_ends(tmp_path: Path) -> None:
+def test_jobs_that_time_out_leave_objects_without_shape(tmp_path):
     run = map_scene(
         tmp_path, "run.job_timeout_s=1e-9", "mapping.requests.max_failures=1", boxes=SCENE_BOXES[:1], child_workers=True
     )
@@ -84,7 +67,7 @@ def test_jobs_that_time_out_leave_objects_without_shape_and_a_run_that_ends(tmp_
     assert shape_workers() == []
 
 
-def test_further_rounds_of_a_log_add_no_object_and_no_size(tmp_path: Path) -> None:
+def test_further_rounds_of_a_log_add_no_object_and_no_size(tmp_path):
     sink = RememberingSink()
     map_scene(tmp_path, *NO_SHAPES, loops=4, sinks=saved_with((sink, False)))
     once, thrice, four_times = (sink.reports[rounds * NUM_FRAMES - 1].snapshot for rounds in (1, 3, 4))
@@ -98,7 +81,7 @@ def test_further_rounds_of_a_log_add_no_object_and_no_size(tmp_path: Path) -> No
     assert len(space_b.structure) <= 1.05 * len(space_a.structure)
 
 
-def test_a_second_round_is_a_jump_of_time_and_its_frames_are_numbered_on(tmp_path: Path) -> None:
+def test_a_second_round_is_a_time_jump_and_frame_numbers_go_on(tmp_path):
     sink = RememberingSink()
     run = map_scene(tmp_path, *NO_SHAPES, loops=2, sinks=saved_with((sink, False)))
     assert [report.index for report in sink.reports] == list(range(2 * NUM_FRAMES + 1))
@@ -106,10 +89,7 @@ def test_a_second_round_is_a_jump_of_time_and_its_frames_are_numbered_on(tmp_pat
     assert frames == {"read": 2 * NUM_FRAMES, "keyframes": 2 * NUM_FRAMES, "time_jumps": 1}
 
 
-# ---- sinks -----------------------------------------------------------------------------------------------------------
-
-
-def test_a_slow_sink_gets_every_frame_and_at_last_the_finished_map(tmp_path: Path) -> None:
+def test_a_slow_sink_gets_every_frame_and_the_finished_map(tmp_path):
     sink = RememberingSink()
     run = map_scene(tmp_path, *NO_SHAPES, sinks=saved_with((SlowSink(sink, 0.03), False)))
     assert [report.index for report in sink.reports] == list(range(NUM_FRAMES + 1))
@@ -118,13 +98,13 @@ def test_a_slow_sink_gets_every_frame_and_at_last_the_finished_map(tmp_path: Pat
     assert sink.is_closed
 
 
-def test_a_failing_sink_for_looking_changes_neither_the_run_nor_the_map(tmp_path: Path, calm_digest: str) -> None:
+def test_a_failing_optional_sink_changes_neither_run_nor_map(tmp_path, calm_digest):
     run = map_scene(tmp_path, sinks=saved_with((FailingSink(2, RuntimeError("no viewer")), False)))
     assert run.digest == calm_digest
     assert open_map(run.folder.path).manifest.finished_cleanly
 
 
-def test_a_failing_essential_sink_stops_the_run_with_its_error(tmp_path: Path) -> None:
+def test_a_failing_essential_sink_stops_the_run_with_its_error(tmp_path):
     sink = FailingSink(3, MapFolderError("cannot write m: the disk is full"))
     with pytest.raises(MapFolderError, match="the disk is full"):
         map_scene(tmp_path, *NO_SHAPES, sinks=saved_with((sink, True)))
@@ -134,10 +114,7 @@ def test_a_failing_essential_sink_stops_the_run_with_its_error(tmp_path: Path) -
     assert saved.ledger["frames"]["read"] < NUM_FRAMES * 3
 
 
-# ---- early ends ------------------------------------------------------------------------------------------------------
-
-
-def test_a_source_that_breaks_ends_the_run_with_its_error_and_keeps_the_map(tmp_path: Path) -> None:
+def test_a_breaking_source_ends_the_run_and_keeps_the_map(tmp_path):
     source = BreakingSource(SceneSource(NUM_FRAMES), 6, RecordingError("desk.mcap is torn at 60 %"))
     with pytest.raises(RecordingError, match="torn at 60 %"):
         map_scene(tmp_path, source=source, sinks=saved_with(), child_workers=True)
@@ -148,14 +125,14 @@ def test_a_source_that_breaks_ends_the_run_with_its_error_and_keeps_the_map(tmp_
     assert shape_workers() == []
 
 
-def test_a_source_that_fails_in_its_own_way_does_not_leave_a_child_either(tmp_path: Path) -> None:
+def test_a_source_with_its_own_error_leaves_no_child(tmp_path):
     source = BreakingSource(SceneSource(NUM_FRAMES), 6, ZeroDivisionError("in somebody's source"))
     with pytest.raises(ZeroDivisionError):
         map_scene(tmp_path, source=source, child_workers=True)
     assert shape_workers() == []
 
 
-def test_a_stop_ends_after_the_frames_that_are_read_and_saves(tmp_path: Path) -> None:
+def test_a_stop_ends_after_the_frames_that_are_read_and_saves(tmp_path):
     def stop(mapper: Mapper, progress: Progress) -> None:
         if progress.keyframes == 2:
             mapper.stop()
@@ -168,7 +145,7 @@ def test_a_stop_ends_after_the_frames_that_are_read_and_saves(tmp_path: Path) ->
     assert shape_workers() == []
 
 
-def test_a_stop_while_the_last_shapes_are_built_does_not_wait_for_all_of_them(tmp_path: Path) -> None:
+def test_a_stop_does_not_wait_for_all_last_shapes(tmp_path):
     def stop(mapper: Mapper, progress: Progress) -> None:
         if progress.phase == "shapes":
             mapper.stop()
@@ -181,7 +158,7 @@ def test_a_stop_while_the_last_shapes_are_built_does_not_wait_for_all_of_them(tm
     assert shape_workers() == []
 
 
-def test_a_job_that_runs_at_a_stop_is_waited_for_within_the_grace(tmp_path: Path) -> None:
+def test_a_job_that_runs_at_a_stop_gets_the_grace_period(tmp_path):
     def stop(mapper: Mapper, progress: Progress) -> None:
         if progress.keyframes == 5:
             mapper.stop()

@@ -1,31 +1,25 @@
 """Where frames and time went, from counts and times that are known."""
 
-from __future__ import annotations
-
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.accounting import run_ledger, run_timings
 
 
-def test_frames_that_came_late_were_read_and_what_did_not_happen_is_not_told() -> None:
+def test_late_frames_count_as_read_and_zero_counts_are_hidden():
     ledger = run_ledger(
-        SceneSource(2),
-        num_frames=8,
-        num_keyframes=3,
-        counts={"frames_late": 2, "between_keyframes": 5, "time_jumps": 0},
-        shapes={"ready": 1},
-        num_not_shown=0,
-    )
+        SceneSource(2), num_frames=8, num_keyframes=3,
+        counts={"frames_late": 2, "between_keyframes": 5, "time_jumps": 0}, shapes={"ready": 1}, num_not_shown=0,
+    )  # fmt: skip
     assert ledger["frames"] == {"read": 10, "keyframes": 3, "frames_late": 2, "between_keyframes": 5}
     assert ledger["shapes"] == {"ready": 1}
     assert "messages" not in ledger
 
 
-def test_a_reader_that_counted_for_itself_is_believed_and_reports_that_no_sink_took_are_told() -> None:
+def test_a_readers_own_counts_are_used_and_untaken_reports_told():
     ledger = run_ledger(SceneSource(2), num_frames=8, num_keyframes=3, counts={"read": 12}, shapes={}, num_not_shown=4)
     assert ledger["frames"] == {"read": 12, "keyframes": 3, "reports_not_shown": 4}
 
 
-def test_times_are_told_by_layer_and_by_stage() -> None:
+def test_times_are_told_by_layer_and_by_stage():
     times = run_timings(
         {"perceive": 2.0, "decide": 0.5, "decode": 1.0}, {"reconstruct": 3.0, "fit": 4.0, "inflate": 5.0}, 0.25
     )

@@ -1,11 +1,7 @@
 """Where a run stands, and where the stamps of its frames jump."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-
 import pytest
-
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.frame_accounting import RunClock
 from hickory_stream.engine.reading import QueuedFrame
@@ -34,19 +30,17 @@ def clock() -> RunClock:
     ("after_s", "round_index", "kind"),
     [(0.1, 0, None), (0.0, 0, None), (5.1, 0, "seek"), (-0.1, 0, "seek"), (-20.0, 0, "restart"), (-0.1, 1, "loop")],
 )
-def test_time_jumps_where_stamps_go_back_leave_a_gap_or_begin_again(
-    clock: RunClock, after_s: float, round_index: int, kind: str | None
-) -> None:
+def test_time_jumps_at_steps_back_gaps_and_new_rounds(clock, after_s, round_index, kind):
     stamp_ns = LAST_NS + round(after_s * SECOND_NS)
     jump = clock.jump_before(read_at(stamp_ns, round_index=round_index))
     assert jump == (None if kind is None else TimeJumped(from_ns=LAST_NS, to_ns=stamp_ns, kind=kind))
 
 
-def test_before_the_first_frame_nothing_has_jumped() -> None:
+def test_before_the_first_frame_nothing_has_jumped():
     assert RunClock(time_jump_s=5.0).jump_before(read_at(START_NS)) is None
 
 
-def test_it_stands_at_the_last_frame_and_remembers_the_first_stamp(clock: RunClock) -> None:
+def test_it_stands_at_the_last_frame_and_keeps_the_first_stamp(clock):
     pose = clock.advance(read_at(LAST_NS + SECOND_NS, index=7, round_index=2, first_index=5))
     assert clock.last is pose
     assert (pose.index, pose.stamp_ns) == (7, LAST_NS + SECOND_NS)

@@ -1,34 +1,23 @@
-from __future__ import annotations
-
 import asyncio
 import logging
 import threading
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.engine.publisher import SinkThread
 from hickory_stream.errors import MapFolderError
+from hickory_stream.ports import Sink
 from hickory_stream.records import FrameReport
 from hickory_stream.testing import FailingSink, RememberingSink, SlowSink
-
-if TYPE_CHECKING:
-    from hickory_stream.ports import Sink
 
 NUM_REPORTS = 60
 
 
 def report(index: int) -> FrameReport:
     return FrameReport(
-        index=index,
-        stamp_ns=index,
-        keyframe_index=None,
-        camera=SCENE_CAMERA,
-        world_from_camera=np.eye(4),
+        index=index, stamp_ns=index, keyframe_index=None, camera=SCENE_CAMERA, world_from_camera=np.eye(4),
         color_bytes=None,
-    )
+    )  # fmt: skip
 
 
 async def show_all(sink: Sink, *, is_essential: bool) -> SinkThread:
@@ -40,7 +29,7 @@ async def show_all(sink: Sink, *, is_essential: bool) -> SinkThread:
 
 
 @pytest.mark.parametrize("is_essential", [True, False])
-def test_reports_come_in_order_and_then_the_sink_is_closed(is_essential: bool) -> None:
+def test_reports_come_in_order_and_then_the_sink_is_closed(is_essential):
     sink = RememberingSink()
     thread = asyncio.run(show_all(sink, is_essential=is_essential))
     assert [shown.index for shown in sink.reports] == list(range(NUM_REPORTS))
@@ -48,13 +37,13 @@ def test_reports_come_in_order_and_then_the_sink_is_closed(is_essential: bool) -
     assert thread.backlog == 0
 
 
-def test_a_slow_sink_loses_no_report() -> None:
+def test_a_slow_sink_loses_no_report():
     remembered = RememberingSink()
     asyncio.run(show_all(SlowSink(remembered, 0.002), is_essential=False))
     assert [shown.index for shown in remembered.reports] == list(range(NUM_REPORTS))
 
 
-def test_a_sink_for_looking_that_fails_is_set_aside_with_one_warning(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_failing_optional_sink_is_dropped_with_one_warning(caplog):
     sink = FailingSink(3, RuntimeError("the viewer is gone"))
     with caplog.at_level(logging.WARNING):
         asyncio.run(show_all(sink, is_essential=False))
@@ -63,14 +52,14 @@ def test_a_sink_for_looking_that_fails_is_set_aside_with_one_warning(caplog: pyt
 
 
 @pytest.mark.parametrize("at", [1, 20, NUM_REPORTS])
-def test_an_essential_sink_that_fails_stops_the_run_with_its_error(at: int) -> None:
+def test_a_failing_essential_sink_stops_the_run(at):
     sink = FailingSink(at, MapFolderError("cannot write m: the disk is full"))
     with pytest.raises(MapFolderError, match="the disk is full"):
         asyncio.run(show_all(sink, is_essential=True))
     assert sink.num_shown == at
 
 
-def test_a_sink_that_fails_to_close_is_judged_as_one_that_fails_to_show() -> None:
+def test_a_sink_that_fails_to_close_counts_as_failing():
     class FailingToClose(RememberingSink):
         def close(self) -> None:
             raise MapFolderError("the last save failed")
@@ -81,9 +70,7 @@ def test_a_sink_that_fails_to_close_is_judged_as_one_that_fails_to_show() -> Non
 
 
 @pytest.mark.parametrize("num_reports", [1, 17])
-def test_a_sink_for_looking_that_hangs_does_not_keep_the_run_from_ending(
-    num_reports: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hanging_optional_sink_does_not_delay_the_end(num_reports, monkeypatch):
     released = threading.Event()
 
     class Hanging(RememberingSink):
@@ -103,7 +90,7 @@ def test_a_sink_for_looking_that_hangs_does_not_keep_the_run_from_ending(
     released.set()
 
 
-def test_a_sink_that_failed_is_closed_all_the_same() -> None:
+def test_a_sink_that_failed_is_closed_all_the_same():
     class Failing(RememberingSink):
         def show(self, report: FrameReport) -> None:
             raise RuntimeError

@@ -1,11 +1,7 @@
 """The request to end a run, and how long what was begun may still take."""
 
-from __future__ import annotations
-
 import asyncio
-
 import pytest
-
 from hickory_stream.engine.async_tools import StopRequest
 
 
@@ -17,7 +13,7 @@ async def failed() -> str:
     raise OSError("the disk is full")
 
 
-def test_what_ends_by_itself_is_returned_and_its_error_raised() -> None:
+def test_what_ends_by_itself_is_returned_and_its_error_raised():
     async def run() -> None:
         stop = StopRequest()
         assert await stop.within_grace(answered(), "job") == "there"
@@ -28,7 +24,7 @@ def test_what_ends_by_itself_is_returned_and_its_error_raised() -> None:
     asyncio.run(run())
 
 
-def test_a_stop_gives_up_what_takes_longer_than_the_grace_and_cancels_it() -> None:
+def test_a_stop_cancels_what_exceeds_the_grace_period():
     was_cancelled = []
 
     async def never() -> None:
@@ -50,7 +46,7 @@ def test_a_stop_gives_up_what_takes_longer_than_the_grace_and_cancels_it() -> No
     assert was_cancelled == [True]
 
 
-def test_what_comes_within_the_grace_is_taken() -> None:
+def test_what_comes_within_the_grace_is_taken():
     async def run() -> None:
         stop, arrived = StopRequest(), asyncio.Event()
 

@@ -3,36 +3,23 @@
 The search is stood in for by one that gives a wrong loop between two places that look alike, and true ones later.
 """
 
-from __future__ import annotations
-
 import asyncio
-from typing import TYPE_CHECKING
-
+from collections.abc import Iterator
 import numpy as np
 import pytest
-
+from numpy.typing import NDArray
 from hickory_stream.box_scene import SCENE_CAMERA, SceneBox, SceneSource
 from hickory_stream.engine import loop_closing
 from hickory_stream.engine.mapper import Mapper
 from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.loops.search import LoopQuery
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import replay
 from hickory_stream.map_folder.saved_map import open_map
-from hickory_stream.records import Loop
+from hickory_stream.records import Loop, MapSnapshot
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from tests.engine.run_fixtures import NO_SHAPES, SceneRun, map_scene
 from tests.in_process_workers import InProcessWorkers
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.loops.search import LoopQuery
-    from hickory_stream.records import MapSnapshot
-
-pytestmark = pytest.mark.timeout(240)
 
 NUM_FRAMES, APART_M = 20, 0.6
 # No face lies on the border of two cells, where the rounding of points would choose between them.
@@ -52,13 +39,10 @@ CONFIG = (
 def loop(earlier: int, later: int, shift_m: float) -> Loop:
     """A sure loop that has the later submap off by a shift along x."""
     return Loop(
-        earlier=earlier,
-        later=later,
+        earlier=earlier, later=later,
         earlier_from_later=from_rotation_translation(np.eye(3), np.array([shift_m, 0.0, 0.0])),
-        covariance=np.diag([1e-4] * 3 + [4e-4] * 3),
-        method="surface",
-        score=0.9,
-    )
+        covariance=np.diag([1e-4] * 3 + [4e-4] * 3), method="surface", score=0.9,
+    )  # fmt: skip
 
 
 def found(query: LoopQuery, *_: object) -> tuple[Loop, ...]:
@@ -89,7 +73,7 @@ def centers(snapshot: MapSnapshot) -> NDArray[np.float64]:
     return np.array([item.box.center[:2] for item in snapshot.objects])
 
 
-def test_a_wrong_loop_makes_one_of_two_and_is_withdrawn_with_all_that_it_joined(whole: SceneRun) -> None:
+def test_a_wrong_loop_is_withdrawn_with_all_that_it_merged(whole):
     statuses = [
         {(edge.earlier, edge.later): edge.status for edge in snapshot.graph.loops}
         for snapshot in whole.snapshots
@@ -112,7 +96,7 @@ def test_a_wrong_loop_makes_one_of_two_and_is_withdrawn_with_all_that_it_joined(
     assert all(np.allclose(submap.world_from_submap, np.eye(4), atol=1e-4) for submap in last.submaps)
 
 
-def test_its_journal_replays_the_same_map_and_the_past_as_it_was_believed(whole: SceneRun) -> None:
+def test_its_journal_replays_the_map_and_the_believed_past(whole):
     saved = open_map(whole.folder.path)
     assert map_digest(saved.snapshot) == whole.digest
     assert map_digest(replay(whole.folder.path)) == whole.digest
@@ -120,21 +104,16 @@ def test_its_journal_replays_the_same_map_and_the_past_as_it_was_believed(whole:
     assert len(saved.as_known_at(wrong.stamp_ns).objects) == 5
 
 
-def test_a_run_that_was_stopped_while_it_was_believed_comes_to_the_same_map(whole: SceneRun, tmp_path: Path) -> None:
+def test_a_run_stopped_while_believing_it_gives_the_same_map(whole, tmp_path):
     async def stop(mapper: Mapper, snapshot: MapSnapshot) -> None:
         if len(snapshot.objects) == 5:
             mapper.stop()
 
     scene = source()
     map_scene(
-        tmp_path,
-        *NO_SHAPES,
-        *CONFIG,
-        source=scene,
-        segmenter=InstanceSegmenter(scene.instances),
-        on_snapshot=stop,
+        tmp_path, *NO_SHAPES, *CONFIG, source=scene, segmenter=InstanceSegmenter(scene.instances), on_snapshot=stop,
         rate=20.0,
-    )
+    )  # fmt: skip
 
     async def resume() -> MapSnapshot:
         segmenter = InstanceSegmenter(scene.instances)

@@ -1,29 +1,18 @@
 """The rungs of the ladder, on boxes that touch: what is replaced by the truth is exact, and nothing else is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 import pytest
-
 from hickory_stream.box_scene import PERIOD_NS, SCENE_CAMERA, START_NS, SceneBox, SceneSource, scene_pose
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import Truth, TruthFrame, TruthObject
 from hickory_stream.events import Event, SourceEnded
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
-from hickory_stream.records import Phase, TrackedObject
+from hickory_stream.records import Frame, Phase, Segmentation, TrackedObject
 from tests.mapping.mapping_fixtures import drive
-from tools.evaluation.oracle_ablation import RUNGS, TrueImages, TrueSegmenter, core_of, mapping_of, segmenter_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.records import Frame, Segmentation
-    from tools.evaluation.oracle_ablation import Rung
+from tools.evaluation.oracle_ablation import RUNGS, Rung, TrueImages, TrueSegmenter, core_of, mapping_of, segmenter_of
 
 # Two boxes of one colour that touch, and a third one apart; ids in the truth are not those of the images of the twin.
 BOXES = (
@@ -82,7 +71,7 @@ def mapped(rung: Rung, truth: Truth, frames: list[Frame]) -> tuple[TrackedObject
     return tuple(item for item in core.snapshot().objects if item.phase is not Phase.TENTATIVE)
 
 
-def test_true_masks_are_those_of_the_truth_where_our_structure_is_not(truth: Truth, frames: list[Frame]) -> None:
+def test_true_masks_are_the_truth_outside_of_our_structure(truth, frames):
     found = segmented("masks", truth, frames[0])
     shown = TrueImages(truth).at(frames[0].stamp_ns)
     assert found.structure.any()
@@ -94,7 +83,7 @@ def test_true_masks_are_those_of_the_truth_where_our_structure_is_not(truth: Tru
         np.testing.assert_array_equal((found.instances == label)[free], (shown == owner)[free])
 
 
-def test_true_structure_is_all_that_shows_nothing_and_a_passer_by_is_neither(truth: Truth, frames: list[Frame]) -> None:
+def test_true_structure_shows_nothing_and_a_passer_by_is_neither(truth, frames):
     found = segmented("structure", truth, frames[0])
     shown = TrueImages(truth).at(frames[0].stamp_ns)
     np.testing.assert_array_equal(found.structure, shown == 0)
@@ -104,7 +93,7 @@ def test_true_structure_is_all_that_shows_nothing_and_a_passer_by_is_neither(tru
     assert not found.instances[:4, :4].any()
 
 
-def test_an_image_full_of_things_still_has_no_mask_without_a_number(truth: Truth, frames: list[Frame]) -> None:
+def test_an_image_full_of_things_has_no_mask_without_a_number(truth, frames):
     segmenter = TrueSegmenter("structure", _Full(), PerceptionConfig())  # type: ignore[arg-type]
     assert np.unique(segmenter.segment(frames[0]).instances).tolist() == [1, 2]
 
@@ -116,7 +105,7 @@ class _Full:
         return shown
 
 
-def test_true_joins_keep_our_fragments_and_leave_out_those_of_no_thing(truth: Truth, frames: list[Frame]) -> None:
+def test_true_joins_keep_our_fragments_of_things(truth, frames):
     segmenter = TrueSegmenter("joins", TrueImages(truth), PerceptionConfig())
     pieces = segmenter._ours.fragments(frames[0])
     found = segmenter.segment(frames[0]).instances[:: pieces.surface.factor, :: pieces.surface.factor]
@@ -127,7 +116,7 @@ def test_true_joins_keep_our_fragments_and_leave_out_those_of_no_thing(truth: Tr
     assert 0 < int(found.max()) <= 3
 
 
-def test_true_association_gives_things_that_touch_an_object_each(truth: Truth, frames: list[Frame]) -> None:
+def test_true_association_gives_things_that_touch_an_object_each(truth, frames):
     found = mapped("association", truth, frames)
     assert [(item.sightings, item.merged_ids) for item in found] == [(NUM_FRAMES, ())] * 3
     centers = np.array([item.box.center for item in found])
@@ -138,7 +127,7 @@ def test_true_association_gives_things_that_touch_an_object_each(truth: Truth, f
     assert (apart_m.min(axis=0) < 0.2).all()
 
 
-def test_true_association_holds_where_things_seem_to_walk_through_each_other(truth: Truth, frames: list[Frame]) -> None:
+def test_true_association_holds_where_things_pass_each_other(truth, frames):
     still = [_at(frame, frames[0].world_from_camera) for frame in frames]
     found = mapped("association", truth, still)
     assert [(item.sightings, item.merged_ids) for item in found] == [(NUM_FRAMES, ())] * 3
@@ -148,11 +137,11 @@ def _at(frame: Frame, world_from_camera: np.ndarray) -> Frame:
     return replace(frame, world_from_camera=world_from_camera)
 
 
-def test_the_rungs_below_structure_leave_the_rules_of_the_map_as_they_are() -> None:
+def test_the_rungs_below_structure_keep_the_rules_of_the_map():
     config = MapperConfig().mapping
     assert [mapping_of(rung, config) == config for rung in RUNGS] == [True, True, True, False, False]
 
 
-def test_a_frame_that_the_truth_does_not_have_is_refused(truth: Truth, tmp_path: Path) -> None:
+def test_a_frame_that_the_truth_does_not_have_is_refused(truth, tmp_path):
     with pytest.raises(RecordingError, match="not the truth of this log"):
         TrueImages(truth).at(START_NS + PERIOD_NS // 2)

@@ -1,14 +1,10 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import permutations
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.match import box_ious, match_boxes, score_map
 from hickory_stream.evaluation.truth import Truth, TruthObject
@@ -18,9 +14,6 @@ from hickory_stream.geometry.mesh import Mesh, write_glb
 from hickory_stream.geometry.rigid import from_rotation_translation, yaw_rotation
 from hickory_stream.records import MapSnapshot, Phase, TrackedObject
 from tests.engine.snapshot_fixtures import box_mesh, make_object, make_shape, placed
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SIDES = (0.5, 0.4, 0.6)
 
@@ -33,13 +26,9 @@ def true_object(folder: Path, object_id: int, x: float, seen: float = 0.9) -> Tr
     (folder / "meshes").mkdir(exist_ok=True)
     write_glb(box_mesh(SIDES, (90, 90, 90)), folder / f"meshes/{object_id}.glb")
     return TruthObject(
-        id=object_id,
-        kind="box",
-        mesh=f"meshes/{object_id}.glb",
-        world_from_object=placed(x, 0.0, 0.3),
-        seen_fraction=seen,
-        frames=(0,),
-    )
+        id=object_id, kind="box", mesh=f"meshes/{object_id}.glb", world_from_object=placed(x, 0.0, 0.3),
+        seen_fraction=seen, frames=(0,),
+    )  # fmt: skip
 
 
 def truth_of(folder: Path, *objects: TruthObject) -> Truth:
@@ -58,10 +47,7 @@ def snapshot_of(*objects: TrackedObject) -> MapSnapshot:
     return MapSnapshot(revision=1, stamp_ns=0, submaps=(), objects=objects)
 
 
-# ---- boxes ----------------------------------------------------------------------------------------------------------
-
-
-def test_matching_is_optimal_over_all_pairs_rather_than_greedy() -> None:
+def test_matching_is_optimal_over_all_pairs_rather_than_greedy():
     # 0 overlaps both truths; taking its best pair first would leave truth 1 without any.
     matches = match_boxes([unit_box(0.0), unit_box(0.4)], [unit_box(0.15), unit_box(-0.3)])
     assert [(match.truth_index, match.map_index) for match in matches] == [(0, 1), (1, 0)]
@@ -73,9 +59,7 @@ def test_matching_is_optimal_over_all_pairs_rather_than_greedy() -> None:
     objects=st.lists(st.floats(0, 2), max_size=3),
     min_iou=st.sampled_from([0.25, 0.5]),
 )
-def test_the_sum_of_ious_is_that_of_the_best_of_all_assignments(
-    truth: list[float], objects: list[float], min_iou: float
-) -> None:
+def test_the_sum_of_ious_is_that_of_the_best_of_all_assignments(truth, objects, min_iou):
     truth_boxes, map_boxes = [unit_box(x) for x in truth], [unit_box(x) for x in objects]
     matches = match_boxes(truth_boxes, map_boxes, min_iou)
     assert len({match.map_index for match in matches}) == len({match.truth_index for match in matches}) == len(matches)
@@ -91,7 +75,7 @@ def test_the_sum_of_ious_is_that_of_the_best_of_all_assignments(
 
 
 @given(seed=st.integers(0, 1000), turned=st.booleans())
-def test_no_overlap_is_missed_though_only_boxes_whose_bounds_meet_are_compared(seed: int, turned: bool) -> None:
+def test_no_overlap_is_missed_by_comparing_bounds_first(seed, turned):
     rng = np.random.default_rng(seed)
     boxes = [
         OrientedBox(
@@ -104,10 +88,7 @@ def test_no_overlap_is_missed_though_only_boxes_whose_bounds_meet_are_compared(s
     assert np.array_equal(box_ious(ours, theirs), [[box_iou(a, b) for b in theirs] for a in ours])
 
 
-# ---- maps -----------------------------------------------------------------------------------------------------------
-
-
-def test_a_perfect_map_scores_one_everywhere(tmp_path: Path) -> None:
+def test_a_perfect_map_scores_one_everywhere(tmp_path):
     truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0), true_object(tmp_path, 2, 1.0))
     score = score_map(snapshot_of(found(7, 0.0), found(8, 1.0)), {}, truth)
     assert (score.recall_25, score.recall_50, score.precision_25, score.precision_50) == (1.0, 1.0, 1.0, 1.0)
@@ -115,12 +96,12 @@ def test_a_perfect_map_scores_one_everywhere(tmp_path: Path) -> None:
     assert [(row.truth_id, row.map_id, row.track_ids) for row in score.truth] == [(1, 7, (7,)), (2, 8, (8,))]
 
 
-def test_an_empty_map_scores_zero(tmp_path: Path) -> None:
+def test_an_empty_map_scores_zero(tmp_path):
     score = score_map(snapshot_of(), {}, truth_of(tmp_path, true_object(tmp_path, 1, 0.0)))
     assert (score.recall_25, score.precision_25, score.tracks_per_object, score.num_truth) == (0.0, 0.0, 0.0, 1)
 
 
-def test_an_object_in_two_pieces_counts_two_tracks_and_one_match(tmp_path: Path) -> None:
+def test_an_object_in_two_pieces_counts_two_tracks_and_one_match(tmp_path):
     truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0), true_object(tmp_path, 2, 1.0))
     snapshot = snapshot_of(found(3, 0.0), found(4, 0.0, slice(300)), found(5, 1.0))
     score = score_map(snapshot, {}, truth)
@@ -129,7 +110,7 @@ def test_an_object_in_two_pieces_counts_two_tracks_and_one_match(tmp_path: Path)
     assert score.precision_25 == pytest.approx(2 / 3)
 
 
-def test_truth_that_was_hardly_seen_is_ignored_on_both_sides(tmp_path: Path) -> None:
+def test_truth_that_was_hardly_seen_is_ignored_on_both_sides(tmp_path):
     seen, hidden = true_object(tmp_path, 1, 0.0), true_object(tmp_path, 2, 1.0, seen=0.29)
     truth = truth_of(tmp_path, seen, hidden)
     for objects in ([found(3, 0.0)], [found(3, 0.0), found(4, 1.0)], [found(3, 0.0), found(4, 1.0, slice(200))]):
@@ -138,7 +119,7 @@ def test_truth_that_was_hardly_seen_is_ignored_on_both_sides(tmp_path: Path) -> 
         assert not score.truth[1].counts
 
 
-def test_an_object_on_nothing_is_stray_and_a_tentative_one_is_none_yet(tmp_path: Path) -> None:
+def test_an_object_on_nothing_is_stray_unless_tentative(tmp_path):
     truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0))
     wrong = replace(found(5, 7.0), phase=Phase.DORMANT)
     early = replace(found(6, 9.0), phase=Phase.TENTATIVE)
@@ -147,7 +128,7 @@ def test_an_object_on_nothing_is_stray_and_a_tentative_one_is_none_yet(tmp_path:
     assert (score.num_objects, score.precision_25) == (2, 0.5)
 
 
-def test_the_box_is_that_of_the_mesh_where_there_is_one(tmp_path: Path) -> None:
+def test_the_box_is_that_of_the_mesh_where_there_is_one(tmp_path):
     truth = truth_of(tmp_path, true_object(tmp_path, 1, 0.0))
     mesh: Mesh = box_mesh(SIDES, (90, 90, 90))
     half = found(3, 0.0, slice(400))
@@ -157,6 +138,6 @@ def test_the_box_is_that_of_the_mesh_where_there_is_one(tmp_path: Path) -> None:
     assert (score.recall_25, score.truth[0].map_id, score.truth[0].track_ids) == (0.0, None, (3,))
 
 
-def test_truth_of_which_nothing_was_seen_is_refused(tmp_path: Path) -> None:
+def test_truth_of_which_nothing_was_seen_is_refused(tmp_path):
     with pytest.raises(RecordingError, match="no object of which 30% was seen"):
         score_map(snapshot_of(), {}, truth_of(tmp_path, true_object(tmp_path, 1, 0.0, seen=0.1)))

@@ -1,19 +1,10 @@
-"""ATE and RPE are those that evo computes, and trajectories that do not meet in time are refused."""
-
-from __future__ import annotations
-
 import warnings
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
+from numpy.typing import NDArray
 from hickory_stream.errors import InputError
 from hickory_stream.evaluation.trajectory_error import matched, trajectory_error
 from hickory_stream.geometry.rigid import from_rotation_translation, quaternion_from_rotation, rotation_of_vector
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def walk(count: int, noise: float, seed: int) -> NDArray[np.float64]:
@@ -26,7 +17,7 @@ def walk(count: int, noise: float, seed: int) -> NDArray[np.float64]:
     return np.array(poses)
 
 
-def test_errors_are_those_of_evo() -> None:
+def test_errors_are_those_of_evo():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # its own dependencies warn of one another
         from evo.core import metrics, sync
@@ -60,11 +51,11 @@ def test_errors_are_those_of_evo() -> None:
     assert error.way_m == pytest.approx(reference.path_length, abs=1e-9)
 
 
-def test_a_pose_goes_with_the_nearest_true_one_and_with_none_beyond_ten_milliseconds() -> None:
+def test_a_pose_is_paired_within_ten_milliseconds():
     assert matched([0, 12_000_000, 31_000_000], [3_000_000, 20_000_000, 60_000_000]) == [(0, 0), (1, 1)]
 
 
-def test_trajectories_of_different_times_are_refused_with_both_spans() -> None:
+def test_trajectories_of_different_times_are_refused_with_spans():
     poses = walk(3, 0.0, 0)
     with pytest.raises(InputError, match=r"0 of 3 poses .* from 50\.000 s to 52\.000 s, .* 0\.000 s to 2\.000 s"):
         trajectory_error([0, 10**9, 2 * 10**9], poses, [50 * 10**9, 51 * 10**9, 52 * 10**9], poses)

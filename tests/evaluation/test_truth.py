@@ -1,12 +1,8 @@
-"""The truth folder: round trip, the committed demo, and folders that are none."""
-
 import hashlib
 import json
 import tomllib
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import instances_of, load_truth, mesh_of, truth_record
 
@@ -15,14 +11,7 @@ RECORD = {
     "format": 1,
     "camera": {"width": 64, "height": 48, "K": [[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]]},
     "objects": [
-        {
-            "id": 1,
-            "kind": "mug",
-            "mesh": "meshes/1.glb",
-            "world_from_object": POSE,
-            "seen_fraction": 0.4,
-            "frames": [0],
-        }
+        {"id": 1, "kind": "mug", "mesh": "meshes/1.glb", "world_from_object": POSE, "seen_fraction": 0.4, "frames": [0]}
     ],
     "structure": ["meshes/floor.glb"],
     "frames": [{"index": 0, "stamp_ns": 10**18, "world_from_camera": POSE, "instances": "instances/000000.png"}],

@@ -1,13 +1,6 @@
-"""Reasons of missed objects and origins of false ones: each of the closed lists, from things whose fate is known."""
-
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.evaluation.false_origins import FALSE_ORIGINS, origin_of
 from hickory_stream.evaluation.miss_reasons import MISS_REASONS, Evidence, extents_text, state_of, why_missed
 from hickory_stream.evaluation.overlap import Overlap
@@ -19,13 +12,8 @@ from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.inspection.track_history import stretches_of
 from hickory_stream.map_folder.history.track_histories import TrackHistories
 from hickory_stream.mapping.entities.existence import ExistenceConfig
-from hickory_stream.records import Decision, MapSnapshot
+from hickory_stream.records import Decision, MapSnapshot, TrackedObject
 from tests.engine.snapshot_fixtures import box_mesh, make_object, placed
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.records import TrackedObject
 
 SIDE = 0.4
 THING, OTHER, FLOOR = 1, 2, None
@@ -147,20 +135,18 @@ CASES = {
 
 
 @pytest.mark.parametrize("reason", CASES)
-def test_a_thing_that_left_nothing_in_the_map_has_the_reason_that_most_keyframes_give(
-    truth: Truth, reason: str
-) -> None:
+def test_a_missed_thing_has_the_reason_of_most_keyframes(truth, reason):
     sightings, decisions, told = CASES[reason]
     missed = why_missed(THING, (), evidence(truth, sightings, decisions=decisions))
     assert (missed.reason, missed.kind) == (reason, "1 crate")
     assert told in missed.text
 
 
-def test_every_reason_is_one_of_the_closed_list_and_all_but_that_of_boxes_need_no_object() -> None:
+def test_every_reason_is_listed_and_only_boxes_need_an_object():
     assert set(CASES) | {"box is off"} == set(MISS_REASONS)
 
 
-def test_a_single_object_on_a_thing_says_which_extents_of_its_box_differ(truth: Truth) -> None:
+def test_a_single_object_says_which_extents_differ(truth):
     found = evidence(truth, five(mask(0.9, 1.0)), objects=(cube(7, 0.0, (SIDE, SIDE, 0.02), z=0.19),))
     missed = why_missed(THING, (7,), found)
     assert (missed.reason, missed.map_ids) == ("box is off", (7,))
@@ -171,7 +157,7 @@ def test_a_single_object_on_a_thing_says_which_extents_of_its_box_differ(truth: 
     assert missed.text.endswith("its points are 100% 1 crate")
 
 
-def test_several_objects_on_a_thing_are_its_pieces(truth: Truth) -> None:
+def test_several_objects_on_a_thing_are_its_pieces(truth):
     halves = (cube(7, -0.1, (0.2, SIDE, SIDE)), cube(8, 0.1, (0.2, SIDE, SIDE)))
     missed = why_missed(THING, (7, 8), evidence(truth, five(mask(0.9, 1.0)), objects=halves))
     assert (missed.reason, missed.map_ids) == ("in pieces", (7, 8))
@@ -180,9 +166,7 @@ def test_several_objects_on_a_thing_are_its_pieces(truth: Truth) -> None:
 
 
 @pytest.mark.parametrize(("purity", "reason"), [(0.2, "one mask with another"), (0.9, "merged with another")])
-def test_a_thing_that_another_object_holds_is_one_with_it_by_its_masks_or_by_its_tracks(
-    truth: Truth, purity: float, reason: str
-) -> None:
+def test_a_merged_thing_is_one_by_masks_or_by_tracks(truth, purity, reason):
     merged = (Decision(kind="merge", object_id=9, text="#7 is the same: seen as one", other_id=7),)
     both = cube(9, 1.0, (2.0 + SIDE, SIDE, SIDE))
     found = evidence(truth, five(mask(0.9, purity)), objects=(both,), decisions=merged)
@@ -194,13 +178,13 @@ def test_a_thing_that_another_object_holds_is_one_with_it_by_its_masks_or_by_its
 
 
 @pytest.mark.parametrize(("count", "is_enough"), [(1, False), (2, True)])
-def test_two_sightings_can_be_enough(truth: Truth, count: int, is_enough: bool) -> None:
+def test_two_sightings_can_be_enough(truth, count, is_enough):
     rejected = [sighting(i, Part(where="rejected mask", share=0.8, reason="3 points")) for i in range(count)]
     reason = why_missed(THING, (), evidence(truth, rejected)).reason
     assert reason == ("mask rejected" if is_enough else "too few sightings")
 
 
-def test_what_is_hardly_on_a_keyframe_has_too_few_sightings(truth: Truth) -> None:
+def test_what_is_hardly_on_a_keyframe_has_too_few_sightings(truth):
     missed = why_missed(THING, (), evidence(truth, [sighting(0, mask(0.9, 1.0))]))
     assert (missed.reason, missed.text) == (
         "too few sightings",
@@ -220,7 +204,7 @@ def test_what_is_hardly_on_a_keyframe_has_too_few_sightings(truth: Truth) -> Non
         ((Part(where="too near", share=0.3), Part(where="too far", share=0.3)), "outside the depth range"),
     ],
 )
-def test_a_keyframe_takes_a_thing_for_what_most_of_its_pixels_are(parts: tuple[Part, ...], state: str) -> None:
+def test_a_keyframe_labels_a_thing_by_most_of_its_pixels(parts, state):
     assert state_of(sighting(0, *parts)) == state
 
 
@@ -233,7 +217,7 @@ def test_a_keyframe_takes_a_thing_for_what_most_of_its_pixels_are(parts: tuple[P
         ((0.4, 0.2, 0.1), (0, 0, -0.1), "height 0.10 m, true 0.30 m; its middle is off by 0.10 m in height"),
     ],
 )
-def test_extents_are_named_by_the_true_box(size: tuple[float, ...], shift: tuple[float, ...], told: str) -> None:
+def test_extents_are_named_by_the_true_box(size, shift, told):
     def box(sides: tuple[float, ...], center: tuple[float, ...]) -> OrientedBox:
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * np.array(sides) / 2
         turned = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
@@ -255,9 +239,7 @@ def slab(object_id: int) -> TrackedObject:
         (cube(7, 5.0), None, (), "nothing there", "100% nothing that the truth has"),
     ],
 )
-def test_a_false_object_comes_from_what_its_points_are(
-    truth: Truth, tracked: TrackedObject, owner: int | None, beside: tuple[int, ...], origin: str, told: str
-) -> None:
+def test_a_false_object_comes_from_what_its_points_are(truth, tracked, owner, beside, origin, told):
     found = evidence(truth, five(mask(0.9, 0.9)), objects=(tracked,))
     false = origin_of(7, owner, {THING: beside}, found)
     assert false.origin == origin
@@ -265,28 +247,25 @@ def test_a_false_object_comes_from_what_its_points_are(
     assert "made in frame 0 (mask) of masks in 5 keyframes; its masks show 70% no object, 30% 1 crate" in false.text
 
 
-def test_an_object_of_two_things_is_neither(truth: Truth) -> None:
+def test_an_object_of_two_things_is_neither(truth):
     parts = [cube(1, x, (SIDE, SIDE, SIDE)) for x in (0.0, 2.0)]
     points = np.concatenate([part.points_world for part in parts])
     both = replace(
-        parts[0],
-        id=7,
-        points_world=points,
-        colors=np.concatenate([part.colors for part in parts]),
+        parts[0], id=7, points_world=points, colors=np.concatenate([part.colors for part in parts]),
         box=gravity_aligned_box(points, 0.01),
-    )
+    )  # fmt: skip
     false = origin_of(7, None, {}, evidence(truth, five(mask(0.9, 0.9)), objects=(both,)))
     assert (false.origin, false.truth_ids) == ("several things in one", (THING, OTHER))
     assert set(FALSE_ORIGINS) >= {false.origin}
 
 
-def test_frames_in_a_row_of_which_the_same_is_said_are_one_stretch() -> None:
+def test_consecutive_equal_frames_are_one_stretch():
     told = [(0, "a"), (2, "a"), (4, "b"), (6, "a")]
     found = [(s.first_frame, s.last_frame, s.num_keyframes, s.text) for s in stretches_of(told)]
     assert found == [(0, 2, 2, "a"), (4, 4, 1, "b"), (6, 6, 1, "a")]
 
 
-def test_a_thing_counts_as_held_only_where_the_points_are_its_own(truth: Truth, tmp_path: Path) -> None:
+def test_a_thing_counts_as_held_only_where_points_are_its_own(truth, tmp_path):
     flush = cube(3, 2.0)
     overlap = Overlap(MapSnapshot(revision=1, stamp_ns=0, submaps=(), objects=(flush,)), truth)
     assert overlap.covered(OTHER)[3] > 0.9

@@ -1,14 +1,8 @@
 """Example of a sink: a CSV file with one row for each object of each keyframe."""
 
-from __future__ import annotations
-
 import csv
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.records import FrameReport
+from pathlib import Path
+from hickory_stream.records import FrameReport
 
 COLUMNS = ("stamp_ns", "object_id", "phase", "x_m", "y_m", "z_m", "sightings", "has_shape")
 

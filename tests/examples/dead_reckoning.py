@@ -1,18 +1,10 @@
 """Example of an odometry: dead reckoning, which accumulates motion measured elsewhere, e.g. by wheel encoders."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
-
+from numpy.typing import NDArray
 from hickory_stream.geometry.rigid import compose
 from hickory_stream.ports import NotRegistered, Registered
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Scan
+from hickory_stream.records import Scan
 
 
 class DeadReckoning:

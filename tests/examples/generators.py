@@ -1,11 +1,8 @@
 """The generator of the example, as a TOML would describe it."""
 
-from __future__ import annotations
-
 import sys
 from functools import cache
 from pathlib import Path
-
 from hickory_stream.engine.shape_jobs.generators.choose import ExternalGenerator
 from hickory_stream.engine.shape_jobs.generators.spec import GeneratorSpec
 
@@ -15,14 +12,9 @@ HERE = Path(__file__).parent
 def box_spec(*misdeeds: str, start_s: float = 60.0, time_s: float = 60.0, memory_mb: float = 4000.0) -> GeneratorSpec:
     """Return `box_generator.py` as a generator, with what it is to do wrong."""
     return GeneratorSpec(
-        name="box-generator",
-        command=(sys.executable, "box_generator.py", *misdeeds),
-        licence="Apache-2.0",
-        start_s=start_s,
-        time_s=time_s,
-        memory_mb=memory_mb,
-        folder=HERE,
-    )
+        name="box-generator", command=(sys.executable, "box_generator.py", *misdeeds), licence="Apache-2.0",
+        start_s=start_s, time_s=time_s, memory_mb=memory_mb, folder=HERE,
+    )  # fmt: skip
 
 
 @cache

@@ -1,11 +1,8 @@
 """Example of a reconstructor: the convex hull of layer 1 and the views' depth, extended down to the support surface."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
-
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply, invert

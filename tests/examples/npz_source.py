@@ -1,21 +1,14 @@
 """Example of a source: posed RGB-D frames from a NumPy archive."""
 
-from __future__ import annotations
-
 import hashlib
+from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 from zipfile import BadZipFile
-
 import numpy as np
-
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import Frame, RawFrame, SourceInfo
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
 
 ARRAYS = ("rgb", "depth_m", "stamps_ns", "world_from_camera", "intrinsics")
 
@@ -32,15 +25,11 @@ class NpzSource:
         height, width = self._rgb.shape[1:3]
         self._num_yielded = 0
         self.info = SourceInfo(
-            uri=str(path),
-            kind="NumPy archive",
-            identity=hashlib.sha256(path.read_bytes()).hexdigest(),
+            uri=str(path), kind="NumPy archive", identity=hashlib.sha256(path.read_bytes()).hexdigest(),
             camera=Camera(width=width, height=height, fx=lens[0], fy=lens[1], cx=lens[2], cy=lens[3]),
-            num_frames=len(self._stamps_ns),
-            start_ns=int(self._stamps_ns[0]),
-            end_ns=int(self._stamps_ns[-1]),
+            num_frames=len(self._stamps_ns), start_ns=int(self._stamps_ns[0]), end_ns=int(self._stamps_ns[-1]),
             streams=(("color", "rgb"), ("depth", "depth_m"), ("pose", "world_from_camera")),
-        )
+        )  # fmt: skip
 
     def frames(self) -> Iterator[RawFrame]:
         """Yield the frames from the beginning."""

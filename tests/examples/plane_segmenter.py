@@ -1,20 +1,11 @@
 """Example of a segmenter: connected image regions that rise above the lowest horizontal plane."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 from skimage.measure import label
-
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.rigid import apply
-from hickory_stream.records import Segmentation
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import Frame, MapPrior
+from hickory_stream.records import Frame, MapPrior, Segmentation
 
 _LEVEL_M, _MIN_SHARE, _MIN_PIXELS = 0.02, 0.1, 20
 

@@ -1,18 +1,11 @@
 """What the processes of a crew do in tests, by the robot's name; in a module of its own, which loads quickly."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time
-from typing import TYPE_CHECKING
-
+from multiprocessing.connection import Connection
 from hickory_stream.fleet.messages import Ended, Opened
-
-if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
-
-    from hickory_stream.fleet.robot_process import RobotTask
+from hickory_stream.fleet.robot_process import RobotTask
 
 
 def main(task: RobotTask, connection: Connection) -> None:

@@ -1,14 +1,10 @@
-"""A crew of processes: each robot ends by itself, whatever becomes of the others."""
-
 from __future__ import annotations
 
 import os
 import signal
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
-
 import pytest
-
 from hickory_stream.config import MapperConfig
 from hickory_stream.fleet.crew import run_crew
 from hickory_stream.fleet.messages import Ended, Opened
@@ -19,12 +15,7 @@ from players import SourceOptions
 from tests.fleet import crew_robots
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from hickory_stream.fleet.messages import Message
-
-
-pytestmark = pytest.mark.timeout(150)
 
 
 def task(name: str) -> Any:
@@ -32,7 +23,7 @@ def task(name: str) -> Any:
     return SimpleNamespace(robot=SimpleNamespace(name=name))
 
 
-def test_a_robot_whose_process_dies_is_one_robot_less_and_it_is_said_how() -> None:
+def test_a_robot_whose_process_dies_is_missing_with_the_reason():
     heard: dict[str, list[Message]] = {}
     names = ["killed", "good", "silent", "also-good"]
     ended = run_crew(
@@ -49,18 +40,15 @@ def test_a_robot_whose_process_dies_is_one_robot_less_and_it_is_said_how() -> No
     assert [type(message) for message in heard["killed"]] == [Opened, Ended]
 
 
-def test_with_one_process_the_robots_are_mapped_in_their_order() -> None:
+def test_with_one_process_the_robots_are_mapped_in_their_order():
     order = []
     run_crew(
-        [task(name) for name in "ba"],
-        1,
-        lambda name, message: order.append((name, type(message))),
-        crew_robots.main,
+        [task(name) for name in "ba"], 1, lambda name, message: order.append((name, type(message))), crew_robots.main
     )
     assert order == [(name, kind) for name in "ba" for kind in (Opened, Ended)]
 
 
-def test_a_signal_stops_all_robots_in_order_and_begins_no_more() -> None:
+def test_a_signal_stops_all_robots_in_order_and_begins_no_more():
     opened = []
 
     def hear(name: str, message: Message) -> None:
@@ -76,7 +64,7 @@ def test_a_signal_stops_all_robots_in_order_and_begins_no_more() -> None:
     assert ended["waiting"].reason == "stopped before it began"
 
 
-def test_a_second_signal_ends_them_at_once() -> None:
+def test_a_second_signal_ends_them_at_once():
     def hear(name: str, message: Message) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGTERM)
@@ -85,7 +73,7 @@ def test_a_second_signal_ends_them_at_once() -> None:
         run_crew([task("endless")], 1, hear, crew_robots.main)
 
 
-def test_a_failure_of_whoever_listens_leaves_no_process_behind() -> None:
+def test_a_failure_of_whoever_listens_leaves_no_process_behind():
     def hear(name: str, message: Message) -> None:
         raise ValueError("no")
 
@@ -95,20 +83,13 @@ def test_a_failure_of_whoever_listens_leaves_no_process_behind() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_a_log_that_cannot_be_read_is_said_by_the_robots_own_process(tmp_path: Path) -> None:
+def test_an_unreadable_log_is_reported_by_the_robots_process(tmp_path):
     (tmp_path / "broken.mcap").write_bytes(b"no log at all" * 100)
     broken = RobotTask(
         robot=Robot(name="broken", uris=(str(tmp_path / "broken.mcap"),), options=SourceOptions()),
-        out=tmp_path / "broken.map",
-        overwrite=False,
-        resumes=False,
-        mapper=MapperConfig(),
-        disk=DiskSinkConfig(),
-        every_keyframes=10,
-        most_s=None,
-        patience_s=1.0,
-        debug=False,
-    )
+        out=tmp_path / "broken.map", overwrite=False, resumes=False, mapper=MapperConfig(), disk=DiskSinkConfig(),
+        every_keyframes=10, most_s=None, patience_s=1.0, debug=False,
+    )  # fmt: skip
     ended = run_crew([broken], 1, lambda name, message: None)
     assert not ended["broken"].is_finished
     assert "broken.mcap" in ended["broken"].reason

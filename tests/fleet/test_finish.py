@@ -1,13 +1,7 @@
-"""The finished maps of a fleet: one merged map for each frame, as `merge` makes it, and a reason for who is alone."""
-
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
-
 from hickory_stream.cli import main
 from hickory_stream.cli.runs.fleet import result_text
 from hickory_stream.fleet.finish import Finished, finish
@@ -18,11 +12,6 @@ from hickory_stream.geometry.rigid import invert
 from hickory_stream.map_folder.saved_map import open_map
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.merging.test_merge_maps import save
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-pytestmark = pytest.mark.timeout(150)
 
 HERE, THERE = furniture(14, 7), furniture(12, 60)
 FRAMES = {"alone": frame(5, 1, 1), "a": frame(20, 1, 1), "x": frame(33, 0, 2), "b": frame(70, 2, -1),
@@ -48,7 +37,7 @@ def finished(folder: Path) -> Finished:
     return finish({name: folder / f"{name}.map" for name in [*FRAMES, "altered"]}, folder, overwrite=False)
 
 
-def test_every_frame_of_several_robots_has_a_map_the_largest_first(folder: Path, finished: Finished) -> None:
+def test_every_frame_of_several_robots_has_a_map_largest_first(folder, finished):
     assert [(one.path.name, one.names) for one in finished.merged] == [
         ("fleet.map", ("a", "b", "c")),
         ("fleet-2.map", ("x", "y")),
@@ -60,17 +49,13 @@ def test_every_frame_of_several_robots_has_a_map_the_largest_first(folder: Path,
         assert np.allclose(pose, FRAMES["a"] @ invert(FRAMES[name]), atol=0.02)
 
 
-def test_the_map_of_the_fleet_is_what_merge_makes_of_the_finished_maps(
-    folder: Path, finished: Finished, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_fleets_map_is_the_merge_of_the_finished_maps(folder, finished, tmp_path, capsys):
     maps = [str(folder / f"{name}.map") for name in finished.merged[0].names]
     assert main(["merge", *maps, "-o", str(tmp_path / "merged.map"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["digest"] == finished.merged[0].digest
 
 
-def test_who_is_alone_is_told_with_the_reason_and_an_altered_map_joins_nothing(
-    folder: Path, finished: Finished
-) -> None:
+def test_a_lone_robot_has_a_reason_and_an_altered_map_joins_none(folder, finished):
     assert "is not the map that was saved" in finished.problems["altered"]
     names = [*FRAMES, "altered", "dead"]
     ended = {name: Ended(is_finished=name != "dead", reason="killed" if name == "dead" else "") for name in names}
@@ -101,14 +86,14 @@ def test_who_is_alone_is_told_with_the_reason_and_an_altered_map_joins_nothing(
     assert "no other robot's frame: a: too-few" in reasons[0]
 
 
-def test_the_recording_ends_with_who_was_merged_and_why_who_is_alone(finished: Finished) -> None:
+def test_the_recording_ends_with_merges_and_reasons_against(finished):
     merged, other, alone = end_texts(finished)
     assert merged == "the finished maps of a, b, c are merged"
     assert other == "the finished maps of x, y are merged"
     assert alone.startswith("alone is in no other robot's frame: a: ")
 
 
-def test_clocks_that_do_not_overlap_are_named(folder: Path, finished: Finished) -> None:
+def test_clocks_that_do_not_overlap_are_named(folder, finished):
     spans = {"a": (0, 10), "b": (5, 20), "x": (30, 40)}
     ended = {name: Ended(is_finished=True, start_ns=start, end_ns=end) for name, (start, end) in spans.items()}
     (note,) = result_of(ended, dict.fromkeys(spans, folder), {}, finished, ()).notes

@@ -1,13 +1,7 @@
-"""Rounds of grown maps: the same whichever robot is faster."""
-
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
-
 import numpy as np
 import pytest
-
 from hickory_stream.fleet.growth import GrownMap, GrowthSink, Rounds
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import Frame, FrameReport, MapSnapshot, Phase, Segmentation
@@ -16,28 +10,18 @@ from tests.alignment.map_fixtures import furniture, snapshot_of
 EMPTY = snapshot_of([], np.eye(4))
 CAMERA = Camera(width=4, height=3, fx=4.0, fy=4.0, cx=1.5, cy=1.0)
 FRAME = Frame(
-    index=0,
-    stamp_ns=1,
-    camera=CAMERA,
-    rgb=np.zeros((3, 4, 3), dtype=np.uint8),
-    depth_m=np.ones((3, 4), dtype=np.float32),
-    world_from_camera=np.eye(4),
-)
+    index=0, stamp_ns=1, camera=CAMERA, rgb=np.zeros((3, 4, 3), dtype=np.uint8),
+    depth_m=np.ones((3, 4), dtype=np.float32), world_from_camera=np.eye(4),
+)  # fmt: skip
 NOTHING_SEEN = Segmentation(instances=np.zeros((3, 4), dtype=np.int32), structure=np.zeros((3, 4), dtype=bool))
 
 
 def report(index: int, *, frame: Frame | None = FRAME, snapshot: MapSnapshot | None = EMPTY) -> FrameReport:
     return FrameReport(
-        index=index,
-        stamp_ns=1 + index,
-        keyframe_index=None if snapshot is None else index,
-        camera=CAMERA,
-        world_from_camera=np.eye(4),
-        color_bytes=None,
-        frame=frame,
-        segmentation=None if frame is None else NOTHING_SEEN,
-        snapshot=snapshot,
-    )
+        index=index, stamp_ns=1 + index, keyframe_index=None if snapshot is None else index, camera=CAMERA,
+        world_from_camera=np.eye(4), color_bytes=None, frame=frame,
+        segmentation=None if frame is None else NOTHING_SEEN, snapshot=snapshot,
+    )  # fmt: skip
 
 
 def grown(keyframes: int) -> GrownMap:
@@ -61,7 +45,7 @@ def rounds_of(
     return found
 
 
-def test_the_rounds_are_the_same_in_whatever_order_the_robots_are_mapped() -> None:
+def test_the_rounds_do_not_depend_on_the_order_of_mapping():
     a: list[tuple[str, int | None]] = [("a", 5), ("a", 10), ("a", 12), ("a", None)]
     b: list[tuple[str, int | None]] = [("b", 5), ("b", None)]
     expected = [(5, {"a": 5, "b": 5}, ("a", "b")), (10, {"a": 10, "b": 5}, ("a",)), (12, {"a": 12, "b": 5}, ("a",))]
@@ -70,17 +54,17 @@ def test_the_rounds_are_the_same_in_whatever_order_the_robots_are_mapped() -> No
         assert rounds_of([next(other) if i in places else next(rest) for i in range(6)]) == expected
 
 
-def test_a_robot_that_gives_no_map_holds_nobody_up() -> None:
+def test_a_robot_that_gives_no_map_holds_nobody_up():
     assert rounds_of([("a", 5), ("b", None), ("a", 9)]) == [(5, {"a": 5}, ("a",)), (9, {"a": 9}, ("a",))]
 
 
-def test_live_robots_wait_for_nobody() -> None:
+def test_live_robots_wait_for_nobody():
     found = rounds_of([("a", 5), ("a", 10), ("b", 5)], waits=False)
     assert found == [(5, {"a": 5}, ("a",)), (10, {"a": 10}, ("a",)), (10, {"a": 10, "b": 5}, ("b",))]
 
 
 @pytest.mark.parametrize(("count", "expected"), [(7, [3, 6, 7]), (6, [3, 6]), (2, [2])])
-def test_a_map_is_sent_every_so_many_keyframes_and_at_its_end(count: int, expected: list[int]) -> None:
+def test_a_map_is_sent_every_so_many_keyframes_and_at_its_end(count, expected):
     sent: list[GrownMap] = []
     sink = GrowthSink(3, "network", sent.append)
     for index in range(count):
@@ -92,7 +76,7 @@ def test_a_map_is_sent_every_so_many_keyframes_and_at_its_end(count: int, expect
     assert {one.extractor for one in sent} == {"network"}
 
 
-def test_the_finished_map_is_sent_without_tentative_tracks_and_with_thinned_clouds() -> None:
+def test_the_finished_map_is_sent_thinned_and_without_tentative():
     snapshot = snapshot_of(furniture(3, 1), np.eye(4))
     first, *others = snapshot.objects
     points = np.tile(first.points_world, (9, 1))

@@ -1,21 +1,10 @@
-"""Robots are joined when two answers in a row agree, and not when a place is another one."""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.fleet.growth import GrownMap, Round
 from hickory_stream.fleet.joins import JoinEvent, Joins, Joint, joined_since
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
-
-if TYPE_CHECKING:
-    from hickory_stream.records import MapSnapshot
-
-pytestmark = pytest.mark.timeout(150)
 
 ITEMS = furniture(16, 7)
 FRAMES = {"a": np.eye(4), "b": frame(70, 2, -1), "c": frame(-130, 0.5, 3), "far": frame(20, 1, 1)}
@@ -51,7 +40,7 @@ def grown() -> list[Joint]:
     return rounds(Joins(), everybody, everybody | {"c": (2, 14)}, everybody | {"c": (2, 16)})
 
 
-def test_two_answers_in_a_row_join_two_robots(grown: list[Joint]) -> None:
+def test_two_answers_in_a_row_join_two_robots(grown):
     assert names(grown[0]) == [("a",), ("b",), ("c",), ("far",)]
     assert names(grown[1]) == [("a", "b"), ("c",), ("far",)]
     assert names(grown[2]) == [("a", "b", "c"), ("far",)]
@@ -60,7 +49,7 @@ def test_two_answers_in_a_row_join_two_robots(grown: list[Joint]) -> None:
     assert all(event.num_pairs >= 8 and 0 < event.sigma_m < 0.1 for joint in grown for event in joint.events)
 
 
-def test_joined_robots_lie_in_one_frame_where_they_truly_are(grown: list[Joint]) -> None:
+def test_joined_robots_lie_in_one_frame_where_they_truly_are(grown):
     joined = grown[2].frames[0]
     for name, pose in zip(joined.names, joined.frame_from_robot, strict=True):
         assert np.allclose(pose, invert(FRAMES[name]), atol=0.02)
@@ -69,7 +58,7 @@ def test_joined_robots_lie_in_one_frame_where_they_truly_are(grown: list[Joint])
     assert alone.pairs == ()
 
 
-def test_a_join_is_withdrawn_when_a_later_answer_is_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_join_is_withdrawn_when_a_later_answer_is_another_one(monkeypatch):
     joins = Joins()
     both = {"a": (0, 12), "b": (0, 12)}
     assert names(rounds(joins, both, both)[-1]) == [("a", "b")]
@@ -82,7 +71,7 @@ def test_a_join_is_withdrawn_when_a_later_answer_is_another_one(monkeypatch: pyt
     assert np.allclose(moved[1].frames[0].frame_from_robot[1], invert(FRAMES["b"]), atol=0.02)
 
 
-def test_a_join_counts_from_when_it_holds_for_good() -> None:
+def test_a_join_counts_from_when_it_holds_for_good():
     def event(keyframe: int, kind: str) -> JoinEvent:
         return JoinEvent(
             keyframe=keyframe,

@@ -1,33 +1,20 @@
-"""What a robot sends again when its fleet goes on: the same maps after the same keyframes."""
-
-from __future__ import annotations
-
 import asyncio
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import pytest
-
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.engine.mapper import Mapper
-from hickory_stream.fleet.growth import GrowthSink
+from hickory_stream.engine.modes import Progress
+from hickory_stream.fleet.growth import GrownMap, GrowthSink
 from hickory_stream.fleet.resuming import has_ended, send_recorded
 from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.map_folder.history.replay import show_until_resumed
+from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.ports import Sink
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor, RememberingSink
 from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene
 from tests.in_process_workers import InProcessWorkers
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.engine.modes import Progress
-    from hickory_stream.fleet.growth import GrownMap
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.ports import Sink
-
-pytestmark = pytest.mark.timeout(120)
 
 EVERY = 2
 
@@ -56,7 +43,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Sent]:
     return path / "map", sent
 
 
-def test_a_robot_that_has_ended_sends_again_what_it_sent(whole: tuple[Path, Sent]) -> None:
+def test_a_robot_that_has_ended_sends_again_what_it_sent(whole):
     folder, sent = whole
     again, beside = Sent(), RememberingSink()
     assert has_ended(folder)
@@ -66,9 +53,7 @@ def test_a_robot_that_has_ended_sends_again_what_it_sent(whole: tuple[Path, Sent
     assert beside.reports
 
 
-def test_a_robot_that_was_stopped_sends_the_rest_after_what_it_had_sent(
-    whole: tuple[Path, Sent], tmp_path: Path
-) -> None:
+def test_a_resumed_robot_sends_what_it_had_not_sent(whole, tmp_path):
     def stop(mapper: Mapper, progress: Progress) -> None:
         if progress.keyframes == 3:
             mapper.stop()

@@ -1,16 +1,7 @@
-"""Who is in a fleet: what FLEET.toml and --robot say, and what they cannot say."""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import pytest
-
 from hickory_stream.errors import ConfigError
 from hickory_stream.fleet.robots import read_fleet, robots_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 TWO = '[[robot]]\nname = "a"\nlog = "a.mcap"\n[[robot]]\nname = "b"\nlog = "b.mcap"\n'
 
@@ -21,7 +12,7 @@ def file(folder: Path, text: str) -> Path:
     return path
 
 
-def test_robots_are_read_in_their_order_with_paths_beside_the_file(tmp_path: Path) -> None:
+def test_robots_are_read_in_order_with_paths_beside_the_file(tmp_path):
     text = "every_keyframes = 7\n[joining]\nmax_log10_chance = -9\n"
     text += '[[robot]]\nname = "b"\nlog = ["b.bag", "b_vio.bag"]\nprofile = "kimera_multi"\n'
     text += '[[robot]]\nname = "a"\nlog = "zenoh://a.local"\npose_file = "a.tum"\n'
@@ -53,19 +44,19 @@ def test_robots_are_read_in_their_order_with_paths_beside_the_file(tmp_path: Pat
         ("a =", "is not TOML"),
     ],
 )
-def test_what_cannot_be_is_said_in_one_line_with_the_file(tmp_path: Path, text: str, said: str) -> None:
+def test_what_cannot_be_is_said_in_one_line_with_the_file(tmp_path, text, said):
     with pytest.raises(ConfigError, match=said) as refused:
         read_fleet(file(tmp_path, text))
     assert str(refused.value).startswith(f"{tmp_path / 'fleet.toml'}")
     assert "\n" not in str(refused.value).strip()
 
 
-def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_said(tmp_path):
     with pytest.raises(ConfigError, match="cannot read the fleet"):
         read_fleet(tmp_path / "none.toml")
 
 
-def test_robots_are_named_on_the_command_line() -> None:
+def test_robots_are_named_on_the_command_line():
     assert [(robot.name, robot.uris) for robot in robots_of(["a=x=1.mcap", "b=y.mcap"])] == [
         ("a", ("x=1.mcap",)),
         ("b", ("y.mcap",)),
@@ -80,6 +71,6 @@ def test_robots_are_named_on_the_command_line() -> None:
         (["a=a.mcap"], "found 1 robots"),
     ],
 )
-def test_a_command_line_that_names_no_fleet_is_refused(texts: list[str], said: str) -> None:
+def test_a_command_line_that_names_no_fleet_is_refused(texts, said):
     with pytest.raises(ConfigError, match=said):
         robots_of(texts)

@@ -1,7 +1,4 @@
-"""The exact IoU of oriented boxes against closed forms, sampling and a polyhedron; the minimal upright box."""
-
 import math
-
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -9,7 +6,6 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 from scipy.spatial.transform import Rotation
-
 from hickory_stream.geometry.boxes import OrientedBox, box_iou, faced_box, gravity_aligned_box, intersection_volume_m3
 from hickory_stream.geometry.rigid import from_rotation_translation
 from tests.strategies import oriented_boxes, point_sets, rigid_transforms, seeds
@@ -33,40 +29,37 @@ def halfspaces(a: OrientedBox) -> np.ndarray:
     return np.column_stack([normals, -heights])
 
 
-# ---- closed forms ---------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("shift", [0.0, 0.25, 1.0, 1.75, 1.999])
-def test_a_cube_of_side_2_and_itself_shifted_share_what_the_shift_leaves(shift: float) -> None:
+def test_a_cube_and_its_shifted_copy_share_the_rest(shift):
     assert intersection_volume_m3(box(), box((shift, 0, 0))) == pytest.approx((2 - shift) * 4, abs=1e-8)
     assert intersection_volume_m3(box(), box((shift, shift, shift))) == pytest.approx((2 - shift) ** 3, abs=1e-8)
 
 
-def test_cubes_turned_by_45_degrees_share_an_octagonal_prism() -> None:
+def test_cubes_turned_by_45_degrees_share_an_octagonal_prism():
     # A regular octagon with inradius 1 has the area 8 (sqrt 2 - 1); the prism is 2 high.
     assert intersection_volume_m3(box(), box(turn_deg=45)) == pytest.approx(8 * (math.sqrt(2) - 1) * 2, rel=1e-12)
 
 
-def test_a_box_within_another_is_their_intersection() -> None:
+def test_a_box_within_another_is_their_intersection():
     inner = box((0.1, -0.2, 0.05), (0.3, 0.2, 0.1), turn_deg=30)
     assert intersection_volume_m3(box(), inner) == pytest.approx(8 * 0.3 * 0.2 * 0.1, rel=1e-12)
     assert box_iou(box(), inner) == pytest.approx(8 * 0.006 / 8, rel=1e-12)
 
 
 @pytest.mark.parametrize("offset", [(2, 0, 0), (0, 2, 0), (2, 2, 0), (2, 2, 2), (2, 0.5, -0.3)])
-def test_boxes_that_only_touch_share_nothing(offset: tuple[float, ...]) -> None:
+def test_boxes_that_only_touch_share_nothing(offset):
     assert intersection_volume_m3(box(), box(offset)) == 0.0
     assert box_iou(box(), box(offset)) == 0.0
 
 
 @given(oriented_boxes(), rigid_transforms())
-def test_a_box_has_iou_1_with_itself_wherever_it_is(a: OrientedBox, b_from_world: np.ndarray) -> None:
+def test_a_box_has_iou_1_with_itself_wherever_it_is(a, b_from_world):
     assert box_iou(a, a) == pytest.approx(1.0, abs=1e-9)
     assert box_iou(moved(a, b_from_world), moved(a, b_from_world)) == pytest.approx(1.0, abs=1e-9)
 
 
 @given(oriented_boxes(), st.integers(0, 2), st.sampled_from([-1.0, 1.0]), st.floats(0.1, 0.9))
-def test_faces_that_two_boxes_share_count_once(a: OrientedBox, axis: int, side: float, share: float) -> None:
+def test_faces_that_two_boxes_share_count_once(a, axis, side, share):
     # A slab of `a`, flush with five of its faces.
     half = a.half_extents_m.copy()
     half[axis] *= share
@@ -78,7 +71,7 @@ def test_faces_that_two_boxes_share_count_once(a: OrientedBox, axis: int, side: 
     assert intersection_volume_m3(a, slab) == pytest.approx(share * a.volume_m3, rel=1e-6)
 
 
-def test_a_box_given_with_its_axes_in_another_order_is_the_same_box() -> None:
+def test_a_box_with_permuted_axes_is_the_same_box():
     a = box((0.3, 0.1, -0.2), (0.2, 0.5, 0.9), turn_deg=20)
     b = OrientedBox(
         world_from_box=a.world_from_box @ from_rotation_translation(np.eye(3)[:, [1, 2, 0]], np.zeros(3)),
@@ -88,16 +81,16 @@ def test_a_box_given_with_its_axes_in_another_order_is_the_same_box() -> None:
 
 
 @pytest.mark.parametrize("thickness", [1e-2, 1e-4, 1e-6])
-def test_thin_plates_that_cross_share_a_thin_bar(thickness: float) -> None:
+def test_thin_plates_that_cross_share_a_thin_bar(thickness):
     lying, standing = box(half=(1, 1, thickness)), box(half=(1, thickness, 1))
     assert intersection_volume_m3(lying, standing) == pytest.approx(8 * thickness**2, rel=1e-3)
 
 
-def test_thin_plates_one_above_the_other_share_nothing() -> None:
+def test_thin_plates_one_above_the_other_share_nothing():
     assert box_iou(box(half=(1, 1, 0.001)), box((0, 0, 0.0021), (1, 1, 0.001), turn_deg=17)) == 0.0
 
 
-def test_boxes_that_a_point_of_their_spheres_but_no_face_separates_share_nothing() -> None:
+def test_boxes_that_no_face_separates_may_share_nothing():
     # Edge against edge: only the cross product of two edges separates these.
     a = OrientedBox(
         world_from_box=from_rotation_translation(Rotation.from_euler("x", 45, degrees=True).as_matrix(), np.zeros(3)),
@@ -112,27 +105,20 @@ def test_boxes_that_a_point_of_their_spheres_but_no_face_separates_share_nothing
     assert intersection_volume_m3(a, b) == 0.0
 
 
-# ---- laws -----------------------------------------------------------------------------------------------------------
-
-
 @given(oriented_boxes(), oriented_boxes())
-def test_the_iou_is_symmetric_and_a_share(a: OrientedBox, b: OrientedBox) -> None:
+def test_the_iou_is_symmetric_and_a_share(a, b):
     assert box_iou(a, b) == pytest.approx(box_iou(b, a), abs=1e-8)
     assert 0.0 <= box_iou(a, b) <= 1.0 + 1e-12
 
 
 @given(oriented_boxes(), oriented_boxes(), rigid_transforms())
-def test_the_iou_does_not_change_when_both_boxes_move_together(
-    a: OrientedBox, b: OrientedBox, b_from_world: np.ndarray
-) -> None:
+def test_the_iou_does_not_change_when_both_boxes_move_together(a, b, b_from_world):
     together = box_iou(moved(a, b_from_world), moved(b, b_from_world))
     assert together == pytest.approx(box_iou(a, b), abs=1e-7)
 
 
 @given(oriented_boxes(), oriented_boxes(), seeds)
-def test_the_intersection_is_what_sampling_finds_within_five_standard_errors(
-    a: OrientedBox, b: OrientedBox, seed: int
-) -> None:
+def test_the_intersection_agrees_with_sampling(a, b, seed):
     local = np.random.default_rng(seed).uniform(-1, 1, (20_000, 3)) * a.half_extents_m
     points = local @ a.world_from_box[:3, :3].T + a.center
     in_b = (np.abs((points - b.center) @ b.world_from_box[:3, :3]) <= b.half_extents_m).all(axis=1)
@@ -142,7 +128,7 @@ def test_the_intersection_is_what_sampling_finds_within_five_standard_errors(
 
 
 @given(oriented_boxes(), oriented_boxes())
-def test_the_intersection_is_the_volume_of_the_polyhedron_of_all_twelve_planes(a: OrientedBox, b: OrientedBox) -> None:
+def test_the_intersection_is_the_polyhedron_of_twelve_planes(a, b):
     planes = np.concatenate([halfspaces(a), halfspaces(b)])
     # The middle of the largest sphere within all planes (Chebyshev centre) is surely inside.
     found = linprog(
@@ -156,13 +142,13 @@ def test_the_intersection_is_the_volume_of_the_polyhedron_of_all_twelve_planes(a
     assert intersection_volume_m3(a, b) == pytest.approx(ConvexHull(polyhedron.intersections).volume, rel=1e-6)
 
 
-def test_half_extents_must_be_positive() -> None:
+def test_half_extents_must_be_positive():
     with pytest.raises(ValueError, match="half extents must be positive"):
         box(half=(1, 0, 1))
 
 
 @given(oriented_boxes(), st.floats(0, 0.5))
-def test_a_grown_box_reaches_further_by_the_margin_on_every_side(a: OrientedBox, margin: float) -> None:
+def test_a_grown_box_reaches_further_by_the_margin_on_every_side(a, margin):
     grown = a.grown(margin)
     assert np.allclose(grown.half_extents_m - a.half_extents_m, margin)
     assert grown.contains(a.corners_world()).all() or margin < 1e-12
@@ -170,18 +156,15 @@ def test_a_grown_box_reaches_further_by_the_margin_on_every_side(a: OrientedBox,
 
 
 @given(oriented_boxes())
-def test_the_corners_have_the_boxs_volume_and_diagonal(a: OrientedBox) -> None:
+def test_the_corners_have_the_boxs_volume_and_diagonal(a):
     corners = a.corners_world()
     assert ConvexHull(corners).volume == pytest.approx(a.volume_m3, rel=1e-6)
     distances = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
     assert distances.max() == pytest.approx(a.diagonal_m, rel=1e-9)
 
 
-# ---- the upright box of minimal footprint ---------------------------------------------------------------------------
-
-
 @given(point_sets())
-def test_the_upright_box_contains_its_points_and_stands_upright(points: np.ndarray) -> None:
+def test_the_upright_box_contains_its_points_and_stands_upright(points):
     a = gravity_aligned_box(points, 0.001)
     assert a.contains(points, 1e-9).all()
     assert np.allclose(a.world_from_box[:3, 2], [0, 0, 1])
@@ -189,7 +172,7 @@ def test_the_upright_box_contains_its_points_and_stands_upright(points: np.ndarr
 
 
 @given(point_sets())
-def test_no_other_yaw_gives_a_smaller_footprint(points: np.ndarray) -> None:
+def test_no_other_yaw_gives_a_smaller_footprint(points):
     a = gravity_aligned_box(points, 1e-9)
     area = 4 * a.half_extents_m[0] * a.half_extents_m[1]
     yaws = np.linspace(0, np.pi / 2, 721)
@@ -199,7 +182,7 @@ def test_no_other_yaw_gives_a_smaller_footprint(points: np.ndarray) -> None:
 
 
 @given(point_sets(), st.floats(0.001, 0.05))
-def test_the_upright_box_is_tight_down_to_the_least_half_extent(points: np.ndarray, least: float) -> None:
+def test_the_upright_box_is_tight_down_to_the_least_half_extent(points, least):
     a = gravity_aligned_box(points, least)
     local = np.abs((points - a.center) @ a.world_from_box[:3, :3]).max(axis=0)
     assert np.allclose(a.half_extents_m, np.maximum(local, least), atol=1e-9)
@@ -217,9 +200,7 @@ def test_the_upright_box_is_tight_down_to_the_least_half_extent(points: np.ndarr
     ],
     ids=["a point", "one point five times", "a line", "a vertical line", "a rectangle", "a vertical plane"],
 )
-def test_a_cloud_without_volume_gets_a_box_of_the_least_thickness(
-    points: list[list[float]], half: tuple[float, ...]
-) -> None:
+def test_a_flat_cloud_gets_a_box_of_the_least_thickness(points, half):
     a = gravity_aligned_box(np.array(points, dtype=np.float32), 0.01)
     assert sorted(a.half_extents_m[:2]) == pytest.approx(sorted(half[:2]), abs=1e-6)
     assert a.half_extents_m[2] == pytest.approx(half[2], abs=1e-6)
@@ -237,7 +218,7 @@ def two_sides(yaw_rad: float, width_m: float = 1.2, depth_m: float = 0.5) -> np.
 
 
 @pytest.mark.parametrize("yaw_deg", [0, 7, 30, 62, 88])
-def test_a_faced_box_lies_along_the_sides_that_were_seen(yaw_deg: float) -> None:
+def test_a_faced_box_lies_along_the_sides_that_were_seen(yaw_deg):
     noise = np.random.default_rng(2).normal(size=(360, 3)) * 0.004
     box = faced_box(two_sides(np.deg2rad(yaw_deg)) + noise, 0.01)
     heading = np.rad2deg(np.arctan2(box.world_from_box[1, 0], box.world_from_box[0, 0]))
@@ -246,21 +227,19 @@ def test_a_faced_box_lies_along_the_sides_that_were_seen(yaw_deg: float) -> None
     assert np.sort(2 * box.half_extents_m) == pytest.approx([0.35, 0.8, 1.2], abs=0.06)
 
 
-def test_a_faced_box_of_one_point_has_the_least_size() -> None:
+def test_a_faced_box_of_one_point_has_the_least_size():
     box = faced_box(np.array([[1.0, 2.0, 3.0]]), 0.01)
     assert box.center == pytest.approx([1, 2, 3])
     assert box.half_extents_m == pytest.approx([0.01, 0.01, 0.01])
 
 
 @given(point_sets())
-def test_a_faced_box_holds_all_points_in_little_more_than_the_smallest(points: np.ndarray) -> None:
+def test_a_faced_box_is_hardly_larger_than_the_smallest(points):
     box, smallest = faced_box(points, 0.01), gravity_aligned_box(points, 0.01)
     assert box.contains(points, 1e-6 * (1 + float(np.abs(points).max()))).all()
     assert box.volume_m3 <= 1.6 * smallest.volume_m3
 
 
 @given(oriented_boxes(), oriented_boxes(), st.floats(0.0, 0.2))
-def test_an_intersection_with_a_margin_is_that_of_the_grown_boxes(
-    a: OrientedBox, b: OrientedBox, margin: float
-) -> None:
+def test_an_intersection_with_a_margin_uses_the_grown_boxes(a, b, margin):
     assert intersection_volume_m3(a, b, margin) == intersection_volume_m3(a.grown(margin), b.grown(margin))

@@ -3,7 +3,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-
 from hickory_stream.geometry.codecs.depth_code import packed_depths, unpacked_depths
 
 IMAGES = hnp.arrays(
@@ -14,12 +13,12 @@ IMAGES = hnp.arrays(
 
 
 @given(st.lists(IMAGES, max_size=4))
-def test_images_come_back_to_the_millimetre(images: list[np.ndarray]) -> None:
+def test_images_come_back_to_the_millimetre(images):
     read = unpacked_depths(packed_depths(images), [image > 0 for image in images])
     assert [image.tolist() for image in read] == [image.tolist() for image in images]
 
 
-def test_a_slope_takes_a_byte_for_each_return_of_the_same_value() -> None:
+def test_a_slope_takes_a_byte_for_each_return_of_the_same_value():
     rows, columns = np.mgrid[:40, :60]
     slope = (1500 + 3 * columns - 2 * rows).astype(np.uint16)
     data = packed_depths([slope])
@@ -28,7 +27,7 @@ def test_a_slope_takes_a_byte_for_each_return_of_the_same_value() -> None:
     assert np.count_nonzero(np.frombuffer(data, np.uint8)) <= 60 + 40 + 2
 
 
-def test_an_edge_takes_what_a_slope_does() -> None:
+def test_an_edge_takes_what_a_slope_does():
     image = np.full((50, 50), 1000, np.uint16)
     image[:, 20:] = 3000
     image[10:30, 5:15] = 0
@@ -36,7 +35,7 @@ def test_an_edge_takes_what_a_slope_does() -> None:
 
 
 @pytest.mark.parametrize("cut", [1, 2, 3])
-def test_fewer_or_more_bytes_are_refused(cut: int) -> None:
+def test_fewer_or_more_bytes_are_refused(cut):
     image = np.array([[1, 5000], [40_000, 3]], np.uint16)
     data = packed_depths([image])
     with pytest.raises(ValueError, match="4 returns in"):
@@ -45,13 +44,13 @@ def test_fewer_or_more_bytes_are_refused(cut: int) -> None:
         unpacked_depths(data + b"\0" * cut, [image > 0])
 
 
-def test_a_return_of_no_depth_is_refused() -> None:
+def test_a_return_of_no_depth_is_refused():
     with pytest.raises(ValueError, match="no depth"):
         unpacked_depths(b"\0", [np.ones((1, 1), bool)])
 
 
 @given(st.binary(max_size=40), IMAGES)
-def test_foreign_bytes_give_an_image_or_are_refused(data: bytes, where: np.ndarray) -> None:
+def test_foreign_bytes_give_an_image_or_are_refused(data, where):
     try:
         (image,) = unpacked_depths(data, [where > 0])
     except ValueError:

@@ -1,10 +1,7 @@
-"""The sensor model: its numbers by hand, its compiled form, what it does to depth, and what goes before what."""
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.errors import RangeError
 from hickory_stream.geometry.depth_sensor import DepthSensor, SensorConfig, sigma_at
 
@@ -15,13 +12,13 @@ def depths(*values: float) -> np.ndarray:
     return np.array([values], dtype=np.float32)
 
 
-def test_noise_grows_with_the_square_of_depth_from_a_floor_on() -> None:
+def test_noise_grows_with_the_square_of_depth_from_a_floor_on():
     sensor = DepthSensor(noise_per_m=0.0025, floor_m=0.001)
     np.testing.assert_allclose(sensor.sigma_m(depths(0.2, 1.0, 2.0, 4.0)), [[0.001, 0.0025, 0.01, 0.04]], rtol=1e-6)
     np.testing.assert_allclose(KINECT.sigma_m(depths(1.0, 2.0)), [[0.0031, 0.0088]], rtol=1e-6)
 
 
-def test_a_step_of_disparity_adds_its_uniform_noise() -> None:
+def test_a_step_of_disparity_adds_its_uniform_noise():
     # 1/8 pixel at a focal length of 400 pixels and a baseline of 5 cm, as good as no other noise.
     sensor = DepthSensor(noise_per_m=0.0, step_per_m=0.125 / (400 * 0.05))
     z = np.linspace(1.0, 3.0, 200_001)
@@ -30,17 +27,17 @@ def test_a_step_of_disparity_adds_its_uniform_noise() -> None:
     assert errors.std() == pytest.approx(sensor.spread_per_m, rel=0.02)
 
 
-def test_where_there_is_no_depth_there_is_no_noise() -> None:
+def test_where_there_is_no_depth_there_is_no_noise():
     assert np.isnan(DepthSensor().sigma_m(depths(np.nan))).all()
 
 
 @given(st.floats(0.1, 20.0), st.floats(0, 0.1), st.floats(0, 0.1), st.floats(0, 0.01), st.floats(0, 0.01))
-def test_compiled_code_has_the_same_law(z: float, quadratic: float, constant: float, floor: float, step: float) -> None:
+def test_compiled_code_has_the_same_law(z, quadratic, constant, floor, step):
     sensor = DepthSensor(noise_per_m=quadratic, noise_m=constant, floor_m=floor, step_per_m=step)
     assert sigma_at(z, sensor.law) == pytest.approx(float(sensor.sigma_m(depths(z))[0, 0]), rel=1e-5, abs=1e-9)
 
 
-def test_what_is_out_of_range_is_no_return_and_a_bias_is_taken_off() -> None:
+def test_out_of_range_is_no_return_and_a_bias_is_taken_off():
     depth = depths(0.3, 1.0, 5.0, np.nan)
     assert DepthSensor().returns(depth) is depth
     sensor = DepthSensor(min_m=0.5, max_m=4.0, bias_m=0.05)
@@ -48,15 +45,15 @@ def test_what_is_out_of_range_is_no_return_and_a_bias_is_taken_off() -> None:
     assert np.isnan(DepthSensor(bias_m=0.5).returns(depths(0.3))).all()
 
 
-def test_the_angle_of_an_edge_is_as_many_pixels_as_the_image_has_for_it() -> None:
+def test_the_angle_of_an_edge_scales_with_the_image():
     assert [DepthSensor(edge_rad=0.0045).edge_px(focal_px) for focal_px in (95, 349, 525, 1047)] == [0, 2, 2, 5]
 
 
-def test_what_is_configured_goes_before_the_sensor_of_the_log() -> None:
+def test_what_is_configured_goes_before_the_sensor_of_the_log():
     assert SensorConfig().over(KINECT) is KINECT
     assert SensorConfig(noise_m=0.0).over(KINECT) == DepthSensor(noise_per_m=0.0019, noise_m=0.0)
 
 
-def test_a_range_that_ends_before_it_begins_is_refused() -> None:
+def test_a_range_that_ends_before_it_begins_is_refused():
     with pytest.raises(RangeError, match="min_m is 3; expected at most max_m, 2"):
         DepthSensor(min_m=3, max_m=2)

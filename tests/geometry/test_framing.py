@@ -1,7 +1,6 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.geometry.display import looking, nearest_eye, rises
 
 coordinate = st.floats(-5, 5)
@@ -12,9 +11,7 @@ coordinate = st.floats(-5, 5)
     azimuth=st.floats(-3.2, 3.2),
     elevation=st.floats(0.1, 1.4),
 )
-def test_the_nearest_eye_has_every_point_in_its_frame_and_one_on_its_rim(
-    points: list[tuple[float, float, float]], azimuth: float, elevation: float
-) -> None:
+def test_the_nearest_eye_has_a_point_on_its_rim(points, azimuth, elevation):
     rotation = looking(azimuth, elevation)
     assert np.allclose(rotation.T @ rotation, np.eye(3))
     assert np.linalg.det(rotation) > 0
@@ -29,9 +26,7 @@ label = st.tuples(st.floats(0, 1), st.floats(0, 1), st.floats(0.01, 0.2), st.flo
 
 
 @given(st.lists(label, max_size=25))
-def test_labels_that_are_set_apart_overlap_no_other_and_never_move_down(
-    labels: list[tuple[float, float, float, float]],
-) -> None:
+def test_separated_labels_do_not_overlap_and_never_move_down(labels):
     numbers = np.array(labels).reshape(-1, 4)
     centers, sizes = numbers[:, :2], numbers[:, 2:]
     up = rises(centers, sizes)
@@ -45,6 +40,6 @@ def test_labels_that_are_set_apart_overlap_no_other_and_never_move_down(
             assert within.min() < 1e-9
 
 
-def test_a_label_that_is_in_nobody_s_way_stays_and_one_behind_another_moves_just_past_it() -> None:
+def test_a_free_label_stays_and_a_hidden_one_moves_just_past():
     centers = np.array([[0.5, 0.50], [0.52, 0.49], [0.9, 0.5]])
     assert np.allclose(rises(centers, np.full((3, 2), 0.1)), [0.0, 0.09, 0.0])

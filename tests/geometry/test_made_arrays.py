@@ -2,13 +2,11 @@
 
 import pickle
 from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-
 from hickory_stream.geometry.lazy_arrays import (
     compress,
     compressed,
@@ -33,12 +31,12 @@ def space() -> ObservedSpace:
         shape=hnp.array_shapes(min_dims=1, max_dims=2, min_side=0, max_side=20),
     )
 )
-def test_a_compressed_array_comes_back_to_the_bit(array: np.ndarray) -> None:
+def test_a_compressed_array_comes_back_to_the_bit(array):
     read = restored(compressed(array))
     assert (read.dtype, read.shape, read.tobytes()) == (array.dtype, array.shape, array.tobytes())
 
 
-def test_an_array_that_was_given_up_is_made_each_time_it_is_read() -> None:
+def test_an_array_that_was_given_up_is_made_each_time_it_is_read():
     record, made = space(), []
 
     def make(name: str) -> np.ndarray:
@@ -56,7 +54,7 @@ def test_an_array_that_was_given_up_is_made_each_time_it_is_read() -> None:
     assert not hasattr(record, "no_such_array")
 
 
-def test_what_was_compressed_is_let_go_again_after_it_was_read_briefly_and_what_was_at_hand_stays() -> None:
+def test_a_brief_read_of_a_compressed_array_does_not_keep_it():
     away, at_hand, whole = space(), space(), space()
     for record in (away, at_hand):
         compress(record, "free", "structure")
@@ -71,7 +69,7 @@ def test_what_was_compressed_is_let_go_again_after_it_was_read_briefly_and_what_
     assert whole.free.tolist() == FREE.tolist()
 
 
-def test_what_is_to_be_read_later_stays_where_it_is_until_it_was_read_and_is_compressed_then() -> None:
+def test_an_array_to_compress_later_stays_until_it_was_read():
     record, reads = space(), list[int]()
 
     def read() -> dict[str, np.ndarray]:
@@ -96,7 +94,7 @@ def test_what_is_to_be_read_later_stays_where_it_is_until_it_was_read_and_is_com
     assert reads == [1, 1]
 
 
-def test_a_compressed_array_stays_once_it_is_read_until_it_is_compressed_again() -> None:
+def test_a_read_array_stays_until_it_is_compressed_again():
     record = space()
     compress(record, "free", "structure")
     first = record.free
@@ -107,7 +105,7 @@ def test_a_compressed_array_stays_once_it_is_read_until_it_is_compressed_again()
     assert np.array_equal(record.free, FREE)
 
 
-def test_arrays_that_are_read_later_are_read_once_and_stay() -> None:
+def test_arrays_that_are_read_later_are_read_once_and_stay():
     record, num_read = space(), []
 
     def read() -> dict[str, np.ndarray]:
@@ -122,7 +120,7 @@ def test_arrays_that_are_read_later_are_read_once_and_stay() -> None:
     assert len(num_read) == 1
 
 
-def test_what_reading_an_array_later_raises_is_told_and_it_may_be_read_again() -> None:
+def test_a_failed_late_read_is_reported_and_may_be_repeated():
     record, failures = space(), [OSError("gone")]
 
     def read() -> dict[str, np.ndarray]:
@@ -136,7 +134,7 @@ def test_what_reading_an_array_later_raises_is_told_and_it_may_be_read_again() -
     assert np.array_equal(record.free, FREE)
 
 
-def test_copies_of_a_record_hold_what_it_gave_up() -> None:
+def test_copies_of_a_record_hold_what_it_gave_up():
     record = space()
     compress(record, "free", "structure")
     for copied in (replace(record, floor_z_m=1.0), pickle.loads(pickle.dumps(record))):

@@ -1,11 +1,9 @@
 import zlib
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-
 from hickory_stream.geometry.codecs.color_code import packed_means, unpacked_means
 from hickory_stream.geometry.codecs.packing import planes_of
 from tests.strategies import seeds
@@ -22,7 +20,7 @@ def running_means(rng: np.random.Generator, count: int, most_hits: int) -> np.nd
 
 
 @given(seeds, st.integers(0, 80), st.integers(1, 40))
-def test_means_come_back_to_the_bit(seed: int, count: int, most_hits: int) -> None:
+def test_means_come_back_to_the_bit(seed, count, most_hits):
     means = running_means(np.random.default_rng(seed), count, most_hits)
     data = packed_means(means)
     assert data is not None
@@ -32,7 +30,7 @@ def test_means_come_back_to_the_bit(seed: int, count: int, most_hits: int) -> No
 
 
 @given(hnp.arrays(np.float32, st.tuples(st.integers(0, 30), st.just(3))), seeds)
-def test_what_is_no_mean_is_kept_among_means_or_refused(other: np.ndarray, seed: int) -> None:
+def test_what_is_no_mean_is_kept_among_means_or_refused(other, seed):
     means = running_means(np.random.default_rng(seed), 2 * len(other), 9)
     mixed = np.concatenate([means[: len(other)], other, means[len(other) :]])
     for array in (mixed, other):
@@ -41,7 +39,7 @@ def test_what_is_no_mean_is_kept_among_means_or_refused(other: np.ndarray, seed:
             assert unpacked_means(data, len(array)).tobytes() == array.tobytes()
 
 
-def test_means_take_less_than_by_their_bytes_and_directions_are_none() -> None:
+def test_means_take_less_than_their_bytes_and_directions_do_not():
     rng = np.random.default_rng(0)
     means = running_means(rng, 3000, 12)
     data = packed_means(means)
@@ -54,7 +52,7 @@ def test_means_take_less_than_by_their_bytes_and_directions_are_none() -> None:
 
 
 @pytest.mark.parametrize("change", [lambda data: data[:-1], lambda data: data + b"\0", lambda data: data[:20]])
-def test_fewer_or_more_bytes_are_refused(change: object) -> None:
+def test_fewer_or_more_bytes_are_refused(change):
     means = running_means(np.random.default_rng(2), 5, 3)
     means[2] = np.nan
     data = packed_means(means)
@@ -64,7 +62,7 @@ def test_fewer_or_more_bytes_are_refused(change: object) -> None:
 
 
 @given(st.binary(max_size=60), st.integers(0, 6))
-def test_foreign_bytes_give_colours_or_are_refused(data: bytes, count: int) -> None:
+def test_foreign_bytes_give_colours_or_are_refused(data, count):
     try:
         assert unpacked_means(data, count).shape == (count, 3)
     except ValueError:

@@ -1,11 +1,6 @@
-"""Meshes: closed forms, sampling, and files that keep everything."""
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
-
 from hickory_stream.geometry.mesh import (
     Mesh,
     face_areas_m2,
@@ -32,42 +27,42 @@ def mesh_of(shape: trimesh.Trimesh) -> Mesh:
 BOX = mesh_of(trimesh.creation.box((1.0, 2.0, 3.0)))
 
 
-def test_a_box_has_its_volume_and_its_area_and_is_closed() -> None:
+def test_a_box_has_its_volume_and_its_area_and_is_closed():
     assert volume_m3(BOX) == pytest.approx(6.0)
     assert face_areas_m2(BOX).sum() == pytest.approx(22.0)
     assert is_closed(BOX)
 
 
-def test_without_one_face_it_is_open() -> None:
+def test_without_one_face_it_is_open():
     assert not is_closed(Mesh(vertices=BOX.vertices, faces=BOX.faces[1:], colors=BOX.colors, is_seen=BOX.is_seen))
 
 
-def test_a_face_that_looks_the_wrong_way_is_no_closed_surface() -> None:
+def test_a_face_that_looks_the_wrong_way_is_no_closed_surface():
     faces = BOX.faces.copy()
     faces[0] = faces[0, ::-1]
     assert not is_closed(Mesh(vertices=BOX.vertices, faces=faces, colors=BOX.colors, is_seen=BOX.is_seen))
 
 
-def test_samples_lie_on_their_faces_and_follow_the_area() -> None:
+def test_samples_lie_on_their_faces_and_follow_the_area():
     points, chosen = sample_surface(BOX, 20_000, np.random.default_rng(0))
     assert np.abs(np.abs(points) / np.array([0.5, 1.0, 1.5])).max(axis=1) == pytest.approx(np.ones(20_000), abs=1e-5)
     share = np.bincount(chosen, minlength=12) / 20_000
     assert share == pytest.approx(face_areas_m2(BOX) / 22.0, abs=0.01)
 
 
-def test_a_glb_keeps_shape_colours_and_what_was_seen(tmp_path: Path) -> None:
+def test_a_glb_keeps_shape_colours_and_what_was_seen(tmp_path):
     write_glb(BOX, tmp_path / "box.glb")
     again = read_glb(tmp_path / "box.glb")
     assert sha256_of(again) == sha256_of(BOX)
 
 
-def test_equal_meshes_give_equal_files(tmp_path: Path) -> None:
+def test_equal_meshes_give_equal_files(tmp_path):
     write_glb(BOX, tmp_path / "a.glb")
     write_glb(BOX, tmp_path / "b.glb")
     assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
 
 
-def test_the_hash_changes_with_a_single_flag() -> None:
+def test_the_hash_changes_with_a_single_flag():
     other = BOX.is_seen.copy()
     other[0] = not other[0]
     changed = Mesh(vertices=BOX.vertices, faces=BOX.faces, colors=BOX.colors, is_seen=other)

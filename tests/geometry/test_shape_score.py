@@ -1,10 +1,7 @@
-"""The shape score: 1 for equal shapes in whatever form, symmetric, and 0 for volume without a partner."""
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, canonical, implicit_value, moved, taken, volumes_m3
 from tools.evaluation.shape_score import literal_shape_score, shape_score, shape_scores
@@ -48,24 +45,24 @@ def in_another_form(primitives: Superquadrics, rng: np.random.Generator) -> Supe
 
 
 @given(objects(), st.integers(0, 1000))
-def test_equal_shapes_score_one_in_whatever_form(shape: Superquadrics, seed: int) -> None:
+def test_equal_shapes_score_one_in_whatever_form(shape, seed):
     assert shape_score(shape, in_another_form(shape, np.random.default_rng(seed))) == pytest.approx(1.0, abs=1e-12)
 
 
 @given(objects(), objects())
-def test_the_score_is_symmetric_and_within_its_bounds(a: Superquadrics, b: Superquadrics) -> None:
+def test_the_score_is_symmetric_and_within_its_bounds(a, b):
     score = shape_score(a, b)
     assert 0 <= score <= 1
     assert shape_score(b, a) == pytest.approx(score, abs=1e-12)
 
 
 @given(objects(), objects(), st.floats(0.1, 3.0))
-def test_a_smaller_sigma_never_raises_the_score(a: Superquadrics, b: Superquadrics, sigma: float) -> None:
+def test_a_smaller_sigma_never_raises_the_score(a, b, sigma):
     assert shape_score(a, b, sigma_geo=sigma) <= shape_score(a, b, sigma_geo=2 * sigma) + 1e-12
 
 
 @given(objects(), st.integers(0, 1000))
-def test_the_canonical_form_is_one_for_all_and_the_same_body(shape: Superquadrics, seed: int) -> None:
+def test_the_canonical_form_is_one_for_all_and_the_same_body(shape, seed):
     rng = np.random.default_rng(seed)
     sharp = Superquadrics(
         exponents=np.minimum(shape.exponents, 1.0),
@@ -83,7 +80,7 @@ def test_the_canonical_form_is_one_for_all_and_the_same_body(shape: Superquadric
     assert np.array_equal(*inside)
 
 
-def test_a_form_with_other_names_for_its_axes_has_the_same_canonical_form() -> None:
+def test_a_form_with_renamed_axes_has_the_same_canonical_form():
     turned = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
     a = Superquadrics(
         exponents=np.full((1, 2), 0.5), semi_axes_m=np.array([[3.0, 2, 1]]), world_from_local=np.eye(4)[None]
@@ -97,7 +94,7 @@ def test_a_form_with_other_names_for_its_axes_has_the_same_canonical_form() -> N
     np.testing.assert_allclose(canonical(b).world_from_local, a.world_from_local, atol=1e-12)
 
 
-def test_a_column_over_a_diamond_is_written_as_its_dual() -> None:
+def test_a_column_over_a_diamond_is_written_as_its_dual():
     diamond = Superquadrics(
         exponents=np.array([[0.1, 1.9]]), semi_axes_m=np.array([[0.2, 0.2, 0.5]]), world_from_local=np.eye(4)[None]
     )
@@ -108,7 +105,7 @@ def test_a_column_over_a_diamond_is_written_as_its_dual() -> None:
     assert shape_score(diamond, square) > 0.97
 
 
-def test_the_literal_formula_is_worked_out_by_hand() -> None:
+def test_the_literal_formula_is_worked_out_by_hand():
     def one(exponents: tuple[float, float], axes: tuple[float, float, float]) -> Superquadrics:
         return Superquadrics(
             exponents=np.array([exponents]), semi_axes_m=np.array([axes]), world_from_local=np.eye(4)[None]
@@ -123,7 +120,7 @@ def test_the_literal_formula_is_worked_out_by_hand() -> None:
     assert shape_score(a, b) == pytest.approx(expected)
 
 
-def test_volume_without_a_partner_counts_against() -> None:
+def test_volume_without_a_partner_counts_against():
     poses = np.tile(np.eye(4), (2, 1, 1))
     two = Superquadrics(
         exponents=np.ones((2, 2)), semi_axes_m=np.array([[1.0, 1, 1], [1, 1, 1]]), world_from_local=poses
@@ -132,7 +129,7 @@ def test_volume_without_a_partner_counts_against() -> None:
     assert shape_score(two, taken(two, np.array([], dtype=np.int64))) == 0.0
 
 
-def test_the_matrix_holds_the_scores_of_all_pairs() -> None:
+def test_the_matrix_holds_the_scores_of_all_pairs():
     rng = np.random.default_rng(3)
     shapes = [
         Superquadrics(

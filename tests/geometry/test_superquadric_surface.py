@@ -1,18 +1,10 @@
-"""Meshes and points of a superquadric's surface against its implicit function."""
-
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
-
-from hickory_stream.geometry.superquadric import (
-    Superquadrics,
-    outward_normals,
-    radial_distance_m,
-    volumes_m3,
-)
+from hickory_stream.geometry.superquadric import Superquadrics, outward_normals, radial_distance_m, volumes_m3
 from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
 from hickory_stream.pictures.open3d_import import import_open3d
 
@@ -51,9 +43,7 @@ def in_all_directions(primitive: Superquadrics, count: int) -> np.ndarray:
 
 @settings(max_examples=40, deadline=None)
 @given(at_the_origin(), st.sampled_from([None, 0.05, 0.001]))
-def test_no_point_of_the_surface_is_farther_from_the_mesh_than_stated(
-    primitive: Superquadrics, share: float | None
-) -> None:
+def test_surface_points_are_within_the_stated_error(primitive, share):
     largest = float(primitive.semi_axes_m.max())
     allowed = 0.01 * largest if share is None else share * largest
     vertices, faces = display_mesh(primitive, 0, None if share is None else allowed)
@@ -68,7 +58,7 @@ def test_no_point_of_the_surface_is_farther_from_the_mesh_than_stated(
 
 @settings(max_examples=40, deadline=None)
 @given(at_the_origin())
-def test_the_mesh_is_closed_and_looks_outwards(primitive: Superquadrics) -> None:
+def test_the_mesh_is_closed_and_looks_outwards(primitive):
     vertices, faces = display_mesh(primitive, 0)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     assert mesh.is_watertight
@@ -80,7 +70,7 @@ def test_the_mesh_is_closed_and_looks_outwards(primitive: Superquadrics) -> None
     assert (facing[large] > 0).all()
 
 
-def test_what_is_flat_takes_few_vertices_and_a_smaller_error_takes_more() -> None:
+def test_flat_surface_needs_few_vertices():
     def vertices(exponents: tuple[float, float], share: float) -> int:
         body = Superquadrics(
             exponents=np.array([exponents]), semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None]
@@ -93,7 +83,7 @@ def test_what_is_flat_takes_few_vertices_and_a_smaller_error_takes_more() -> Non
 
 @settings(max_examples=40, deadline=None)
 @given(at_the_origin(), st.integers(20, 400))
-def test_surface_points_lie_on_the_surface_and_leave_no_gap(primitive: Superquadrics, count: int) -> None:
+def test_surface_points_lie_on_the_surface_and_leave_no_gap(primitive, count):
     points = surface_points(primitive, 0, count)
     largest = float(primitive.semi_axes_m.max())
     assert points.shape == (count, 3)
@@ -107,9 +97,7 @@ def test_surface_points_lie_on_the_surface_and_leave_no_gap(primitive: Superquad
 
 @settings(max_examples=30, deadline=None)
 @given(at_the_origin(), st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.1, 1)))
-def test_the_share_of_the_points_beyond_a_plane_is_that_of_the_area(
-    primitive: Superquadrics, direction: tuple[float, float, float]
-) -> None:
+def test_the_share_of_points_beyond_a_plane_is_that_of_the_area(primitive, direction):
     points = surface_points(primitive, 0, 1000)
     vertices, faces = display_mesh(primitive, 0, 0.0005 * float(primitive.semi_axes_m.max()))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -120,7 +108,7 @@ def test_the_share_of_the_points_beyond_a_plane_is_that_of_the_area(
     assert float((points @ along > limit).mean()) == pytest.approx(share, abs=0.04)
 
 
-def test_the_same_primitive_gives_the_same_points() -> None:
+def test_the_same_primitive_gives_the_same_points():
     body = Superquadrics(
         exponents=np.array([[0.3, 1.0]]), semi_axes_m=np.array([[0.3, 0.2, 0.1]]), world_from_local=np.eye(4)[None]
     )

@@ -3,23 +3,13 @@
 A change that moves a map on purpose moves `baseline.json` with it: `tools/bench golden --set-baseline "why"`.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import pytest
-
 from tools.benchmarks.common.baseline import baseline_file, compare, read_baseline
 from tools.benchmarks.maps.golden import LOGS, figures_of
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-pytestmark = pytest.mark.timeout(180)
-
 
 @pytest.mark.parametrize("name", LOGS)
-def test_the_map_of_a_golden_log_is_the_committed_one(name: str, tmp_path: Path) -> None:
+def test_the_map_of_a_golden_log_is_the_committed_one(name, tmp_path):
     baseline = read_baseline(baseline_file("golden"))
     own = {key: entry for key, entry in baseline["figures"].items() if key.startswith(f"{name}_")}
     found = compare(figures_of(name, tmp_path / "map"), {"figures": own})

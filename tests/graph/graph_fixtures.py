@@ -1,20 +1,13 @@
 """A solved pose graph as the map has it: three rounds with drift, true loops, and wrong ones of each kind."""
 
-from __future__ import annotations
-
 from functools import cache
-from typing import TYPE_CHECKING
-
 import numpy as np
-
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.record import record_of
 from hickory_stream.graph.solution import Solution
 from hickory_stream.graph.solve import solve
+from hickory_stream.records import PoseGraphRecord
 from tools.benchmarks.poses.pose_graphs import SimulatedGraph, simulated_graph
-
-if TYPE_CHECKING:
-    from hickory_stream.records import PoseGraphRecord
 
 START_NS = 1_700_000_000_000_000_000
 

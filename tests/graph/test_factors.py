@@ -1,10 +1,5 @@
-"""Factors: what odometry and loops say, and how well."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
-
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import (
@@ -19,7 +14,7 @@ from hickory_stream.graph.factors import (
 CONFIG = GraphConfig()
 
 
-def test_the_covariance_of_odometry_grows_with_the_way_and_with_turns() -> None:
+def test_the_covariance_of_odometry_grows_with_path_and_turns():
     short, long = odometry_covariance(1.0, 0.0, CONFIG), odometry_covariance(10.0, 0.0, CONFIG)
     assert (np.diag(long) > np.diag(short)).all()
     turned = odometry_covariance(1.0, 3.0, CONFIG)
@@ -27,12 +22,12 @@ def test_the_covariance_of_odometry_grows_with_the_way_and_with_turns() -> None:
     assert turned[5, 5] == short[5, 5]
 
 
-def test_the_covariance_of_a_way_hardly_depends_on_where_submaps_end() -> None:
+def test_the_covariance_hardly_depends_on_where_submaps_end():
     whole, half = odometry_covariance(30.0, 0.0, CONFIG), odometry_covariance(15.0, 0.0, CONFIG)
     assert whole[3, 3] == pytest.approx(2 * half[3, 3], rel=0.1)
 
 
-def test_odometry_is_wider_along_what_scans_left_open_alone_and_a_jump_nearly_free() -> None:
+def test_odometry_is_wider_along_what_scans_left_open():
     plain = odometry_covariance(5.0, 0.2, CONFIG)
     along = np.array([0.0, 0.0, 0.0, 0.6, 0.8, 0.0])
     wider = odometry_covariance(5.0, 0.2, CONFIG, blind=5.0 * np.outer(along, along)) - plain
@@ -44,7 +39,7 @@ def test_odometry_is_wider_along_what_scans_left_open_alone_and_a_jump_nearly_fr
     assert np.sqrt(jumped[2, 2]) > 2.9
 
 
-def test_the_covariance_of_an_alignment_becomes_that_of_an_edge() -> None:
+def test_the_covariance_of_an_alignment_becomes_that_of_an_edge():
     """By sampling: small motions as an alignment has them, seen as motions in the frame of the second node."""
     rng = np.random.default_rng(1)
     a_from_b = from_rotation_translation(yaw_rotation(0.7), np.array([2.0, -1.0, 0.3]))
@@ -67,7 +62,7 @@ def edge(before: int, after: int) -> OdometryEdge:
     return OdometryEdge(before=before, after=after, before_from_after=np.eye(4), covariance=np.eye(6))
 
 
-def test_an_edge_that_is_none_is_refused() -> None:
+def test_an_edge_that_is_none_is_refused():
     with pytest.raises(ValueError, match="earlier node to a later"):
         edge(2, 1)
     with pytest.raises(ValueError, match="positive definite"):
@@ -76,21 +71,15 @@ def test_an_edge_that_is_none_is_refused() -> None:
         OdometryEdge(before=0, after=1, before_from_after=2 * np.eye(4), covariance=np.eye(6))
 
 
-def test_a_graph_whose_nodes_hang_on_nothing_is_refused() -> None:
+def test_a_graph_whose_nodes_hang_on_nothing_is_refused():
     poses = np.array([np.eye(4)] * 3)
     with pytest.raises(ValueError, match="one odometry edge"):
         PoseGraph(world_from_node=poses, odometry=(edge(0, 1),), loops=(), gravity_sigma_rad=0.02)
     with pytest.raises(ValueError, match="not finite"):
         PoseGraph(world_from_node=np.full((1, 4, 4), np.nan), odometry=(), loops=(), gravity_sigma_rad=0.02)
     loop = LoopEdge(
-        id=0,
-        earlier=0,
-        later=3,
-        earlier_from_later=np.eye(4),
-        covariance=np.eye(6),
-        method="surface",
-        score=1.0,
+        id=0, earlier=0, later=3, earlier_from_later=np.eye(4), covariance=np.eye(6), method="surface", score=1.0,
         stamp_ns=0,
-    )
+    )  # fmt: skip
     with pytest.raises(ValueError, match="not there"):
         PoseGraph(world_from_node=poses, odometry=(edge(0, 1), edge(1, 2)), loops=(loop,), gravity_sigma_rad=0.02)

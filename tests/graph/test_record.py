@@ -1,12 +1,8 @@
-"""The public record of a solved graph."""
-
-from __future__ import annotations
-
 from hickory_stream.graph.solve import solve
 from tests.graph.graph_fixtures import solved_graph, walk
 
 
-def test_a_record_says_of_each_loop_whether_it_is_believed_and_why_not() -> None:
+def test_a_record_says_of_each_loop_whether_it_is_believed():
     loops = solved_graph().loops
     wrong = walk().wrong
     assert [loop.status == "accepted" for loop in loops] == [loop.id not in wrong for loop in walk().graph.loops]
@@ -14,13 +10,13 @@ def test_a_record_says_of_each_loop_whether_it_is_believed_and_why_not() -> None
     assert all((loop.reason == "") == (loop.status == "accepted") for loop in loops)
 
 
-def test_residuals_of_believed_loops_are_small_and_of_wrong_ones_large() -> None:
+def test_residuals_are_small_for_believed_loops_only():
     loops = solved_graph().loops
     assert max(loop.residual_m for loop in loops if loop.status == "accepted") < 0.2
     assert min(loop.residual_m + loop.residual_rad for loop in loops if loop.status != "accepted") > 0.5
 
 
-def test_a_node_has_its_place_before_and_after_and_its_uncertainty() -> None:
+def test_a_node_has_both_places_and_its_uncertainty():
     nodes = solved_graph().nodes
     assert (nodes[0].place == nodes[0].uncorrected).all()
     assert nodes[0].sigma_m < 1e-3 < nodes[1].sigma_m < nodes[9].sigma_m

@@ -1,15 +1,9 @@
-"""The solver: drift is taken out, wrong loops are rejected and withdrawn, the same factors give the same bytes."""
-
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import GraphError
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
 from hickory_stream.graph.chain import Chain
@@ -43,7 +37,7 @@ def libraries_weights(factors: Factors, loops: list[int]) -> np.ndarray:
     return np.asarray(optimizer.getWeights()).reshape(-1)[loops]
 
 
-def test_loops_have_the_weights_that_the_library_gives_them(walk: SimulatedGraph) -> None:
+def test_loops_have_the_weights_that_the_library_gives_them(walk):
     factors = Factors()
     factors.add_nodes(range(walk.graph.num_nodes), walk.graph.world_from_node)
     for edge in walk.graph.odometry:
@@ -69,7 +63,7 @@ def walk() -> SimulatedGraph:
     return simulated_graph(np.random.default_rng(3), CONFIG, num_nodes=120, num_loops=16, num_wrong=4)
 
 
-def test_loops_take_the_drift_out_and_wrong_ones_are_rejected(walk: SimulatedGraph) -> None:
+def test_loops_take_the_drift_out_and_wrong_ones_are_rejected(walk):
     answer = solved(walk.graph)
     assert {loop.id for loop in answer.rejected} == walk.wrong
     assert set(answer.accepted) == {loop.id for loop in walk.graph.loops} - walk.wrong
@@ -77,7 +71,7 @@ def test_loops_take_the_drift_out_and_wrong_ones_are_rejected(walk: SimulatedGra
 
 
 @pytest.mark.parametrize("drift", [1.0, 3.0])
-def test_no_wrong_loop_is_accepted_with_one_setting_for_little_and_much_drift(drift: float) -> None:
+def test_no_wrong_loop_is_accepted_at_little_or_much_drift(drift):
     for seed in range(4):
         walk = simulated_graph(
             np.random.default_rng(seed), CONFIG, num_nodes=120, num_loops=16, num_wrong=3, drift=drift
@@ -85,7 +79,7 @@ def test_no_wrong_loop_is_accepted_with_one_setting_for_little_and_much_drift(dr
         assert not set(solved(walk.graph).accepted) & walk.wrong
 
 
-def test_without_loops_poses_stay_as_they_are_to_the_last_bit(walk: SimulatedGraph) -> None:
+def test_without_loops_poses_stay_as_they_are_to_the_last_bit(walk):
     graph = replace(walk.graph, loops=())
     answer = solved(graph)
     assert np.array_equal(answer.world_from_node, walk.graph.world_from_node)
@@ -93,21 +87,21 @@ def test_without_loops_poses_stay_as_they_are_to_the_last_bit(walk: SimulatedGra
     assert sigmas_m[0] < 1e-4 < sigmas_m[1] < sigmas_m[4] < sigmas_m[16]
 
 
-def test_the_first_node_stays_where_it_is(walk: SimulatedGraph) -> None:
+def test_the_first_node_stays_where_it_is(walk):
     assert np.array_equal(solved(walk.graph).world_from_node[0], walk.graph.world_from_node[0])
 
 
-def test_verticals_stay_vertical(walk: SimulatedGraph) -> None:
+def test_verticals_stay_vertical(walk):
     tilt = np.arccos(np.clip(solved(walk.graph).world_from_node[:, 2, 2], -1, 1))
     assert np.degrees(tilt).max() < 1.0
 
 
-def test_an_impossible_loop_says_so_and_by_how_much(walk: SimulatedGraph) -> None:
+def test_an_impossible_loop_says_so_and_by_how_much(walk):
     reasons = [loop.reason for loop in solved(walk.graph).rejected]
     assert any(reason.startswith("impossible: ") and " m and " in reason for reason in reasons)
 
 
-def test_a_loop_that_later_ones_contradict_is_withdrawn() -> None:
+def test_a_loop_that_later_ones_contradict_is_withdrawn():
     """Alone, a loop that is off by half a metre is within what odometry allows; three others agree that it is wrong."""
     walk = simulated_graph(np.random.default_rng(5), CONFIG, num_nodes=60, num_loops=6, num_wrong=0)
     good = walk.graph.loops[0]
@@ -149,7 +143,7 @@ def corridor(*loops: tuple[int, int, float], surprise: float = 20.0) -> PoseGrap
 
 
 @pytest.mark.parametrize("surprise", [1.0, 8.0, 14.0, 22.0])
-def test_a_lone_loop_that_the_gate_allows_is_believed_however_far_odometry_must_stretch(surprise: float) -> None:
+def test_a_lone_loop_inside_the_gate_is_believed(surprise):
     graph = corridor((0, 5, 1.0), surprise=surprise)
     answer = solved(graph)
     assert answer.accepted == (0,)
@@ -160,16 +154,16 @@ def test_a_lone_loop_that_the_gate_allows_is_believed_however_far_odometry_must_
     assert not solved(corridor((0, 5, 1.0), surprise=CONFIG.gate_chi2 + 0.1)).accepted
 
 
-def test_a_loop_beside_which_others_say_nothing_is_believed_as_if_it_were_alone() -> None:
+def test_a_loop_without_rivals_is_believed_as_if_alone():
     assert solved(corridor((0, 2, 0.0), (2, 6, 1.0))).accepted == (0, 1)
 
 
-def test_of_two_loops_that_odometry_hardly_allows_both_are_believed_only_if_they_agree() -> None:
+def test_two_unlikely_loops_are_believed_only_if_they_agree():
     assert solved(corridor((0, 5, 1.0), (0, 5, 0.99))).accepted == (0, 1)
     assert solved(corridor((0, 5, 1.0), (0, 5, -0.9))).accepted == (1,)
 
 
-def test_a_loop_that_odometry_allows_and_believed_ones_speak_against_stays_rejected() -> None:
+def test_believed_loops_outvote_a_loop_that_odometry_allows():
     answer = solved(corridor((0, 5, 0.0), (0, 5, 0.0), (0, 5, 1.0), (1, 5, 0.8)))
     assert answer.accepted == (0, 1)
     assert answer.loop_weights.tolist() == [1.0, 1.0, 0.0, 0.0]
@@ -182,7 +176,7 @@ def nearby(walk: SimulatedGraph, loop: LoopEdge, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("yaw_rad", [0.4, 3.0])
-def test_a_jump_is_mended_by_loops_across_it(yaw_rad: float) -> None:
+def test_a_jump_is_mended_by_loops_across_it(yaw_rad):
     walk = simulated_graph(np.random.default_rng(7), CONFIG, num_nodes=60, num_loops=8, num_wrong=0)
     middle = 30
     jump = from_rotation_translation(yaw_rotation(yaw_rad), np.array([3.0, -2.0, 0.0]))
@@ -208,7 +202,7 @@ def chained(edges: list[OdometryEdge], num_nodes: int) -> np.ndarray:
     return poses
 
 
-def test_the_uncertainty_of_a_pair_shrinks_with_a_loop_between_them(walk: SimulatedGraph) -> None:
+def test_the_uncertainty_of_a_pair_shrinks_with_a_loop(walk):
     loop = next(loop for loop in walk.graph.loops if loop.id not in walk.wrong)
     pairs = [(loop.earlier, loop.later), (loop.earlier, loop.earlier)]
     without = replace(walk.graph, loops=())
@@ -218,7 +212,7 @@ def test_the_uncertainty_of_a_pair_shrinks_with_a_loop_between_them(walk: Simula
     assert (after[1] == 0).all()
 
 
-def test_the_prediction_of_odometry_is_the_marginal_of_the_graph_without_loops(walk: SimulatedGraph) -> None:
+def test_the_odometry_prediction_is_the_marginal_without_loops(walk):
     """With the verticals between the two nodes left out it is a little wider, never narrower."""
     graph = replace(walk.graph, loops=(), gravity_sigma_rad=10.0)
     exact = relative_covariances(graph, solved(graph), [(5, 40)])[0]
@@ -228,7 +222,7 @@ def test_the_prediction_of_odometry_is_the_marginal_of_the_graph_without_loops(w
     assert np.abs(difference(expected, predicted.earlier_from_later)).max() < 1e-9
 
 
-def test_errors_are_within_the_claimed_uncertainty(walk: SimulatedGraph) -> None:
+def test_errors_are_within_the_claimed_uncertainty(walk):
     answer = solved(walk.graph)
     errors = [
         difference(true, found)[[2, 3, 4]]
@@ -239,7 +233,7 @@ def test_errors_are_within_the_claimed_uncertainty(walk: SimulatedGraph) -> None
     assert np.mean(nees) < 6.0
 
 
-def test_a_failure_of_the_library_is_an_answer(walk: SimulatedGraph, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_of_the_library_is_an_answer(walk, monkeypatch):
     """Its damped steps get by with every graph that we could think of; it may raise all the same."""
 
     def fail(self: Factors) -> None:
@@ -251,7 +245,7 @@ def test_a_failure_of_the_library_is_an_answer(walk: SimulatedGraph, monkeypatch
     assert answer.reason == "the pose graph could not be solved: Indeterminant linear system"
 
 
-def test_uncertainty_beyond_the_reach_of_double_precision_is_an_error() -> None:
+def test_uncertainty_beyond_double_precision_is_an_error():
     rigid = OdometryEdge(before=0, after=1, before_from_after=np.eye(4), covariance=1e-30 * np.eye(6))
     poses = np.array([np.eye(4)] * 2)
     graph = PoseGraph(world_from_node=poses, odometry=(rigid,), loops=(), gravity_sigma_rad=0.02)
@@ -259,7 +253,7 @@ def test_uncertainty_beyond_the_reach_of_double_precision_is_an_error() -> None:
         node_covariances(graph, solved(graph))
 
 
-def test_one_node_is_a_graph() -> None:
+def test_one_node_is_a_graph():
     graph = PoseGraph(world_from_node=np.eye(4)[None], odometry=(), loops=(), gravity_sigma_rad=0.02)
     assert solved(graph).accepted == ()
 
@@ -276,7 +270,7 @@ print(hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest(), an
 """
 
 
-def test_the_same_factors_give_the_same_bytes_in_another_process(walk: SimulatedGraph) -> None:
+def test_the_same_factors_give_the_same_bytes_in_another_process(walk):
     def digest() -> str:
         return subprocess.run(
             [sys.executable, "-c", _PROGRAM], cwd=ROOT, check=True, capture_output=True, text=True

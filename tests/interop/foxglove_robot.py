@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-
 import foxglove
 from foxglove import Channel, Schema
 from foxglove.websocket import Capability, ServerListener

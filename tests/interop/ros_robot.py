@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 import time
-
 import numpy as np
 import rclpy
 from nav_msgs.msg import Odometry

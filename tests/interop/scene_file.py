@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
-
 import numpy as np
-
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from tests.player_scenes import CAMERA, START_NS, make_scene
 

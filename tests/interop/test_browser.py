@@ -12,13 +12,11 @@ import subprocess
 import urllib.request
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 import psutil
 import pytest
 from websockets.sync.client import connect
-
 from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.sink import RerunSink
 from hickory_stream.sinks.rerun.viewer import parse_viewer

@@ -6,10 +6,8 @@ import subprocess
 import sys
 from threading import Thread
 from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.sinks.publish_sink import PublishSink
 from players.live import open_live
@@ -20,7 +18,6 @@ from tests.sinks.test_publish_sink import report
 
 if TYPE_CHECKING:
     from pathlib import Path
-
     from hickory_stream.records import RawFrame
 
 pytestmark = pytest.mark.interop

@@ -6,10 +6,8 @@ import os
 import subprocess
 from threading import Thread
 from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.geometry.rigid import quaternion_from_rotation
 from players.live import open_live
 from tests.interop.scene_file import scene_file
@@ -18,7 +16,6 @@ from tests.players.live.robot_fixtures import eventually
 
 if TYPE_CHECKING:
     from pathlib import Path
-
     from hickory_stream.records import RawFrame
 
 pytestmark = pytest.mark.interop

@@ -1,18 +1,11 @@
 """Rooms as surfaces: points on floor, walls and boxes with the normals that a camera inside sees."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
-
+from numpy.typing import NDArray
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
 from hickory_stream.loops.surfaces import Surface
 from tools.evaluation.simulated_maps.loop_rooms import STEP_M, Patch, bare_room, box
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 VOXEL_M = 0.05
 ANCHOR = from_rotation_translation(yaw_rotation(0.4), np.array([2.0, 1.5, 1.2]))
@@ -47,12 +40,9 @@ def surface(
     points, normals = (np.concatenate(parts) for parts in zip(*patches, strict=True))
     points = points + rng.normal(0, noise_m, points.shape) + rng.uniform(0, 0.3 * STEP_M, 3)
     return Surface(
-        points=apply(move, points),
-        normals=normals @ move[:3, :3].T,
-        free=np.empty(0, np.int64) if free is None else free,
-        voxel_m=VOXEL_M,
-        anchor=move @ ANCHOR,
-    )
+        points=apply(move, points), normals=normals @ move[:3, :3].T,
+        free=np.empty(0, np.int64) if free is None else free, voxel_m=VOXEL_M, anchor=move @ ANCHOR,
+    )  # fmt: skip
 
 
 def shift(x: float, y: float, z: float = 0.0, yaw_deg: float = 0.0) -> NDArray[np.float64]:

@@ -1,11 +1,8 @@
 """The search for loops: where a submap overlaps, where it could be meant elsewhere, and where only objects tell."""
 
 from dataclasses import replace
-
 import numpy as np
-import pytest
 from numpy.typing import NDArray
-
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.loops import search
 from hickory_stream.loops.config import LoopConfig
@@ -35,23 +32,23 @@ def query(
     return LoopQuery(later_id=3, surfaces={0: earlier, 3: later}, predicted={0: known}, snapshot=snapshot)
 
 
-def test_a_room_that_is_entered_again_is_a_loop() -> None:
+def test_a_room_that_is_entered_again_is_a_loop():
     (loop,) = search_loops(query(surface(room(), free=air()), surface(room(), own_from_world=DRIFT, seed=1)), CONFIG)
     assert (loop.earlier, loop.later, loop.method, loop.reason) == (0, 3, "surface", None)
     assert off(loop.earlier_from_later, DRIFT)[0] < 0.015
 
 
-def test_another_room_is_no_candidate() -> None:
+def test_another_room_is_no_candidate():
     elsewhere = surface(room(), own_from_world=shift(9.0, 0.0), seed=1)
     assert search_loops(query(surface(room()), elsewhere), CONFIG) == ()
 
 
-def test_too_little_surface_is_not_searched() -> None:
+def test_too_little_surface_is_not_searched():
     few = surface([patch([0, 0, 0], [0.5, 0, 0], [0, 0.5, 0], [0, 0, 1])])
     assert search_loops(query(surface(room()), few), CONFIG) == ()
 
 
-def test_like_things_in_a_row_are_told_to_fit_elsewhere_as_well() -> None:
+def test_like_things_in_a_row_are_told_to_fit_elsewhere_as_well():
     floor = patch([-2, 0, 0], [10, 0, 0], [0, 3, 0], [0, 0, 1])
     wall = patch([-2, 3, 0], [10, 0, 0], [0, 0, 2], [0, -1, 0])
     row = [floor, wall, *(side for i in range(10) for side in box(-1.0 + 0.6 * i, 1.0, 0.3, 0.5))]
@@ -60,7 +57,7 @@ def test_like_things_in_a_row_are_told_to_fit_elsewhere_as_well() -> None:
     assert "fits elsewhere" in loop.reason
 
 
-def test_starts_that_come_to_one_place_are_refined_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_starts_that_come_to_one_place_are_refined_once(monkeypatch):
     starts: list[NDArray[np.float64]] = []
 
     def counted(
@@ -77,7 +74,7 @@ def test_starts_that_come_to_one_place_are_refined_once(monkeypatch: pytest.Monk
     assert len(starts) == 1
 
 
-def test_what_lies_in_free_space_is_no_loop() -> None:
+def test_what_lies_in_free_space_is_no_loop():
     empty = surface(room()[:5], free=air())
     full = [*room()[:5], *(side for i in range(5) for side in box(0.2 + 0.7 * i, 0.3 + 0.5 * (i % 2), 0.5, 1.8))]
     (loop,) = search_loops(query(empty, surface(full, seed=1)), replace(CONFIG, min_agreement=0.9))
@@ -85,7 +82,7 @@ def test_what_lies_in_free_space_is_no_loop() -> None:
     assert "free space" in loop.reason
 
 
-def test_where_the_graph_knows_too_little_the_objects_tell() -> None:
+def test_where_the_graph_knows_too_little_the_objects_tell():
     far = frame(40.0, 30.0, -20.0)
     items = furniture(14, seed=5)
     both = [snapshot_of(items, np.eye(4), seed=1), snapshot_of(items, far, seed=2)]

@@ -1,10 +1,6 @@
-"""From submaps and loops to a graph, and from its solution to places of submaps."""
-
 from dataclasses import replace
-
 import numpy as np
 import pytest
-
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from hickory_stream.graph.config import GraphConfig
 from hickory_stream.graph.factors import DEGENERATE_SHARE, FLOOR_M
@@ -20,32 +16,21 @@ NONE = np.empty((0, 3), np.float32)
 
 def submap(submap_id: int, x_m: float, y_m: float, *, after_jump: bool = False) -> SurveyedSubmap:
     return SurveyedSubmap(
-        id=submap_id,
-        world_from_submap=np.eye(4),
-        anchor=from_rotation_translation(yaw_rotation(0.3 * submap_id), np.array([x_m, y_m, 1.0])),
-        way_m=5.0,
-        turn_rad=1.0,
-        after_jump=after_jump,
-        points=NONE,
-        normals=NONE,
-        free=np.empty(0, np.int64),
-        voxel_m=0.05,
-    )
+        id=submap_id, world_from_submap=np.eye(4),
+        anchor=from_rotation_translation(yaw_rotation(0.3 * submap_id), np.array([x_m, y_m, 1.0])), way_m=5.0,
+        turn_rad=1.0, after_jump=after_jump, points=NONE, normals=NONE, free=np.empty(0, np.int64), voxel_m=0.05,
+    )  # fmt: skip
 
 
 WALK = [submap(i, x, y) for i, (x, y) in enumerate([(0, 0), (5, 0), (5, 5), (0, 5), (0.3, 0.1)])]
 HOME = Loop(
-    earlier=0,
-    later=4,
-    earlier_from_later=from_rotation_translation(np.eye(3), np.array([-0.25, -0.1, 0.0])),
-    covariance=np.diag([1e-5] * 3 + [2e-4] * 3),
-    method="surface",
-    score=0.97,
-)
+    earlier=0, later=4, earlier_from_later=from_rotation_translation(np.eye(3), np.array([-0.25, -0.1, 0.0])),
+    covariance=np.diag([1e-5] * 3 + [2e-4] * 3), method="surface", score=0.97,
+)  # fmt: skip
 STAMPS = [10 * i for i in range(5)]
 
 
-def test_a_loop_bends_the_way_back_and_what_it_says_holds_in_the_places() -> None:
+def test_a_loop_bends_the_path_and_holds_in_the_places():
     solution = solve(pose_graph(WALK, [HOME], STAMPS, CONFIG), CONFIG)
     assert isinstance(solution, Solution)
     places = submap_places(WALK, solution.world_from_node)
@@ -60,7 +45,7 @@ def test_a_loop_bends_the_way_back_and_what_it_says_holds_in_the_places() -> Non
     assert is_correction(WALK, places, [np.eye(4)] * 5)
 
 
-def test_what_a_search_did_not_believe_is_in_no_graph_but_in_its_record() -> None:
+def test_an_unbelieved_search_is_in_the_record_and_not_the_graph():
     other = replace(HOME, earlier=1, reason="it fits elsewhere nearby as well")
     graph = pose_graph(WALK, [other, HOME], STAMPS, CONFIG)
     assert [loop.id for loop in graph.loops] == [1]
@@ -73,7 +58,7 @@ def test_what_a_search_did_not_believe_is_in_no_graph_but_in_its_record() -> Non
     ]
 
 
-def test_submaps_that_a_solution_hardly_moves_against_each_other_stay_one_piece() -> None:
+def test_submaps_that_hardly_move_against_each_other_stay_one():
     nodes = np.array([s.anchor for s in WALK])
     nodes[1, 0, 3] += 0.005
     nodes[2, 0, 3] += 0.5
@@ -85,7 +70,7 @@ def test_submaps_that_a_solution_hardly_moves_against_each_other_stay_one_piece(
     assert not is_correction(WALK, [places[4]] * 5, [np.eye(4)] * 5)
 
 
-def test_all_submaps_moved_alike_are_no_correction_and_a_jump_is_an_edge_that_gives_way() -> None:
+def test_a_common_move_is_none_and_a_jump_edge_gives_way():
     away = from_rotation_translation(yaw_rotation(1.0), np.array([3.0, 4.0, 0.0]))
     assert not is_correction(WALK, [away] * 5, [np.eye(4)] * 5)
     torn = [*WALK[:2], replace(WALK[2], after_jump=True), *WALK[3:]]
@@ -94,7 +79,7 @@ def test_all_submaps_moved_alike_are_no_correction_and_a_jump_is_an_edge_that_gi
     assert edges[1].covariance[3, 3] > 100 * edges[0].covariance[3, 3]
 
 
-def test_the_edge_of_a_registered_submap_is_as_sure_as_its_least_sure_keyframe_along_the_next_ones_axes() -> None:
+def test_a_registered_edge_is_as_sure_as_its_least_sure_keyframe():
     covariance = np.diag([1e-6, 1e-6, 1e-6, 4e-4, 1e-6, 1e-6])  # unsure along the map's x
     turned = replace(WALK[1], anchor=from_rotation_translation(yaw_rotation(np.pi / 2), np.array([5.0, 0.0, 1.0])))
     registered = [replace(WALK[0], registered=covariance), turned, *WALK[2:]]
@@ -110,7 +95,7 @@ def test_the_edge_of_a_registered_submap_is_as_sure_as_its_least_sure_keyframe_a
     assert pose_graph(torn, [], STAMPS, CONFIG).odometry[0].covariance[3, 3] > 100
 
 
-def test_along_what_registration_did_not_see_an_edge_is_as_wide_as_odometry_alone_for_that_share_of_the_way() -> None:
+def test_an_unregistered_direction_is_as_wide_as_odometry():
     covariance = np.eye(6) * 1e-6
     sure = [replace(WALK[0], registered=covariance), *WALK[1:]]
     half = np.zeros((6, 6))
@@ -124,7 +109,7 @@ def test_along_what_registration_did_not_see_an_edge_is_as_wide_as_odometry_alon
     assert across @ added @ across == pytest.approx(0.0, abs=1e-12)
 
 
-def test_along_what_the_odometry_did_not_see_an_edge_is_wider_unless_a_registration_saw_it() -> None:
+def test_an_edge_is_wider_where_odometry_was_blind():
     blind = np.zeros((6, 6))
     blind[4, 4] = 4.0  # along the map's y, for four of five metres
     unseen = [replace(WALK[0], blind=blind), *WALK[1:]]
@@ -135,6 +120,6 @@ def test_along_what_the_odometry_did_not_see_an_edge_is_wider_unless_a_registrat
     assert (pose_graph(seen, [], STAMPS, CONFIG).odometry[0].covariance.diagonal() < plain.diagonal()).all()
 
 
-def test_a_submap_without_a_keyframe_is_no_node() -> None:
+def test_a_submap_without_a_keyframe_is_no_node():
     with pytest.raises(ValueError, match="anchor"):
         pose_graph([WALK[0], replace(WALK[1], anchor=np.eye(3))], [], STAMPS, CONFIG)

@@ -1,7 +1,4 @@
-"""Registration of surfaces: to the centimetre, side by side, and with what speaks against it."""
-
 import numpy as np
-
 from hickory_stream.loops.surfaces import registered
 from tests.loops.loop_fixtures import air, off, room, shift, surface
 from tools.evaluation.simulated_maps.loop_rooms import patch
@@ -9,7 +6,7 @@ from tools.evaluation.simulated_maps.loop_rooms import patch
 DRIFT = shift(0.12, -0.08, 0.02, yaw_deg=3.0)
 
 
-def test_a_room_seen_again_is_registered_to_a_centimetre_with_an_honest_covariance() -> None:
+def test_a_room_seen_again_registers_to_a_centimetre():
     later = surface(room(), own_from_world=DRIFT, free=None, seed=1)
     fit = registered(surface(room()), later, np.eye(4), 0.3)
     way_m, angle_deg = off(fit.earlier_from_later, DRIFT)
@@ -20,7 +17,7 @@ def test_a_room_seen_again_is_registered_to_a_centimetre_with_an_honest_covarian
     assert fit.agreement > 0.95
 
 
-def test_the_two_sides_of_a_wall_are_never_one_surface() -> None:
+def test_the_two_sides_of_a_wall_are_never_one_surface():
     thickness_m = 0.1
     here = [*room()[:1], patch([0, 3, 0], [4, 0, 0], [0, 0, 2], [0, -1, 0]), *room()[5:]]
     behind = [*room()[:1], patch([0, 3 + thickness_m, 0], [4, 0, 0], [0, 0, 2], [0, 1, 0]), *room()[5:]]
@@ -28,7 +25,7 @@ def test_the_two_sides_of_a_wall_are_never_one_surface() -> None:
     assert off(fit.earlier_from_later, DRIFT)[0] < 0.3 * thickness_m
 
 
-def test_along_a_bare_corridor_the_prediction_stays_and_the_covariance_says_so() -> None:
+def test_along_a_bare_corridor_the_covariance_stays_wide():
     corridor = [
         patch([0, 0, 0], [8, 0, 0], [0, 1.5, 0], [0, 0, 1]),
         patch([0, 0, 0], [8, 0, 0], [0, 0, 2], [0, 1, 0]),
@@ -43,7 +40,7 @@ def test_along_a_bare_corridor_the_prediction_stays_and_the_covariance_says_so()
     assert np.sqrt(np.linalg.eigvalsh(fit.covariance[3:, 3:])[-1]) > 1.0
 
 
-def test_surface_in_what_the_other_saw_to_be_free_speaks_against_a_fit() -> None:
+def test_surface_in_free_space_of_the_other_speaks_against_a_fit():
     earlier, later = surface(room(), free=air()), surface(room(), seed=1, free=air())
     right = registered(earlier, later, np.eye(4), 0.3)
     assert right.agreement > 0.95
@@ -53,7 +50,7 @@ def test_surface_in_what_the_other_saw_to_be_free_speaks_against_a_fit() -> None
     assert moved.num_known > moved.num_met
 
 
-def test_where_no_surface_is_near_nothing_is_known() -> None:
+def test_where_no_surface_is_near_nothing_is_known():
     fit = registered(surface(room()), surface(room(), seed=1), shift(50.0, 0.0, 0.0), 0.3)
     assert fit.num_met == 0
     assert fit.agreement == 0.0
@@ -61,7 +58,7 @@ def test_where_no_surface_is_near_nothing_is_known() -> None:
     assert np.linalg.eigvalsh(fit.covariance)[0] > 1.0
 
 
-def test_the_same_surfaces_give_the_same_bytes() -> None:
+def test_the_same_surfaces_give_the_same_bytes():
     fits = [
         registered(surface(room()), surface(room(), own_from_world=DRIFT, seed=1), np.eye(4), 0.5) for _ in range(2)
     ]

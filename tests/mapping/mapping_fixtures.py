@@ -2,10 +2,8 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
-
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
@@ -61,16 +59,10 @@ def observation(
     """An observation of these points; no two of a frame have the same `box_px` unless it is given."""
     box_px = box_px or (20 * index, 5, 20 * index + 16, 17)
     return Observation(
-        index=index,
-        box_px=box_px,
-        mask=np.ones((box_px[3] - box_px[1], box_px[2] - box_px[0]), dtype=bool),
-        points_world=points,
-        colors=np.tile(np.uint8(color), (len(points), 1)),
-        box=gravity_aligned_box(points, VOXEL_M),
-        r_area=r_area,
-        r_depth=r_depth,
-        is_cut=False,
-    )
+        index=index, box_px=box_px, mask=np.ones((box_px[3] - box_px[1], box_px[2] - box_px[0]), dtype=bool),
+        points_world=points, colors=np.tile(np.uint8(color), (len(points), 1)),
+        box=gravity_aligned_box(points, VOXEL_M), r_area=r_area, r_depth=r_depth, is_cut=False,
+    )  # fmt: skip
 
 
 def track(track_id: int, points: NDArray[np.float32], *, sightings: int = 3, phase: Phase = Phase.ACTIVE) -> Track:
@@ -78,18 +70,10 @@ def track(track_id: int, points: NDArray[np.float32], *, sightings: int = 3, pha
     cloud = cloud_of(points, np.full((len(points), 3), 100, dtype=np.uint8), VOXEL_M)
     cloud = replace(cloud, hits=cloud.hits * sightings)
     return Track(
-        id=track_id,
-        phase=phase,
-        sightings=sightings,
-        first_seen_ns=0,
-        last_seen_ns=0,
-        seen_clock_ns=0,
-        cloud=cloud,
-        solid=cloud,
-        box=gravity_aligned_box(points, VOXEL_M),
-        bounds=bounds_of(points),
+        id=track_id, phase=phase, sightings=sightings, first_seen_ns=0, last_seen_ns=0, seen_clock_ns=0, cloud=cloud,
+        solid=cloud, box=gravity_aligned_box(points, VOXEL_M), bounds=bounds_of(points),
         existence=Existence(evidence=float(sightings), places=np.zeros((1, 3))),
-    )
+    )  # fmt: skip
 
 
 def graph_of(
@@ -103,18 +87,10 @@ def graph_of(
 
 def view(frame_index: int, *, score: float | None = None, r_area: float = 0.05, r_depth: float = 0.9) -> View:
     return View(
-        object_id=1,
-        frame_index=frame_index,
-        stamp_ns=frame_index * SECOND_NS,
-        box_px=(0, 0, 16, 12),
-        world_from_camera=np.eye(4),
-        r_area=r_area,
-        r_depth=r_depth,
-        box_volume_m3=0.01,
-        score=score,
-        variance=None,
+        object_id=1, frame_index=frame_index, stamp_ns=frame_index * SECOND_NS, box_px=(0, 0, 16, 12),
+        world_from_camera=np.eye(4), r_area=r_area, r_depth=r_depth, box_volume_m3=0.01, score=score, variance=None,
         feature=None,
-    )
+    )  # fmt: skip
 
 
 def camera_at(angle_rad: float, distance_m: float = 3.0) -> NDArray[np.float64]:
@@ -147,12 +123,9 @@ def keyframe(
 ) -> FrameObserved:
     """A keyframe, by default one per second."""
     return FrameObserved(
-        frame_index=frame_index,
-        stamp_ns=frame_index * SECOND_NS if stamp_ns is None else stamp_ns,
-        world_from_camera=camera_at(angle_rad),
-        observations=tuple(observations),
-        space=seen or space(),
-    )
+        frame_index=frame_index, stamp_ns=frame_index * SECOND_NS if stamp_ns is None else stamp_ns,
+        world_from_camera=camera_at(angle_rad), observations=tuple(observations), space=seen or space(),
+    )  # fmt: skip
 
 
 def feature(index: int, variance: float) -> MaskFeature:
@@ -164,16 +137,10 @@ def feature(index: int, variance: float) -> MaskFeature:
 def shape(ticket: int) -> ObjectShape:
     unit = Superquadrics(exponents=np.ones((1, 2)), semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None])
     return ObjectShape(
-        revision=ticket,
-        reconstructor="fused",
-        mesh_name=f"{ticket:06d}.glb",
-        mesh_sha256="0" * 64,
-        world_from_object=np.eye(4),
-        fitted=unit,
-        inflated=unit,
-        seen_share=np.ones(1),
+        revision=ticket, reconstructor="fused", mesh_name=f"{ticket:06d}.glb", mesh_sha256="0" * 64,
+        world_from_object=np.eye(4), fitted=unit, inflated=unit, seen_share=np.ones(1),
         containment=Containment(num_checked=10, num_outside=0, max_g=0.9),
-    )
+    )  # fmt: skip
 
 
 def shape_ready(ticket: int, object_id: int) -> ShapeReady:

@@ -3,14 +3,11 @@
 The whole first layer is played, with the segmenter that needs no network, on cast scenes whose truth is known.
 """
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
+from numpy.typing import NDArray
 from hickory_stream.box_scene import PERIOD_NS, SCENE_BOXES, SCENE_CAMERA, START_NS, SceneBox, cast_scene, scene_pose
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.voxels import centers_of_keys
@@ -23,12 +20,7 @@ from hickory_stream.perception.perceive import PerceptionConfig, features_of, pe
 from hickory_stream.records import Decision, Frame, MapSnapshot, ObservedSpace, Phase
 from tools.evaluation.masks.first_layer import answered
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    Pose = NDArray[np.float64]
+Pose = NDArray[np.float64]
 
 TABLE = SceneBox(low=(-1.2, -1.0, 0.66), high=(1.2, 1.0, 0.72), rgb=(150, 110, 70))
 ON_TABLE = (
@@ -79,13 +71,10 @@ def played(
         if is_upside_down:
             rgb, depth_m = np.ascontiguousarray(rgb[::-1, ::-1]), np.ascontiguousarray(depth_m[::-1, ::-1])
         frame = Frame(
-            index=i,
-            stamp_ns=START_NS + i * PERIOD_NS,
-            rgb=rgb,
-            depth_m=np.where(depth_m < 6.0, depth_m, np.nan).astype(np.float32),
-            camera=SCENE_CAMERA,
+            index=i, stamp_ns=START_NS + i * PERIOD_NS, rgb=rgb,
+            depth_m=np.where(depth_m < 6.0, depth_m, np.nan).astype(np.float32), camera=SCENE_CAMERA,
             world_from_camera=said,
-        )
+        )  # fmt: skip
         seen = perceive(frame, core.prior(), None, segmenter, config, lattice=mapping.voxels)
 
         def features(effect, frame=frame, seen=seen):  # type: ignore[no-untyped-def]
@@ -136,7 +125,7 @@ def over_the_table() -> Played:
     return played((TABLE, LEG, *ON_TABLE), OVER_THE_TABLE)
 
 
-def test_where_only_a_table_is_in_view_the_map_says_that_its_floor_may_be_one(over_the_table: Played) -> None:
+def test_with_only_a_table_in_view_the_map_doubts_its_floor(over_the_table):
     assert all(over_the_table.has(box) for box in ON_TABLE)
     (note,) = floor_warnings(over_the_table.snapshot)
     assert "may be a table" in note
@@ -144,7 +133,7 @@ def test_where_only_a_table_is_in_view_the_map_says_that_its_floor_may_be_one(ov
     assert over_the_table.floor_decisions() == []
 
 
-def test_a_table_is_no_floor_once_a_floor_is_seen_below_it_and_becomes_an_object() -> None:
+def test_a_table_stops_being_the_floor_once_one_is_seen_below():
     found = played((TABLE, LEG, *ON_TABLE), [*OVER_THE_TABLE, *AROUND_THE_TABLE])
     last = len(OVER_THE_TABLE) - 1
     before, soon, after = (found.midway[i].submaps[0].observed_space for i in (last, last + 2, -1))
@@ -162,7 +151,7 @@ def test_a_table_is_no_floor_once_a_floor_is_seen_below_it_and_becomes_an_object
 
 
 @pytest.mark.parametrize("degrees", [2.0, -2.0])
-def test_a_log_whose_gravity_is_two_degrees_off_has_the_same_objects_and_says_so(degrees: float) -> None:
+def test_gravity_two_degrees_off_is_reported_and_objects_stay(degrees):
     tilt = about(0, degrees)
     found = played(SCENE_BOXES, CIRCLE, [tilt @ pose for pose in CIRCLE])
     assert all(found.has(box, tilt) for box in SCENE_BOXES)
@@ -171,21 +160,21 @@ def test_a_log_whose_gravity_is_two_degrees_off_has_the_same_objects_and_says_so
     assert "tilted by 2.0 degrees" in note
 
 
-def test_a_level_floor_is_nothing_to_speak_of() -> None:
+def test_a_level_floor_is_nothing_to_speak_of():
     found = played(SCENE_BOXES, CIRCLE)
     assert floor_warnings(found.snapshot) == ()
     assert found.floor_decisions() == []
     assert len(found.boxes()) == len(SCENE_BOXES)
 
 
-def test_a_camera_that_hangs_upside_down_maps_the_same_objects() -> None:
+def test_a_camera_that_hangs_upside_down_maps_the_same_objects():
     turn = about(2, 180.0)
     found = played(SCENE_BOXES, CIRCLE, [pose @ turn for pose in CIRCLE], is_upside_down=True)
     assert all(found.has(box) for box in SCENE_BOXES)
     assert found.snapshot.submaps[0].observed_space.floor_z_m == pytest.approx(0.0, abs=0.02)
 
 
-def test_of_poses_with_z_downwards_the_map_says_that_no_floor_was_seen() -> None:
+def test_poses_with_z_down_give_the_message_of_no_floor():
     flip = about(0, 180.0)
     found = played(SCENE_BOXES, CIRCLE, [flip @ pose for pose in CIRCLE])
     (note,) = floor_warnings(found.snapshot)
@@ -193,7 +182,7 @@ def test_of_poses_with_z_downwards_the_map_says_that_no_floor_was_seen() -> None
     assert "z upwards" in note
 
 
-def test_a_log_that_begins_where_nothing_is_in_range_maps_what_comes_into_it() -> None:
+def test_a_log_that_begins_out_of_range_maps_what_comes_later():
     above = [looking((2.0, 0.0, 9.0 - 0.2 * i), (0.0, 0.0, 8.0)) for i in range(4)]
     found = played(SCENE_BOXES, [*above, *CIRCLE])
     assert floor_warnings(found.midway[3]) == ()
@@ -201,7 +190,7 @@ def test_a_log_that_begins_where_nothing_is_in_range_maps_what_comes_into_it() -
     assert found.snapshot.submaps[0].observed_space.floor_z_m == pytest.approx(0.0, abs=0.02)
 
 
-def test_a_robot_that_takes_a_lift_has_a_submap_with_a_floor_for_each_storey() -> None:
+def test_a_lift_gives_a_submap_with_a_floor_for_each_storey():
     ride = [raised(CIRCLE[-1], 0.5 * i) for i in range(1, 6)]
     upstairs = [raised(pose, 3.0) for pose in CIRCLE]
     seen = [*CIRCLE, *([CIRCLE[-1]] * 5), *CIRCLE]

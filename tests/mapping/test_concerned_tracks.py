@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from hickory_stream.events import FrameObserved, SourceEnded
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import from_rotation_translation
@@ -82,7 +81,7 @@ class Everything(ageing.Concerned):
 
 @settings(max_examples=25, deadline=None)
 @given(LOOKS)
-def test_what_a_keyframe_does_not_concern_would_not_have_changed(looks: list[tuple[int, int, str, int]]) -> None:
+def test_what_a_keyframe_does_not_concern_would_not_have_changed(looks):
     found, core = mapped(looks)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hickory_stream.mapping.steps.ageing.Concerned", Everything)

@@ -1,13 +1,9 @@
-"""The core as a table of events and effects, compared as lists."""
-
 import math
 from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
@@ -31,7 +27,7 @@ from hickory_stream.map_folder.digest import map_digest
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.entities.existence import ExistenceConfig
-from hickory_stream.mapping.entities.views import Strategy, ViewConfig
+from hickory_stream.mapping.entities.views import ViewConfig
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.merging import MergeConfig
 from hickory_stream.mapping.rules.shape_requests import RequestConfig
@@ -91,10 +87,7 @@ def kinds(effects: list[Effect], object_id: int | None) -> list[str]:
     return [d.kind for e in effects if isinstance(e, Publish) for d in e.decisions if d.object_id == object_id]
 
 
-# ---- the script -----------------------------------------------------------------------------------------------------
-
-
-def test_two_boxes_seen_over_several_keyframes_give_these_effects_in_this_order() -> None:
+def test_two_boxes_over_several_keyframes_give_these_effects():
     core = MapperCore(CONFIG)
     variances = {(0, 0): 0.5, (0, 1): 0.5, (1, 1): 0.4, (2, 0): 0.5}
 
@@ -131,7 +124,7 @@ def test_two_boxes_seen_over_several_keyframes_give_these_effects_in_this_order(
     assert step(SourceEnded(stamp_ns=0)) == [("request", 3, 2), ("publish", ((1, "active"), (2, "dormant")))]
 
 
-def test_jumps_and_corrections_are_decisions_of_kinds_of_their_own() -> None:
+def test_jumps_and_corrections_have_their_own_decision_kinds():
     core = MapperCore(CONFIG)
     core.handle(TimeJumped(from_ns=9 * SECOND_NS, to_ns=0, kind="loop"))
     core.handle(PoseJumped(stamp_ns=0, after_from_before=np.eye(4)))
@@ -140,7 +133,7 @@ def test_jumps_and_corrections_are_decisions_of_kinds_of_their_own() -> None:
     assert kinds(effects, None) == ["time_jump", "pose_jump", "pose_correction"]
 
 
-def test_every_decision_of_the_script_is_told_with_its_reason() -> None:
+def test_every_decision_of_the_script_is_told_with_its_reason():
     core = MapperCore(CONFIG)
     effects = drive(core, [frame(i, *both()) for i in range(3)])
     assert kinds(effects, 1) == ["create", "view", "associate", "view", "associate", "phase", "view", "shape"]
@@ -150,14 +143,14 @@ def test_every_decision_of_the_script_is_told_with_its_reason() -> None:
     assert "too small" in decision.text
 
 
-def test_the_objects_of_the_observations_are_told_in_their_order() -> None:
+def test_the_objects_of_the_observations_are_told_in_their_order():
     core = MapperCore(CONFIG)
     drive(core, [frame(0, *both())])
     swapped = [observation(0, B), observation(1, A), observation(2, box_surface((3, 0, 0.1)))]
     assert last_publish(drive(core, [frame(1, *swapped)])).object_ids == (2, 1, 3)
 
 
-def test_a_request_carries_what_the_job_needs() -> None:
+def test_a_request_carries_what_the_job_needs():
     core = MapperCore(CONFIG)
     events = [replace(frame(i, *both()), space=space(floor_z_m=0.0)) for i in range(3)]
     request = requests(drive(core, events, lambda f, i: 0.1 * (f + 1)))[0]
@@ -170,17 +163,14 @@ def test_a_request_carries_what_the_job_needs() -> None:
     assert request.support_z_m == 0.0
 
 
-# ---- shapes ---------------------------------------------------------------------------------------------------------
-
-
-def test_a_shape_that_is_ready_is_in_the_next_snapshot() -> None:
+def test_a_shape_that_is_ready_is_in_the_next_snapshot():
     core = MapperCore(CONFIG)
     drive(core, [frame(i, *both()) for i in range(3)])
     assert core.handle(shape_ready(2, 2)) == []
     assert {i: o.shape is not None for i, o in by_id(core.snapshot()).items()} == {1: False, 2: True}
 
 
-def test_a_confirmed_object_has_a_sketch_from_its_points_until_its_shape_comes() -> None:
+def test_a_confirmed_object_has_a_sketch_until_its_shape_comes():
     core = MapperCore(CONFIG)
     drive(core, [frame(i, *both()) for i in range(2)])
     assert {o.sketch for o in core.snapshot().objects} == {None}
@@ -200,7 +190,7 @@ def test_a_confirmed_object_has_a_sketch_from_its_points_until_its_shape_comes()
     assert by_id(core.snapshot())[1].sketch is not None
 
 
-def test_a_sketch_is_made_anew_when_much_more_was_seen() -> None:
+def test_a_sketch_is_made_anew_when_much_more_was_seen():
     core = MapperCore(CONFIG)
     drive(core, [frame(i, observation(0, LEFT)) for i in range(3)])
     first = core.snapshot().objects[0].sketch
@@ -213,7 +203,7 @@ def test_a_sketch_is_made_anew_when_much_more_was_seen() -> None:
 
 
 @pytest.mark.parametrize(("ticket", "object_id"), [(99, 1), (2, 1), (1, 77)], ids=["unknown", "another's", "gone"])
-def test_the_shape_of_a_ticket_that_is_not_open_is_ignored(ticket: int, object_id: int) -> None:
+def test_the_shape_of_a_ticket_that_is_not_open_is_ignored(ticket, object_id):
     core = MapperCore(CONFIG)
     drive(core, [frame(i, *both()) for i in range(3)])
     before = map_digest(core.snapshot())
@@ -221,7 +211,7 @@ def test_the_shape_of_a_ticket_that_is_not_open_is_ignored(ticket: int, object_i
     assert map_digest(core.snapshot()) == before
 
 
-def test_a_ticket_ends_once() -> None:
+def test_a_ticket_ends_once():
     core = MapperCore(CONFIG)
     drive(core, [frame(i, *both()) for i in range(3)])
     core.handle(ShapeFailed(ticket=1, object_id=1, stamp_ns=0, reason="nothing"))
@@ -229,15 +219,12 @@ def test_a_ticket_ends_once() -> None:
     assert by_id(core.snapshot())[1].shape is None
 
 
-# ---- merging --------------------------------------------------------------------------------------------------------
-
-
 def halves(core: MapperCore) -> list[Effect]:
     """Three keyframes that see the halves one at a time, and so never apart; both get a shape job."""
     return drive(core, [frame(i, observation(0, LEFT if i % 2 == 0 else RIGHT)) for i in range(6)])
 
 
-def test_a_single_frame_that_covers_two_tracks_does_not_weld_them() -> None:
+def test_one_frame_over_two_tracks_does_not_merge_them():
     core = MapperCore(CONFIG)
     halves(core)
     before = by_id(core.snapshot())
@@ -248,7 +235,7 @@ def test_a_single_frame_that_covers_two_tracks_does_not_weld_them() -> None:
         assert after[i].box.volume_m3 < 1.3 * before[i].box.volume_m3
 
 
-def test_a_much_better_view_replaces_the_open_job_once() -> None:
+def test_a_much_better_view_replaces_the_open_job_once():
     core = MapperCore(CONFIG)
     first = requests(drive(core, [frame(i, observation(0, A, r_area=0.002)) for i in range(3)]))
     assert [request.ticket for request in first] == [1]
@@ -263,7 +250,7 @@ def test_a_much_better_view_replaces_the_open_job_once() -> None:
     assert core.snapshot().objects[0].shape is not None
 
 
-def test_halves_that_are_seen_as_one_often_enough_become_one_and_the_open_job_of_the_gone_one_is_cancelled() -> None:
+def test_halves_often_seen_as_one_merge_and_cancel_the_open_job():
     core = MapperCore(CONFIG)
     tickets = {request.object_id: request.ticket for request in requests(halves(core))}
     assert set(tickets) == {1, 2}
@@ -278,14 +265,14 @@ def test_halves_that_are_seen_as_one_often_enough_become_one_and_the_open_job_of
     assert core.snapshot().objects[0].shape is not None
 
 
-def test_halves_that_were_seen_apart_as_often_as_together_stay_two() -> None:
+def test_halves_seen_apart_as_often_as_together_stay_two():
     core = MapperCore(CONFIG)
     apart = [frame(i, observation(0, LEFT), observation(1, RIGHT)) for i in range(3)]
     drive(core, [*apart, *[frame(3 + i, observation(0, WHOLE)) for i in range(3)]])
     assert [tracked.id for tracked in core.snapshot().objects] == [1, 2]
 
 
-def test_what_only_the_map_holds_apart_was_seen_together() -> None:
+def test_what_only_the_map_holds_apart_was_seen_together():
     # The frames by themselves see one thing, and are cut by what the map knew: three such votes outweigh two of before.
     cut = [replace(observation(0, LEFT), group=1), replace(observation(1, RIGHT), group=1)]
     core = MapperCore(CONFIG)
@@ -297,7 +284,7 @@ def test_what_only_the_map_holds_apart_was_seen_together() -> None:
     assert (one.id, one.merged_ids) == (1, (2,))
 
 
-def test_halves_that_a_merge_made_one_by_mistake_are_two_again_with_their_histories() -> None:
+def test_a_mistaken_merge_is_undone_with_both_histories():
     core = MapperCore(CONFIG)
     drive(core, [frame(i, observation(0, LEFT), observation(1, RIGHT)) for i in range(3)])
     before = by_id(core.snapshot())[2]
@@ -316,7 +303,7 @@ def test_halves_that_a_merge_made_one_by_mistake_are_two_again_with_their_histor
     assert np.allclose(again.box.center, RIGHT.mean(axis=0), atol=0.05)  # but for the face that they share
 
 
-def test_a_host_that_gets_its_own_part_back_was_seen_as_often_as_before() -> None:
+def test_a_host_that_regains_its_part_keeps_its_count():
     # The smaller one was there first: told apart again, it is the part, and the rest is what had been merged into it.
     small = box_surface((-0.02, 0, 0.1), (0.16, 0.2, 0.2))
     core = MapperCore(CONFIG)
@@ -340,7 +327,7 @@ def test_a_host_that_gets_its_own_part_back_was_seen_as_often_as_before() -> Non
     assert np.allclose(other.box.center, RIGHT.mean(axis=0), atol=0.05)  # but for the face that they share
 
 
-def test_small_things_that_touch_and_are_always_seen_apart_stay_two() -> None:
+def test_touching_things_always_seen_apart_stay_two():
     # Five voxels wide: what is within a voxel of the other is a large share of them, and no vote all the same.
     left, right = (box_surface((x, 0, 0.05), (0.1, 0.1, 0.1)) for x in (0, 0.1))
     visible = [points[(points[:, 1] < -0.049) | (points[:, 2] > 0.099)] for points in (left, right)]
@@ -349,7 +336,7 @@ def test_small_things_that_touch_and_are_always_seen_apart_stay_two() -> None:
     assert [tracked.id for tracked in core.snapshot().objects] == [1, 2]
 
 
-def test_the_history_of_a_duplicate_goes_on_in_the_track_that_stays() -> None:
+def test_the_history_of_a_duplicate_continues_in_the_kept_track():
     core = MapperCore(CONFIG)
     half = A[A[:, 0] < -0.06]
     rest = A[A[:, 0] > 0.06]
@@ -364,10 +351,7 @@ def test_the_history_of_a_duplicate_goes_on_in_the_track_that_stays() -> None:
     assert last_publish(effects).object_ids == (one.id,)
 
 
-# ---- what goes, and what comes back ---------------------------------------------------------------------------------
-
-
-def test_an_object_comes_back_under_its_own_id_after_it_was_dormant_and_archived() -> None:
+def test_an_object_returns_under_its_own_id():
     core = MapperCore(replace(CONFIG, lifecycle=replace(CONFIG.lifecycle, archive_s=20.0)))
     drive(core, [frame(i, observation(0, A)) for i in range(3)])
     phases = []
@@ -382,7 +366,7 @@ def looked_through(frame_index: int) -> FrameObserved:
     return replace(frame(frame_index), space=space(free=free))
 
 
-def test_an_object_is_dropped_when_keyframes_look_through_its_place_and_its_open_job_is_cancelled() -> None:
+def test_an_object_whose_place_is_seen_through_is_dropped():
     core = MapperCore(CONFIG)
     (request,) = requests(drive(core, [frame(i, observation(0, A)) for i in range(3)]))
     assert told(drive(core, [looked_through(i) for i in (3, 4, 5)])) == [("publish", ((1, "active"),))] * 3
@@ -391,7 +375,7 @@ def test_an_object_is_dropped_when_keyframes_look_through_its_place_and_its_open
     assert kinds(effects, 1) == ["drop"]
 
 
-def test_an_object_that_is_seen_again_was_not_looked_through() -> None:
+def test_an_object_that_is_seen_again_was_not_looked_through():
     core = MapperCore(CONFIG)
     drive(core, [frame(i, observation(0, A)) for i in range(3)])
     for i in range(3, 12, 3):
@@ -399,7 +383,7 @@ def test_an_object_that_is_seen_again_was_not_looked_through() -> None:
     assert [tracked.id for tracked in core.snapshot().objects] == [1]
 
 
-def test_an_object_that_grows_into_a_wall_becomes_structure_and_pieces_of_it_are_no_objects() -> None:
+def test_an_object_that_grows_into_a_wall_becomes_structure():
     core = MapperCore(CONFIG)
     wall = box_surface((0, 0, 1.4), (2.8, 0.04, 2.8))
     left, right = wall[wall[:, 0] < 0.3], wall[wall[:, 0] > -0.3]
@@ -413,17 +397,13 @@ def test_an_object_that_grows_into_a_wall_becomes_structure_and_pieces_of_it_are
     assert len(core.snapshot().objects) == 1
 
 
-def test_what_was_seen_once_and_never_again_is_dropped_with_its_view() -> None:
+def test_a_single_sighting_is_dropped_with_its_view():
     core = MapperCore(CONFIG)
     drive(core, [frame(0, observation(0, A))])
-    assert told(drive(core, [frame(8), frame(9)])) == [
-        ("publish", ((1, "tentative"),)),
-        ("drop", 0),
-        ("publish", ()),
-    ]
+    assert told(drive(core, [frame(8), frame(9)])) == [("publish", ((1, "tentative"),)), ("drop", 0), ("publish", ())]
 
 
-def test_the_end_drops_what_is_tentative_and_asks_for_every_shape_that_is_missing() -> None:
+def test_the_end_drops_tentative_tracks_and_asks_for_all_shapes():
     core = MapperCore(replace(CONFIG, requests=replace(CONFIG.requests, first_sightings=99)))
     places = [box_surface((0.6 * i, 0, 0.1)) for i in range(4)]
     drive(core, [frame(i, *[observation(k, points) for k, points in enumerate(places)]) for i in range(3)])
@@ -435,7 +415,7 @@ def test_the_end_drops_what_is_tentative_and_asks_for_every_shape_that_is_missin
     ]
 
 
-def test_a_jump_of_the_odometry_is_a_decision_that_names_its_size() -> None:
+def test_a_jump_of_the_odometry_is_a_decision_with_its_size():
     core = MapperCore(MappingConfig())
     drive(core, [frame(0, *both())])
     jump = np.eye(4)
@@ -446,7 +426,7 @@ def test_a_jump_of_the_odometry_is_a_decision_that_names_its_size() -> None:
     assert "the odometry jumped by 0.40 m: submap 1 begins" in texts
 
 
-def test_a_jump_of_the_stamps_keeps_the_map_and_the_clock_runs_on_from_where_it_was() -> None:
+def test_a_jump_of_the_stamps_keeps_the_map_and_its_clock():
     core = MapperCore(CONFIG)
     drive(core, [frame(i, observation(0, A), stamp_s=100 + i) for i in range(3)])
     # Unseen for three seconds before the jump and for one and a half after it: dormant after more than four in all.
@@ -461,17 +441,14 @@ def test_a_jump_of_the_stamps_keeps_the_map_and_the_clock_runs_on_from_where_it_
     assert (tracked.id, tracked.phase, tracked.sightings) == (1, Phase.ACTIVE, 4)
 
 
-def test_a_jump_far_ahead_does_not_age_the_map() -> None:
+def test_a_jump_far_ahead_does_not_age_the_map():
     core = MapperCore(CONFIG)
     drive(core, [frame(i, observation(0, A)) for i in range(3)])
     drive(core, [TimeJumped(from_ns=2 * SECOND_NS, to_ns=9999 * SECOND_NS), frame(3, stamp_s=9999)])
     assert [tracked.phase for tracked in core.snapshot().objects] == [Phase.ACTIVE]
 
 
-# ---- events that do not fit -----------------------------------------------------------------------------------------
-
-
-def test_features_that_were_not_asked_for_are_refused() -> None:
+def test_features_that_were_not_asked_for_are_refused():
     core = MapperCore(CONFIG)
     with pytest.raises(ValueError, match="features of frame 3 were not asked for"):
         core.handle(FeaturesReady(frame_index=3, features=()))
@@ -480,14 +457,11 @@ def test_features_that_were_not_asked_for_are_refused() -> None:
         core.handle(FeaturesReady(frame_index=3, features=(feature(0, 0.5),)))
 
 
-def test_a_keyframe_is_refused_while_features_are_pending() -> None:
+def test_a_keyframe_is_refused_while_features_are_pending():
     core = MapperCore(CONFIG)
     core.handle(frame(0, observation(0, A)))
     with pytest.raises(ValueError, match="frame 1 came before the features of frame 0"):
         core.handle(frame(1))
-
-
-# ---- laws -----------------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=20)
@@ -495,9 +469,7 @@ def test_a_keyframe_is_refused_while_features_are_pending() -> None:
     st.lists(st.tuples(unit_share, unit_share, unit_share, unit_share), min_size=1, max_size=8),
     st.sampled_from(["s_score", "initial", "max_area"]),
 )
-def test_lazily_computed_features_give_the_best_views_that_all_features_would(
-    factors: list[tuple[float, float, float, float]], strategy: Strategy
-) -> None:
+def test_lazy_features_give_the_same_best_views(factors, strategy):
     core = MapperCore(replace(CONFIG, views=ViewConfig(strategy=strategy)))
     events, variances, scores = [], {}, {1: [], 2: []}
     for i, (area_a, area_b, depth, variance) in enumerate(factors):
@@ -523,7 +495,7 @@ def test_lazily_computed_features_give_the_best_views_that_all_features_would(
     )
 
 
-def test_a_view_that_becomes_best_is_kept_before_any_shape_is_asked_for_with_it() -> None:
+def test_a_new_best_view_is_kept_before_its_shape_is_requested():
     core = MapperCore(CONFIG)
     kept: set[str] = set()
     for effect in drive(core, [frame(i, *both(0.05 + 0.02 * i, 0.05)) for i in range(12)], lambda f, i: 0.05 * f):
@@ -533,7 +505,7 @@ def test_a_view_that_becomes_best_is_kept_before_any_shape_is_asked_for_with_it(
             assert {view.name for view in effect.views} <= kept
 
 
-def test_the_same_events_give_the_same_snapshots_to_the_byte() -> None:
+def test_the_same_events_give_the_same_snapshots_to_the_byte():
     def run() -> list[str]:
         rng = np.random.default_rng(11)
         core = MapperCore(CONFIG)
@@ -550,7 +522,7 @@ def test_the_same_events_give_the_same_snapshots_to_the_byte() -> None:
     assert run() == run()
 
 
-def test_looking_at_the_same_things_for_ever_does_not_grow_the_map() -> None:
+def test_an_endless_look_at_equal_things_does_not_grow_the_map():
     core = MapperCore(CONFIG)
 
     def size_after(frames: range) -> tuple[int, ...]:
@@ -562,7 +534,7 @@ def test_looking_at_the_same_things_for_ever_does_not_grow_the_map() -> None:
     assert size_after(range(20)) == size_after(range(20, 80))
 
 
-def test_a_track_keeps_at_most_one_view_for_each_of_eight_directions_and_its_best() -> None:
+def test_a_track_keeps_its_best_view_and_one_per_direction():
     core = MapperCore(CONFIG)
     rng = np.random.default_rng(3)
     for i in range(60):

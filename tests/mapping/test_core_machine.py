@@ -1,12 +1,10 @@
 """The core under random events: boxes that come, move a little, are seen in part or as one, and vanish."""
 
-from typing import TYPE_CHECKING, Any
-
+from typing import Any
 import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
-
 from hickory_stream.events import (
     CancelShape,
     ComputeFeatures,
@@ -32,6 +30,7 @@ from hickory_stream.mapping.entities.existence import ExistenceConfig
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.merging import MergeConfig
 from hickory_stream.mapping.rules.shape_requests import RequestConfig
+from hickory_stream.records import MapSnapshot
 from tests.mapping.mapping_fixtures import (
     SECOND_NS,
     VOXEL_M,
@@ -44,9 +43,6 @@ from tests.mapping.mapping_fixtures import (
     told,
 )
 from tests.strategies import unit_share
-
-if TYPE_CHECKING:
-    from hickory_stream.records import MapSnapshot
 
 MAX_IN_FLIGHT = 2
 CONFIG = MappingConfig(

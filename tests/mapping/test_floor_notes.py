@@ -1,10 +1,7 @@
 """What is said of a floor, for floors of structure voxels that are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-
 from hickory_stream.geometry.voxels import keys_of_points, sorted_unique
 from hickory_stream.mapping.floor_warnings import floor_warnings, tilt_warning
 from hickory_stream.records import MapSnapshot, ObservedSpace, Submap
@@ -42,20 +39,19 @@ def snapshot(*spaces: ObservedSpace, world_from_submap: np.ndarray | None = None
     return MapSnapshot(revision=1, stamp_ns=1, submaps=submaps, objects=())
 
 
-def test_a_level_floor_between_walls_is_nothing_to_speak_of() -> None:
+def test_a_level_floor_between_walls_is_nothing_to_speak_of():
     assert floor_warnings(snapshot(space_of(np.concatenate([plane(), wall(2.4), wall(-2.4)]), 0.0))) == ()
 
 
 @pytest.mark.parametrize(("tilt_deg", "uphill_deg"), [(1.5, 0.0), (2.0, 90.0), (3.0, -150.0), (5.0, 45.0)])
-def test_the_tilt_of_a_floor_is_told_to_a_tenth_of_a_degree_walls_or_not(tilt_deg: float, uphill_deg: float) -> None:
+def test_the_tilt_of_a_floor_is_told_to_a_tenth_of_a_degree(tilt_deg, uphill_deg):
     note = tilt_warning(space_of(np.concatenate([plane(tilt_deg, uphill_deg), wall(2.4)]), 0.0))
-    assert note is not None
     words = note.split()
     assert float(words[words.index("by") + 1]) == pytest.approx(tilt_deg, abs=0.2)
     assert float(words[words.index("towards") + 1]) == pytest.approx(uphill_deg, abs=4.0)
 
 
-def test_ground_that_rolls_or_has_a_step_has_no_tilt() -> None:
+def test_ground_that_rolls_or_has_a_step_has_no_tilt():
     rolling = plane()
     rolling[:, 2] = 0.15 * np.sin(2.5 * rolling[:, 0]) * np.cos(2.0 * rolling[:, 1])
     assert tilt_warning(space_of(rolling, 0.0)) is None
@@ -64,7 +60,7 @@ def test_ground_that_rolls_or_has_a_step_has_no_tilt() -> None:
     assert tilt_warning(space_of(step, 0.0)) is None
 
 
-def test_a_map_without_a_floor_says_so_and_one_that_saw_nothing_says_nothing() -> None:
+def test_a_map_without_a_floor_says_so_and_an_empty_one_does_not():
     (note,) = floor_warnings(snapshot(space_of(wall(1.0), None)))
     assert "no floor was seen" in note
     nothing = np.empty(0, dtype=np.int64)
@@ -73,12 +69,12 @@ def test_a_map_without_a_floor_says_so_and_one_that_saw_nothing_says_nothing() -
     )
 
 
-def test_a_floor_as_small_as_a_table_may_be_one() -> None:
+def test_a_floor_as_small_as_a_table_may_be_one():
     (note,) = floor_warnings(snapshot(space_of(lifted(0.7, half_m=0.5), 0.7)))
     assert "at z = 0.70 m, has an area of 1.0 m2 only and may be a table" in note
 
 
-def test_floors_of_two_storeys_are_told_in_the_world_and_a_step_is_none() -> None:
+def test_floors_of_two_storeys_are_listed_and_a_step_is_not():
     two = snapshot(space_of(plane(), 0.0), space_of(lifted(3.0), 3.0), space_of(lifted(0.2), 0.2))
     (note,) = floor_warnings(two)
     assert "2 levels, at z = 0.00 m, 3.00 m" in note

@@ -1,18 +1,12 @@
-"""Each invariant of the map's state is told where a state is broken on purpose."""
-
-from __future__ import annotations
-
 import logging
 import subprocess
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import InvariantError
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
@@ -30,18 +24,12 @@ from hickory_stream.mapping.rules.splitting import SplitCandidate
 from hickory_stream.records import Phase
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
 ROOT = Path(__file__).resolve().parent.parent.parent
 CONFIG = MappingConfig(
-    voxels=Lattice(object_m=VOXEL_M),
-    existence=ExistenceConfig(new_view_gain=1.0, same_view_gain=1.0, min_gain=1.0),
-    lifecycle=LifecycleConfig(confirm_sightings=2),
-    merge=MergeConfig(min_votes=2),
-    requests=RequestConfig(first_sightings=2),
-    submaps=SubmapConfig(travel_m=3.0),
-)
+    voxels=Lattice(object_m=VOXEL_M), existence=ExistenceConfig(new_view_gain=1.0, same_view_gain=1.0, min_gain=1.0),
+    lifecycle=LifecycleConfig(confirm_sightings=2), merge=MergeConfig(min_votes=2),
+    requests=RequestConfig(first_sightings=2), submaps=SubmapConfig(travel_m=3.0),
+)  # fmt: skip
 LEFT, RIGHT, FAR = (box_surface((x, 0, 0.1)) for x in (0.0, 0.2, 1.5))
 WHOLE = box_surface((0.1, 0, 0.1), (0.4, 0.2, 0.2))
 FLOOR = np.stack(np.meshgrid(np.arange(-1, 1, 0.05), np.arange(-1, 1, 0.05), [0.0]), axis=-1).reshape(-1, 3)
@@ -170,9 +158,7 @@ DAMAGE: list[tuple[str, Callable[[MapState], object]]] = [
 
 
 @pytest.mark.parametrize(("name", "damage"), DAMAGE, ids=[f"{i}: {name}" for i, (name, _) in enumerate(DAMAGE)])
-def test_a_state_that_is_broken_on_purpose_is_refused_by_the_name_of_what_it_breaks(
-    state: MapState, name: str, damage: Callable[[MapState], object]
-) -> None:
+def test_a_broken_state_is_refused_by_the_name_of_its_defect(state, name, damage):
     if "kept" in name:
         state.pending = None
         state.kept_views &= state.view_names()
@@ -182,20 +168,18 @@ def test_a_state_that_is_broken_on_purpose_is_refused_by_the_name_of_what_it_bre
         validate(state)
 
 
-def test_every_invariant_is_broken_by_one_of_these() -> None:
+def test_every_invariant_is_broken_by_one_of_these():
     broken = [[name for name in INVARIANTS if name.startswith(begin)] for begin, _ in DAMAGE]
     assert all(len(names) == 1 for names in broken)
     assert {names[0] for names in broken} == INVARIANTS.keys()
 
 
-def test_a_new_map_is_whole() -> None:
+def test_a_new_map_is_whole():
     MapperCore(CONFIG).validate()
 
 
 @pytest.mark.parametrize("level", [logging.DEBUG, logging.WARNING])
-def test_the_core_checks_its_state_after_every_event_where_debug_messages_are_logged(
-    level: int, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_core_checks_its_state_where_debug_is_logged(level, caplog):
     core = MapperCore(CONFIG)
     core._state.votes = VoteBook().plus([(8, 9)])
     with caplog.at_level(level, logger="hickory_stream"):
@@ -207,9 +191,7 @@ def test_the_core_checks_its_state_after_every_event_where_debug_messages_are_lo
 
 
 @pytest.mark.parametrize("options", [["--debug"], []], ids=["with --debug", "without"])
-def test_play_checks_the_state_with_debug_alone_and_ends_in_one_line_that_names_what_is_broken(
-    options: list[str], tmp_path: Path
-) -> None:
+def test_play_checks_with_debug_only_and_ends_in_one_line(options, tmp_path):
     # In a process of its own, where nobody has set up the logging before the command line does.
     script = (
         "import sys\n"

@@ -1,10 +1,6 @@
-"""After a correction the map is one: what lies elsewhere moves with its submap, is recognised, and is not double."""
-
 from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
-
 from hickory_stream.events import PosesCorrected, Publish, SourceEnded
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.journal.record_codec import decode, encode
@@ -43,7 +39,7 @@ def placed(core: MapperCore) -> PosesCorrected:
     return PosesCorrected(stamp_ns=20 * SECOND_NS, submap_ids=ids, world_from_submap=places)
 
 
-def test_two_objects_that_a_correction_brings_together_become_one_with_both_histories() -> None:
+def test_a_correction_joins_two_objects_with_both_histories():
     core = out_and_back(sees_home=True)
     assert [item.id for item in core.snapshot().objects] == [1, 2, 3]
     before = {item.id: item for item in core.snapshot().objects}
@@ -58,7 +54,7 @@ def test_two_objects_that_a_correction_brings_together_become_one_with_both_hist
     assert np.array_equal(lonely.points_world, before[2].points_world)
 
 
-def test_what_a_correction_looked_at_and_lies_elsewhere_is_compressed_again_with_what_was_joined() -> None:
+def test_a_corrected_track_elsewhere_is_compressed_again():
     core = out_and_back(sees_home=True)
     core.handle(placed(core))
     elsewhere, joins = core.state()["elsewhere"], core.state()["joins"]
@@ -77,7 +73,7 @@ def test_what_a_correction_looked_at_and_lies_elsewhere_is_compressed_again_with
     assert is_packed(home.cloud)
 
 
-def test_an_object_that_lies_elsewhere_is_recognised_where_it_lies_now_and_no_other_is_made() -> None:
+def test_an_object_in_a_moved_submap_is_recognised_there():
     core = out_and_back(sees_home=False)
     core.handle(placed(core))
     assert [item.id for item in core.snapshot().objects] == [1, 2]
@@ -91,12 +87,12 @@ def test_an_object_that_lies_elsewhere_is_recognised_where_it_lies_now_and_no_ot
     assert any(isinstance(effect, Publish) for effect in decisions)
 
 
-def test_without_a_correction_the_same_way_back_makes_a_second_object() -> None:
+def test_without_a_correction_the_way_back_makes_a_second_object():
     core = out_and_back(sees_home=True)
     assert len(core.snapshot().objects) == 3
 
 
-def test_what_lies_elsewhere_takes_no_part_where_it_was() -> None:
+def test_what_lies_elsewhere_takes_no_part_where_it_was():
     core = out_and_back(sees_home=False)
     core.handle(placed(core))
     drive(core, [at(12 + i, 0.1 * i, LONELY) for i in range(3)])
@@ -106,7 +102,7 @@ def test_what_lies_elsewhere_takes_no_part_where_it_was() -> None:
     assert len(core.snapshot().objects) == 3
 
 
-def test_a_correction_that_is_taken_back_brings_back_every_byte_of_what_was_not_seen_again() -> None:
+def test_a_withdrawn_correction_restores_every_byte():
     core = out_and_back(sees_home=False)
     before = encode_snapshot(core.snapshot())
     correction = placed(core)
@@ -116,7 +112,7 @@ def test_a_correction_that_is_taken_back_brings_back_every_byte_of_what_was_not_
     assert encode_snapshot(core.snapshot()) == before
 
 
-def test_a_core_goes_on_from_its_state_with_what_lies_elsewhere() -> None:
+def test_a_core_goes_on_from_its_state_with_what_lies_elsewhere():
     core = out_and_back(sees_home=False)
     core.handle(placed(core))
     again = MapperCore.from_state(core._config, decode(encode(core.state())))
@@ -125,7 +121,7 @@ def test_a_core_goes_on_from_its_state_with_what_lies_elsewhere() -> None:
     assert encode_snapshot(again.snapshot()) == encode_snapshot(core.snapshot())
 
 
-def test_a_track_that_is_moved_is_the_same_seen_from_there() -> None:
+def test_a_track_that_is_moved_is_the_same_seen_from_there():
     core = out_and_back(sees_home=False)
     tracks: dict = core.state()["tracks"]  # type: ignore[assignment, type-arg]
     track = tracks[1]

@@ -1,26 +1,17 @@
 """Tracks that are set aside as part of the room: tracked on, revised, filtered on output."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
-
-from hickory_stream.events import Publish, SourceEnded
+from numpy.typing import NDArray
+from hickory_stream.events import Effect, Event, Publish, SourceEnded
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.voxels import keys_of_points
 from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
+from hickory_stream.records import Decision
 from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.events import Effect, Event
-    from hickory_stream.records import Decision
 
 CONFIG = MappingConfig(
     voxels=Lattice(object_m=VOXEL_M), lifecycle=LifecycleConfig(confirm_sightings=3, phantom_frames=2)
@@ -53,7 +44,7 @@ def structure(core: MapperCore) -> int:
     return sum(len(submap.observed_space.structure) for submap in core.snapshot().submaps)
 
 
-def test_a_wardrobe_of_which_the_front_looked_like_a_wall_is_an_object_again_with_its_history() -> None:
+def test_a_wardrobe_taken_for_a_wall_becomes_an_object_again():
     core = MapperCore(CONFIG)
     effects = drive(core, [seen(i, FRONT) for i in range(4)])
     assert phases(effects) == ["set aside as part of the room"]
@@ -71,7 +62,7 @@ def test_a_wardrobe_of_which_the_front_looked_like_a_wall_is_an_object_again_wit
     assert [found.id for found in core.snapshot().objects] == [1]
 
 
-def test_a_front_that_lies_on_a_larger_thing_becomes_a_part_of_it() -> None:
+def test_a_front_on_a_larger_thing_becomes_a_part_of_it():
     core = MapperCore(CONFIG)
     drive(core, [seen(i, FRONT) for i in range(4)])
     effects = drive(core, [seen(4 + i, WARDROBE, angle_rad=0.5) for i in range(4)])
@@ -84,7 +75,7 @@ def test_a_front_that_lies_on_a_larger_thing_becomes_a_part_of_it() -> None:
     assert structure(core) == 0
 
 
-def test_what_is_part_of_the_room_to_the_end_is_dropped_as_structure_and_stays_an_obstacle() -> None:
+def test_a_final_room_track_is_dropped_as_structure():
     core = MapperCore(CONFIG)
     drive(core, [seen(i, FRONT) for i in range(5)])
     held = structure(core)
@@ -94,7 +85,7 @@ def test_what_is_part_of_the_room_to_the_end_is_dropped_as_structure_and_stays_a
     assert structure(core) == held > 100
 
 
-def test_more_of_the_same_view_revises_nothing() -> None:
+def test_more_of_the_same_view_revises_nothing():
     """Frames from one place are not independent: what grows by their noise alone stays set aside."""
     config = replace(CONFIG, lifecycle=replace(CONFIG.lifecycle, revise_evidence=8.0))
     core = MapperCore(config)
@@ -104,7 +95,7 @@ def test_more_of_the_same_view_revises_nothing() -> None:
     assert core.snapshot().objects == ()
 
 
-def test_pieces_of_what_is_part_of_the_room_are_no_objects_and_a_thing_before_it_is_one() -> None:
+def test_pieces_of_a_room_track_are_no_objects():
     core = MapperCore(CONFIG)
     drive(core, [seen(i, FRONT) for i in range(4)])
     thing = box_surface((0.8, 0.2, 0.3), (0.2, 0.2, 0.6))
@@ -113,7 +104,7 @@ def test_pieces_of_what_is_part_of_the_room_are_no_objects_and_a_thing_before_it
     assert np.allclose(item.box.center, (0.8, 0.2, 0.3), atol=0.03)
 
 
-def test_what_was_taken_for_a_part_of_the_room_and_is_seen_through_is_gone() -> None:
+def test_a_room_track_that_is_seen_through_is_gone():
     core = MapperCore(CONFIG)
     drive(core, [seen(i, FRONT) for i in range(4)])
     through = np.unique(keys_of_points(FRONT, CONFIG.voxels.space_m))
@@ -123,13 +114,12 @@ def test_what_was_taken_for_a_part_of_the_room_and_is_seen_through_is_gone() -> 
     assert sum(len(submap.observed_space.free) for submap in core.snapshot().submaps) == len(through)
 
 
-def test_the_segmenter_is_not_told_what_the_map_concluded_and_structure_that_frames_showed_is() -> None:
+def test_the_segmenter_gets_the_structure_that_frames_showed():
     core = MapperCore(CONFIG)
     wall = np.unique(keys_of_points(box_surface((3.0, 0.0, 1.2), (0.1, 4.0, 2.4)), CONFIG.voxels.space_m))
     shown = space(structure=wall, floor_z_m=0.0)
     drive(core, [keyframe(i, [observation(0, FRONT)], seen=shown) for i in range(4)])
     prior = core.prior()
-    assert prior is not None
     assert prior.space.structure.tolist() == wall.tolist()
     assert prior.objects == ()
     assert structure(core) > len(wall)

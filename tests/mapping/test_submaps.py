@@ -1,15 +1,11 @@
-"""Submaps: whose things are, what a jump of the odometry ends, and corrections that can be taken back."""
-
 from dataclasses import replace
 from functools import reduce
 from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-
 from hickory_stream.events import (
     FrameObserved,
     KeyframeRegistered,
@@ -45,15 +41,7 @@ from hickory_stream.mapping.entities.submaps import (
 from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
 from hickory_stream.mapping.rules.shape_requests import RequestConfig
 from hickory_stream.records import MapSnapshot, SpaceObservation
-from tests.mapping.mapping_fixtures import (
-    SECOND_NS,
-    VOXEL_M,
-    box_surface,
-    drive,
-    observation,
-    shape_ready,
-    space,
-)
+from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, drive, observation, shape_ready, space
 
 CONFIG = MappingConfig(
     voxels=Lattice(object_m=VOXEL_M),
@@ -104,17 +92,14 @@ def camera_at(x_m: float) -> NDArray[np.float64]:
     return pose
 
 
-# ---- the way ---------------------------------------------------------------------------------------------------------
-
-
-def test_an_object_belongs_to_the_submap_it_was_born_in_and_is_known_again_in_the_next() -> None:
+def test_an_object_belongs_to_its_first_submap():
     snapshot = walk().snapshot()
     assert [submap.id for submap in snapshot.submaps] == [0, 1, 2]
     assert whose(snapshot) == [(1, 0), (2, 0), (3, 1)]
     assert [item.sightings for item in snapshot.objects] == [3, 5, 5]
 
 
-def test_submaps_change_nothing_of_a_map_but_whose_things_are() -> None:
+def test_submaps_change_nothing_of_a_map_but_whose_things_are():
     split, whole = walk().snapshot(), walk(replace(CONFIG, submaps=SubmapConfig())).snapshot()
     assert len(whole.submaps) == 1
     same = replace(split, objects=tuple(replace(item, submap_id=0) for item in split.objects))
@@ -124,10 +109,9 @@ def test_submaps_change_nothing_of_a_map_but_whose_things_are() -> None:
         assert np.array_equal(np.sort(np.concatenate(parts)), getattr(whole.submaps[0].observed_space, name))
 
 
-def test_what_perception_knows_beforehand_does_not_end_with_a_submap() -> None:
+def test_prior_knowledge_of_perception_outlives_a_submap():
     split, whole = walk().prior(), walk(replace(CONFIG, submaps=SubmapConfig())).prior()
     assert split is not None
-    assert whole is not None
     split, whole = split.space, whole.space
     assert np.array_equal(split.structure, whole.structure)
     assert np.array_equal(split.free, whole.free)
@@ -135,7 +119,7 @@ def test_what_perception_knows_beforehand_does_not_end_with_a_submap() -> None:
     assert MapperCore(CONFIG).prior() is None
 
 
-def test_a_way_of_no_length_is_refused() -> None:
+def test_a_way_of_no_length_is_refused():
     with pytest.raises(ValueError, match=r"travel_m is 0\.0; expected 0\.01 to"):
         SubmapConfig(travel_m=0.0)
 
@@ -145,9 +129,7 @@ _KEYS = st.lists(st.integers(0, 30), max_size=12).map(lambda keys: np.unique(np.
 
 @given(st.lists(st.tuples(st.sampled_from(["seen", "went", "room"]), _KEYS, _KEYS), max_size=25))
 @settings(deadline=None)
-def test_every_voxel_is_in_one_submap_and_all_together_are_what_was_seen(
-    steps: list[tuple[str, NDArray[np.int64], NDArray[np.int64]]],
-) -> None:
+def test_every_voxel_is_in_one_submap_and_none_is_lost(steps):
     submaps, place = first_submap(0.05), 0.0
     for kind, free, structure in steps:
         if kind == "seen":
@@ -167,7 +149,7 @@ def test_every_voxel_is_in_one_submap_and_all_together_are_what_was_seen(
     assert len(np.unique(np.concatenate(owned))) == sum(map(len, owned))
 
 
-def test_a_submap_that_holds_nothing_of_what_became_room_stays_as_it_is() -> None:
+def test_a_submap_without_anything_of_the_room_stays_as_it_is():
     here, there = np.int64([3, 4]), np.int64([20, 21])
     submaps = with_seen(first_submap(0.05), space(free=here))
     for x_m in (0.0, 2.0):
@@ -179,7 +161,7 @@ def test_a_submap_that_holds_nothing_of_what_became_room_stays_as_it_is() -> Non
     assert with_room(now, there) is now
 
 
-def test_the_way_is_not_measured_across_a_jump_of_the_stamps() -> None:
+def test_the_way_is_not_measured_across_a_jump_of_the_stamps():
     def went(submaps: Submaps, x_m: float) -> Submaps:
         return travelled(submaps, camera_at(x_m), 0, SubmapConfig(travel_m=15.0, drift_m=100.0))
 
@@ -188,10 +170,7 @@ def test_the_way_is_not_measured_across_a_jump_of_the_stamps() -> None:
     assert len(went(there, 0.0).states) == 2
 
 
-# ---- a jump of the odometry ------------------------------------------------------------------------------------------
-
-
-def test_a_jump_closes_the_submap_and_what_is_seen_again_stays_the_object_that_it_was() -> None:
+def test_a_jump_closes_the_submap_and_objects_are_recognised():
     core = MapperCore(replace(CONFIG, submaps=SubmapConfig()))
     drive(core, [at(i, 0.0, A) for i in range(4)])
     drive(core, [PoseJumped(stamp_ns=4 * SECOND_NS, after_from_before=JUMP), *(at(4 + i, 0.0, A, B) for i in range(3))])
@@ -201,13 +180,13 @@ def test_a_jump_closes_the_submap_and_what_is_seen_again_stays_the_object_that_i
     assert snapshot.objects[0].sightings == 7
 
 
-def test_a_jump_before_any_keyframe_leaves_no_empty_submap() -> None:
+def test_a_jump_before_any_keyframe_leaves_no_empty_submap():
     core = MapperCore(CONFIG)
     drive(core, [PoseJumped(stamp_ns=0, after_from_before=JUMP), at(0, 0.0, A)])
     assert [submap.id for submap in core.snapshot().submaps] == [0]
 
 
-def test_after_a_jump_an_object_is_not_looked_through_until_it_is_seen_again() -> None:
+def test_after_a_jump_an_unseen_object_is_not_looked_through():
     inside = space(free=np.unique(keys_of_points(A, 0.05)))
     through = [at(4 + i, 0.0, space_seen=inside) for i in range(4)]
 
@@ -222,7 +201,7 @@ def test_after_a_jump_an_object_is_not_looked_through_until_it_is_seen_again() -
     assert ids(jump, at(4, 0.0, A), *(replace(f, frame_index=f.frame_index + 1) for f in through)) == []
 
 
-def test_a_wall_that_is_tracked_as_part_of_the_room_is_known_again_after_a_jump() -> None:
+def test_a_wall_tracked_as_room_is_known_again_after_a_jump():
     """A wall of 4 m was set aside; a piece of it that is seen later is the wall, and no object, with a jump or not."""
     wall = box_surface((0.0, 1.0, 1.2), (4.0, 0.2, 2.4))
     piece = box_surface((0.5, 1.0, 0.5), (0.8, 0.2, 0.8))
@@ -240,7 +219,7 @@ def test_a_wall_that_is_tracked_as_part_of_the_room_is_known_again_after_a_jump(
     assert after == alone
 
 
-def test_the_space_of_a_submap_that_a_jump_closed_stays_as_it_was() -> None:
+def test_the_space_of_a_closed_submap_stays():
     core = MapperCore(replace(CONFIG, submaps=SubmapConfig()))
     drive(core, [at(i, 0.0, A) for i in range(3)])
     before = core.snapshot().submaps[0].observed_space
@@ -248,9 +227,6 @@ def test_the_space_of_a_submap_that_a_jump_closed_stays_as_it_was() -> None:
     old, new = (submap.observed_space for submap in core.snapshot().submaps)
     assert old is before
     assert np.array_equal(new.structure, before.structure)
-
-
-# ---- corrections -----------------------------------------------------------------------------------------------------
 
 
 def with_shapes(core: MapperCore) -> MapperCore:
@@ -263,7 +239,7 @@ def with_shapes(core: MapperCore) -> MapperCore:
     return core
 
 
-def test_a_correction_moves_all_that_belongs_to_a_submap_and_nothing_else() -> None:
+def test_a_correction_moves_a_submap_with_its_contents_only():
     core = with_shapes(walk())
     before = core.snapshot()
     (published,) = core.handle(corrected((0, MOVE)))
@@ -293,7 +269,7 @@ def test_a_correction_moves_all_that_belongs_to_a_submap_and_nothing_else() -> N
         assert np.array_equal(was.observed_space.structure, now.observed_space.structure)
 
 
-def test_the_identity_undoes_corrections_to_the_last_byte() -> None:
+def test_the_identity_undoes_corrections_to_the_last_byte():
     core = with_shapes(walk())
     before = encode_snapshot(core.snapshot())
     core.handle(corrected((0, MOVE), (2, MOVE)))
@@ -303,7 +279,7 @@ def test_the_identity_undoes_corrections_to_the_last_byte() -> None:
     assert encode_snapshot(core.snapshot()) == before
 
 
-def test_after_a_correction_the_frames_go_on_in_the_world_of_the_odometry() -> None:
+def test_after_a_correction_frames_stay_in_the_odometry_world():
     plain, moved = walk(), walk()
     moved.handle(corrected((0, MOVE), (1, MOVE), (2, MOVE)))
     more = [at(9 + i, 4.0 - 0.5 * i, B, C) for i in range(3)]
@@ -315,7 +291,7 @@ def test_after_a_correction_the_frames_go_on_in_the_world_of_the_odometry() -> N
     assert encode_snapshot(moved.snapshot()) == encode_snapshot(plain.snapshot())
 
 
-def test_a_core_goes_on_from_its_state_with_its_submaps_and_their_places() -> None:
+def test_a_core_resumes_from_its_state_with_submaps_and_places():
     core = walk()
     core.handle(corrected((1, MOVE)))
     again = MapperCore.from_state(CONFIG, decode(encode(core.state())))
@@ -326,7 +302,7 @@ def test_a_core_goes_on_from_its_state_with_its_submaps_and_their_places() -> No
     assert encode_snapshot(again.snapshot()) == encode_snapshot(core.snapshot())
 
 
-def test_a_submap_that_is_not_there_is_refused_and_nothing_is_moved() -> None:
+def test_an_unknown_submap_is_refused_and_nothing_moves():
     core = walk()
     before = encode_snapshot(core.snapshot())
     with pytest.raises(ValueError, match="no submap 7; the map has 0 to 2"):
@@ -334,14 +310,14 @@ def test_a_submap_that_is_not_there_is_refused_and_nothing_is_moved() -> None:
     assert encode_snapshot(core.snapshot()) == before
 
 
-def test_a_transform_that_is_not_rigid_and_a_submap_named_twice_are_refused() -> None:
+def test_a_bad_transform_and_a_double_submap_are_refused():
     with pytest.raises(ValueError, match="submap 0 is no rigid transform"):
         corrected((0, np.diag([2.0, 1.0, 1.0, 1.0])))
     with pytest.raises(ValueError, match="named twice"):
         corrected((0, MOVE), (0, MOVE))
 
 
-def test_an_addition_to_space_follows_the_floor_of_the_open_submap_only() -> None:
+def test_an_addition_to_space_follows_the_open_submaps_floor():
     seen = SpaceObservation(free_keys=np.int64([1, 2]), structure_keys=np.int64([5]), floor_z_m=0.0)
     step = replace(seen, free_keys=np.int64([2, 3]), floor_z_m=-0.2)
     one = with_seen(travelled(first_submap(0.05), camera_at(0.0), 0, SubmapConfig()), seen)
@@ -351,7 +327,7 @@ def test_an_addition_to_space_follows_the_floor_of_the_open_submap_only() -> Non
     assert after_pose_jump(two).space.floor_z_m is None
 
 
-def test_a_floor_that_turns_out_to_be_a_table_is_none_in_the_submaps_before_either() -> None:
+def test_a_floor_found_to_be_a_table_is_none_in_older_submaps():
     seen = SpaceObservation(free_keys=np.int64([1, 2]), structure_keys=np.int64([5]), floor_z_m=0.0)
     one = with_seen(travelled(first_submap(0.05), camera_at(0.0), 0, SubmapConfig()), seen)
     two = with_seen(travelled(one, camera_at(20.0), 0, SubmapConfig()), replace(seen, floor_z_m=-0.5))
@@ -362,23 +338,13 @@ def registered(covariance: NDArray[np.float64], x_m: float, *, corrects: bool = 
     """A keyframe at (x_m, -2, 0.5), whose surface says nothing along the map's x."""
     pose = at(0, x_m).world_from_camera
     return KeyframeRegistered(
-        frame_index=0,
-        stamp_ns=0,
-        how="fits",
-        odometry_from_camera=pose,
-        map_from_camera=pose,
-        map_from_odometry=np.eye(4),
-        covariance=covariance,
-        corrects=corrects,
-        num_against=0,
-        is_anchor=True,
-        spread_per_m=0.0025,
-        fit=0.9,
-        degenerate=ALONG_X,
-    )
+        frame_index=0, stamp_ns=0, how="fits", odometry_from_camera=pose, map_from_camera=pose,
+        map_from_odometry=np.eye(4), covariance=covariance, corrects=corrects, num_against=0, is_anchor=True,
+        spread_per_m=0.0025, fit=0.9, degenerate=ALONG_X,
+    )  # fmt: skip
 
 
-def test_a_submap_keeps_the_covariance_of_its_least_sure_keyframe_unless_one_lies_where_odometry_has_it() -> None:
+def test_a_submap_keeps_the_covariance_of_its_worst_keyframe():
     narrow, wide = np.diag([1e-6] * 3 + [1e-4] * 3), np.diag([1e-6] * 3 + [1e-2] * 3)
     submaps = first_submap(0.05)
     for covariance in (narrow, wide, narrow):
@@ -390,7 +356,7 @@ def test_a_submap_keeps_the_covariance_of_its_least_sure_keyframe_unless_one_lie
     assert loose.states[0].registered is None
 
 
-def test_a_submap_adds_up_the_way_along_which_registration_and_odometry_saw_nothing() -> None:
+def test_a_submap_adds_up_the_unobserved_path():
     submaps = first_submap(0.05)
     for i in range(5):
         seen = replace(at(i, 0.25 * i), degenerate=ALONG_X if i < 3 else ALONG_X[:0])

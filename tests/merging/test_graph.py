@@ -1,8 +1,5 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
-
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.merging.layout import Relation, odometry, solve
 from tests.alignment.map_fixtures import frame
@@ -12,16 +9,12 @@ TRUE = [frame(0, 0, 0), frame(30, 4, 1), frame(-50, 2, 6), frame(170, -3, 2)]
 
 def relation(a: int, b: int, a_from_b: np.ndarray | None = None, strength: float = 10.0) -> Relation:
     return Relation(
-        a=a,
-        b=b,
-        a_from_b=invert(TRUE[a]) @ TRUE[b] if a_from_b is None else a_from_b,
-        covariance=np.eye(6) * 1e-4,
-        center_a=np.array([1.0, 2.0, 0.5]),
-        strength=strength,
-    )
+        a=a, b=b, a_from_b=invert(TRUE[a]) @ TRUE[b] if a_from_b is None else a_from_b, covariance=np.eye(6) * 1e-4,
+        center_a=np.array([1.0, 2.0, 0.5]), strength=strength,
+    )  # fmt: skip
 
 
-def test_maps_are_laid_out_along_their_alignments() -> None:
+def test_maps_are_laid_out_along_their_alignments():
     solved = solve(4, [], [relation(0, 1), relation(2, 1), relation(2, 3)])
     assert solved.is_believed == (True, True, True)
     for pose, true in zip(solved.root_from_node, TRUE, strict=True):
@@ -30,7 +23,7 @@ def test_maps_are_laid_out_along_their_alignments() -> None:
 
 
 @pytest.mark.parametrize("wrong_at", [0, 2, 5])
-def test_an_alignment_that_the_others_contradict_is_rejected(wrong_at: int) -> None:
+def test_an_alignment_that_the_others_contradict_is_rejected(wrong_at):
     pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     relations = [relation(a, b) for a, b in pairs]
     relations[wrong_at] = relation(*pairs[wrong_at], a_from_b=frame(80, 1, -4))
@@ -41,7 +34,7 @@ def test_an_alignment_that_the_others_contradict_is_rejected(wrong_at: int) -> N
         assert np.allclose(pose, true, atol=1e-2)
 
 
-def test_odometry_is_never_doubted() -> None:
+def test_odometry_is_never_doubted():
     step = invert(TRUE[0]) @ TRUE[1]
     wrong = frame(90, 0, 3)
     solved = solve(2, [odometry(0, 1, step)], [relation(0, 1, a_from_b=wrong)])
@@ -50,7 +43,7 @@ def test_odometry_is_never_doubted() -> None:
     assert np.allclose(solved.root_from_node[1], step, atol=1e-2)
 
 
-def test_what_hangs_on_nothing_is_left_out() -> None:
+def test_what_hangs_on_nothing_is_left_out():
     solved = solve(4, [], [relation(0, 1), relation(2, 3)])
     assert [pose is not None for pose in solved.root_from_node] == [True, True, False, False]
     assert solved.is_believed == (True, False)

@@ -1,25 +1,14 @@
-"""Maps in groups: those that alignments join, each group in the frame of its first map."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.merging.groups import groups_of
+from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
-
-if TYPE_CHECKING:
-    from hickory_stream.records import MapSnapshot
-
-pytestmark = pytest.mark.timeout(150)
 
 HERE, THERE = furniture(12, 7), furniture(12, 60)
 FRAMES = (frame(20, 1, 1), frame(70, 2, -1), frame(-130, 0.5, 3), frame(10, 4, 0), frame(33, 0, 2))
@@ -40,7 +29,7 @@ def answers(maps: list[MapSnapshot]) -> Answers:
     return {(a, b): align(objects[a], objects[b]) for a, b in combinations(range(len(maps)), 2)}
 
 
-def test_each_place_is_a_group_also_where_the_first_map_is_alone(maps: list[MapSnapshot], answers: Answers) -> None:
+def test_each_place_is_a_group_also_where_the_first_map_is_alone(maps, answers):
     found = groups_of(maps, answers)
     assert [group.members for group in found] == [(0,), (1, 3), (2, 4)]
     assert [group.pairs for group in found] == [(), ((1, 3),), ((2, 4),)]
@@ -69,9 +58,7 @@ def with_a_wrong_one(
 
 
 @pytest.mark.parametrize("bad", [(0, 1), (2, 3)])
-def test_an_alignment_that_the_others_contradict_joins_nothing(
-    here: tuple[list[MapSnapshot], dict[tuple[int, int], Alignment]], bad: tuple[int, int]
-) -> None:
+def test_an_alignment_that_the_others_contradict_joins_nothing(here, bad):
     maps, answers = with_a_wrong_one(here, 4, bad)
     assert len(answers) == 6
     (group,) = groups_of(maps, answers)
@@ -82,13 +69,11 @@ def test_an_alignment_that_the_others_contradict_joins_nothing(
 
 
 @pytest.mark.parametrize("bad", [(0, 1), (0, 2), (1, 2)])
-def test_a_ring_of_three_that_does_not_close_joins_nobody(
-    here: tuple[list[MapSnapshot], dict[tuple[int, int], Alignment]], bad: tuple[int, int]
-) -> None:
+def test_a_ring_of_three_that_does_not_close_joins_nobody(here, bad):
     """Any of the three may be the wrong one."""
     maps, answers = with_a_wrong_one(here, 3, bad)
     assert [group.members for group in groups_of(maps, answers)] == [(0,), (1,), (2,)]
 
 
-def test_without_answers_every_map_is_alone(maps: list[MapSnapshot]) -> None:
+def test_without_answers_every_map_is_alone(maps):
     assert [group.members for group in groups_of(maps, {})] == [(0,), (1,), (2,), (3,), (4,)]

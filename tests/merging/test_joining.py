@@ -1,18 +1,12 @@
-"""Maps are joined by surer alignments than `align` answers with."""
-
 import numpy as np
-import pytest
-
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment, Refusal
 from hickory_stream.alignment.object_map import taken
 from hickory_stream.merging.joining import JoiningConfig, aligned_to_join
 from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
 
-pytestmark = pytest.mark.timeout(150)
 
-
-def test_maps_are_joined_only_where_chance_hardly_gives_as_many_pairs() -> None:
+def test_maps_are_joined_only_beyond_chance():
     pair = simulate_pair(SimulationConfig(difficulty="easy"), 3)
     answer = align(pair.map_a, pair.map_b)
     assert isinstance(answer, Alignment)
@@ -27,7 +21,7 @@ def test_maps_are_joined_only_where_chance_hardly_gives_as_many_pairs() -> None:
     assert f"{len(answer.pairs)} pairs agree, and 10^{answer.log10_chance:.1f}" in too_weak.reason
 
 
-def test_what_align_refuses_is_refused_for_its_reason() -> None:
+def test_what_align_refuses_is_refused_for_its_reason():
     pair = simulate_pair(SimulationConfig(difficulty="easy"), 3)
     two = taken(pair.map_b, np.arange(2))
     nothing = aligned_to_join(pair.map_a, two)

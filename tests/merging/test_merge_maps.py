@@ -1,12 +1,9 @@
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
-
+from numpy.typing import NDArray
 from hickory_stream.cli import main
 from hickory_stream.config import RunConfig
 from hickory_stream.geometry.boxes import gravity_aligned_box
@@ -16,17 +13,9 @@ from hickory_stream.map_folder.views import crop_files, read_crop
 from hickory_stream.map_folder.writer import create_map_folder
 from hickory_stream.merging.clusters import Pairing, Place, clusters_of
 from hickory_stream.merging.merge_maps import merge_maps
+from hickory_stream.records import MapSnapshot
 from tests.alignment.map_fixtures import cloud, frame, furniture, snapshot_of
 from tests.engine.snapshot_fixtures import make_snapshot
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapSnapshot
-
-pytestmark = pytest.mark.timeout(150)
 
 ITEMS = furniture(16, 7)
 B_FROM_WORLD, C_FROM_WORLD = frame(70, 2, -1), frame(-130, 0.5, 3)
@@ -54,10 +43,7 @@ def save(path: Path, snapshot: MapSnapshot) -> Path:
     return path
 
 
-# ---- in memory ------------------------------------------------------------------------------------------------------
-
-
-def test_three_maps_become_one_with_every_object_once(three: list[MapSnapshot]) -> None:
+def test_three_maps_become_one_with_every_object_once(three):
     merged = merge_maps(three)
     assert merged.left_out == ()
     assert all(pair.is_believed for pair in merged.pairs)
@@ -70,7 +56,7 @@ def test_three_maps_become_one_with_every_object_once(three: list[MapSnapshot]) 
         assert np.linalg.norm(places - tracked.box.center, axis=1).min() < 0.05
 
 
-def test_every_object_knows_where_it_came_from(three: list[MapSnapshot]) -> None:
+def test_every_object_knows_where_it_came_from(three):
     merged = merge_maps(three)
     members = sorted(member for group in merged.provenance.values() for member in group)
     assert members == [(i, k) for i in range(3) for k in range(1, 13)]
@@ -81,7 +67,7 @@ def test_every_object_knows_where_it_came_from(three: list[MapSnapshot]) -> None
     assert both.sightings == 10
 
 
-def test_the_inputs_are_not_changed_and_neither_is_observed_space(three: list[MapSnapshot]) -> None:
+def test_the_inputs_and_observed_space_are_not_changed(three):
     before = [tracked.points_world.tobytes() for snapshot in three for tracked in snapshot.objects]
     merged = merge_maps(three)
     assert before == [tracked.points_world.tobytes() for snapshot in three for tracked in snapshot.objects]
@@ -90,15 +76,13 @@ def test_the_inputs_are_not_changed_and_neither_is_observed_space(three: list[Ma
         assert submap.observed_space is snapshot.submaps[0].observed_space
 
 
-def test_a_map_of_another_place_is_left_out(three: list[MapSnapshot]) -> None:
+def test_a_map_of_another_place_is_left_out(three):
     merged = merge_maps([*three[:2], snapshot_of(furniture(12, 99), np.eye(4))])
     assert merged.left_out == (2,)
     assert [(pair.a, pair.b) for pair in merged.pairs if pair.is_believed] == [(0, 1)]
 
 
-def test_where_the_first_map_is_alone_the_others_are_merged_in_the_frame_of_their_first(
-    three: list[MapSnapshot],
-) -> None:
+def test_if_the_first_map_is_alone_the_second_gives_the_frame(three):
     merged = merge_maps([snapshot_of(furniture(12, 99), np.eye(4)), *three[1:]])
     assert merged.left_out == (0,)
     assert merged.world_from_map[1] is not None
@@ -109,7 +93,7 @@ def test_where_the_first_map_is_alone_the_others_are_merged_in_the_frame_of_thei
     assert [(pair.a, pair.b) for pair in merged.pairs if pair.is_believed] == [(1, 2)]
 
 
-def test_a_cluster_has_one_object_of_each_map_and_surfaces_that_meet_are_one() -> None:
+def test_a_cluster_has_one_object_of_each_map():
     rng = np.random.default_rng(0)
     half = np.full(3, 0.2)
     members = [(0, 1), (0, 2), (1, 1), (1, 2), (2, 5)]
@@ -123,7 +107,7 @@ def test_a_cluster_has_one_object_of_each_map_and_surfaces_that_meet_are_one() -
     assert clusters_of(members, pairings, places, 0.5) == [((0, 1), (1, 1)), ((0, 2),), ((1, 2), (2, 5))]
 
 
-def test_what_a_map_has_as_one_does_not_take_the_place_of_the_several_things_that_another_has_there() -> None:
+def test_one_object_does_not_replace_several_of_another_map():
     rng = np.random.default_rng(0)
     lying = {(0, i): place(np.array([0.6 * i, 0, 0]), np.full(3, 0.2), rng) for i in range(3)}
     whole = np.concatenate([one.points for one in lying.values()])
@@ -135,12 +119,7 @@ def test_what_a_map_has_as_one_does_not_take_the_place_of_the_several_things_tha
     assert clusters_of(list(places), pairings, places, 0.5) == [((0, 0),), ((0, 1), (1, 5))]
 
 
-# ---- on disk --------------------------------------------------------------------------------------------------------
-
-
-def test_merge_writes_a_map_that_opens_and_names_its_sources(
-    three: list[MapSnapshot], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_merge_writes_a_map_that_opens_and_names_its_sources(three, tmp_path, capsys):
     paths = [save(tmp_path / name, snapshot) for name, snapshot in zip("abc", three, strict=True)]
     digests = [open_map(path).manifest.digest for path in paths]
     assert main(["merge", *map(str, paths), "-o", str(tmp_path / "m"), "--json"]) == 0
@@ -158,7 +137,7 @@ def test_merge_writes_a_map_that_opens_and_names_its_sources(
     assert json.loads(capsys.readouterr().out)["digest"] == told["digest"]
 
 
-def test_views_and_meshes_move_along_under_names_of_their_own(tmp_path: Path) -> None:
+def test_views_and_meshes_move_along_under_names_of_their_own(tmp_path):
     paths = []
     lossy = RunConfig(view_colors="jpeg")
     for name, pose, views_as in (("a", np.eye(4), RunConfig()), ("b", B_FROM_WORLD, lossy)):
@@ -194,7 +173,7 @@ def test_views_and_meshes_move_along_under_names_of_their_own(tmp_path: Path) ->
     )
 
 
-def test_maps_of_different_places_are_not_merged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_maps_of_different_places_are_not_merged(tmp_path, capsys):
     a = save(tmp_path / "a", snapshot_of(ITEMS[:10], np.eye(4)))
     b = save(tmp_path / "b", snapshot_of(furniture(10, 55), np.eye(4)))
     assert main(["merge", str(a), str(b), "-o", str(tmp_path / "m")]) == 3
@@ -202,9 +181,7 @@ def test_maps_of_different_places_are_not_merged(tmp_path: Path, capsys: pytest.
     assert not (tmp_path / "m").exists()
 
 
-def test_merge_refuses_one_map_and_a_result_that_is_an_input(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_merge_refuses_one_map_and_a_result_that_is_an_input(tmp_path, capsys):
     a, b = (save(tmp_path / name, snapshot_of(ITEMS[:4], np.eye(4))) for name in "ab")
     assert main(["merge", str(a), "-o", str(tmp_path / "m")]) == 2
     assert "at least two" in capsys.readouterr().err

@@ -1,11 +1,7 @@
 """A room of 6 x 4 m to plan in: a wall across with a door of 1 m, and a table; all of it seen, or not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-
 import numpy as np
-
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.geometry.voxels import keys_of_cells
 from hickory_stream.records import MapSnapshot, ObservedSpace, Submap, TrackedObject

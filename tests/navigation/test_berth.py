@@ -1,10 +1,5 @@
-"""A way keeps off what tends to move where it can, and says where it cannot."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
-
 from hickory_stream.navigation.berth import keep_off, passed_by
 from hickory_stream.navigation.free_space import free_space_of
 from hickory_stream.navigation.robot import load_robot
@@ -28,20 +23,20 @@ def away_m(way: Path) -> float:
 
 
 @pytest.mark.parametrize("berth_m", [0.0, 0.15, 0.3])
-def test_a_way_keeps_as_far_off_as_it_is_told(berth_m: float) -> None:
+def test_a_way_keeps_as_far_off_as_it_is_told(berth_m):
     way = planned(berth_m)
     assert isinstance(way, Path)
     # The jackal's narrow side is 0.215 m from its centre.
     assert away_m(way) >= berth_m + 0.2
 
 
-def test_where_there_is_no_room_for_a_berth_it_says_so() -> None:
+def test_where_there_is_no_room_for_a_berth_it_says_so():
     beside = np.array([1.5, 2.05])
     assert isinstance(planned(0.0, beside), Path)
     assert isinstance(planned(0.6, beside), NoPath)
 
 
-def test_only_what_is_asked_for_is_near() -> None:
+def test_only_what_is_asked_for_is_near():
     way = np.array([[0.5, 2.2], [2.4, 2.2]])
     made = snapshot(CHAIR)
     assert passed_by(way, made, [4], 0.16) == [4]

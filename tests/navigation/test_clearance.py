@@ -1,14 +1,10 @@
-"""Collision checks against brute force over every primitive."""
-
 from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
-
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, joined, log_implicit_value, taken
 from hickory_stream.geometry.superquadric_surface import display_mesh, surface_points
@@ -50,7 +46,7 @@ def one(semi_axes: tuple[float, float, float], at: tuple[float, float, float] = 
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 25))
-def test_every_point_is_answered_as_by_brute_force(seed: int, count: int) -> None:
+def test_every_point_is_answered_as_by_brute_force(seed, count):
     rng = np.random.default_rng(seed)
     primitives = random_primitives(rng, count)
     points = rng.uniform(-0.5, 4.5, (3000, 3))
@@ -65,7 +61,7 @@ def test_every_point_is_answered_as_by_brute_force(seed: int, count: int) -> Non
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 10_000))
-def test_updates_one_by_one_leave_the_scene_as_if_it_were_new(seed: int) -> None:
+def test_updates_one_by_one_leave_the_scene_as_if_it_were_new(seed):
     rng = np.random.default_rng(seed)
     first, second = random_primitives(rng, 12), random_primitives(rng, 12, size_m=9.0)
     scene = scene_of(first)
@@ -85,7 +81,7 @@ def test_updates_one_by_one_leave_the_scene_as_if_it_were_new(seed: int) -> None
 
 @settings(max_examples=4, deadline=None)
 @given(st.integers(0, 10_000))
-def test_the_bound_never_exceeds_the_distance_and_the_exact_one_is_that_to_the_surface(seed: int) -> None:
+def test_the_bound_never_exceeds_the_exact_distance(seed):
     rng = np.random.default_rng(seed)
     primitives = random_primitives(rng, 5)
     scene = scene_of(primitives)
@@ -103,7 +99,7 @@ def test_the_bound_never_exceeds_the_distance_and_the_exact_one_is_that_to_the_s
 
 @settings(max_examples=6, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([0.0, 0.1]), st.booleans())
-def test_no_sweep_is_free_that_touches(seed: int, radius: float, is_box: bool) -> None:
+def test_no_sweep_is_free_that_touches(seed, radius, is_box):
     rng = np.random.default_rng(seed)
     primitives = random_primitives(rng, 20)
     scene = scene_of(primitives)
@@ -129,9 +125,7 @@ def test_no_sweep_is_free_that_touches(seed: int, radius: float, is_box: bool) -
 
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([0.0, 0.1]), st.booleans(), st.sampled_from([0.0, 0.6]))
-def test_a_free_way_keeps_its_distance_and_a_hit_misses_by_no_more_than_is_said(
-    seed: int, radius: float, is_box: bool, length: float
-) -> None:
+def test_a_free_path_keeps_its_distance_and_a_hit_is_as_close(seed, radius, is_box, length):
     rng = np.random.default_rng(seed)
     primitives = random_primitives(rng, 8, size_m=1.5)
     half = np.array([0.1, 0.05, 0.2]) if is_box else np.zeros(3)
@@ -148,7 +142,7 @@ def test_a_free_way_keeps_its_distance_and_a_hit_misses_by_no_more_than_is_said(
 
 @pytest.mark.parametrize("exponent", [0.1, 1.0, 1.9985, 1.9999, 2.0])
 @pytest.mark.parametrize("gap_m", [1e-3, -1e-3])
-def test_a_way_along_an_edge_is_told_from_one_through_it(exponent: float, gap_m: float) -> None:
+def test_a_way_along_an_edge_is_told_from_one_through_it(exponent, gap_m):
     # The corner of a diamond, of what is nearly one, of a ball and of a box, passed on the skew.
     body = one((0.5, 0.3, 0.2), e=exponent)
     corner, outwards = np.array([0.5, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
@@ -160,7 +154,7 @@ def test_a_way_along_an_edge_is_told_from_one_through_it(exponent: float, gap_m:
     assert scene_of(body).clearance_m(place[None], is_exact=True)[0] == pytest.approx(0.1 + gap_m, abs=1e-6)
 
 
-def test_a_sphere_is_as_far_as_geometry_says_and_a_graze_counts_as_a_touch() -> None:
+def test_a_sphere_is_as_far_as_geometry_says_and_a_graze_touches():
     scene = scene_of(one((1.0, 1.0, 1.0)))
     points = np.array([[3.0, 0, 0], [0, 0, 1.5], [1.0, 1.0, 1.0]])
     expected = [2.0, 0.5, np.sqrt(3) - 1]
@@ -170,7 +164,7 @@ def test_a_sphere_is_as_far_as_geometry_says_and_a_graze_counts_as_a_touch() -> 
     assert scene.sweep(starts, ends, radius_m=0.1).tolist() == [Answer.FREE, Answer.HIT_SEEN]
 
 
-def test_generated_surface_is_a_hit_unless_the_caller_decides_otherwise() -> None:
+def test_generated_surface_is_a_hit_unless_the_caller_decides():
     two = Superquadrics(
         exponents=np.ones((2, 2)),
         semi_axes_m=np.ones((2, 3)),
@@ -184,7 +178,7 @@ def test_generated_surface_is_a_hit_unless_the_caller_decides_otherwise() -> Non
     assert scene.is_free(points, may_touch_generated=True).tolist() == [False, True, True]
 
 
-def test_a_box_for_what_a_fit_left_out_counts_as_seen_and_one_around_everything_as_its_object_does() -> None:
+def test_a_box_for_leftovers_counts_as_seen():
     left_out = joined([one((0.5, 0.5, 0.5)), one((0.2, 0.2, 0.2), (2.0, 0, 0))])
     item = tracked(1, left_out)
     assert item.shape is not None
@@ -199,7 +193,7 @@ def test_a_box_for_what_a_fit_left_out_counts_as_seen_and_one_around_everything_
     assert scene.classify(points).tolist() == [Answer.HIT_GENERATED, Answer.HIT_GENERATED]
 
 
-def test_what_was_never_seen_is_unknown_and_a_wall_is_a_hit() -> None:
+def test_what_was_never_seen_is_unknown_and_a_wall_is_a_hit():
     scene = scene_of(one((0.3, 0.3, 0.3)))
     free, wall = np.array([[1.0, 0, 0], [0.0, 0, 0]]), np.array([[2.0, 0, 0]])
     space = ObservedSpace(
@@ -215,7 +209,7 @@ def test_what_was_never_seen_is_unknown_and_a_wall_is_a_hit() -> None:
     assert scene.classify(points)[3] == Answer.FREE
 
 
-def test_an_empty_scene_is_free_and_a_broken_primitive_is_refused() -> None:
+def test_an_empty_scene_is_free_and_a_broken_primitive_refused():
     scene = ClearanceScene()
     points = np.zeros((3, 3))
     assert (scene.classify(points) == Answer.FREE).all()
@@ -225,6 +219,6 @@ def test_an_empty_scene_is_free_and_a_broken_primitive_is_refused() -> None:
         scene.put(1, one((np.nan, 1.0, 1.0)))
 
 
-def test_points_that_are_no_numbers_are_in_no_primitive_and_never_free_of_the_unknown() -> None:
+def test_points_that_are_not_numbers_are_never_free_of_unknown():
     scene = scene_of(one((1.0, 1.0, 1.0)))
     assert scene.classify(np.array([[np.nan, 0, 0], [np.inf, 0, 0]])).tolist() == [Answer.FREE, Answer.FREE]

@@ -1,16 +1,10 @@
-"""What other programs read: map_server's files by its own rules, MJCF in MuJoCo, URDF as XML with meshes."""
-
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 from xml.etree import ElementTree
-
 import cv2
 import numpy as np
 import pytest
 import trimesh
-
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric import support
 from hickory_stream.geometry.superquadric_surface import display_mesh
@@ -24,11 +18,8 @@ from tests.engine.snapshot_fixtures import box_mesh, placed
 from tests.navigation.rooms import boxes, snapshot, table
 from tests.navigation.test_clearance import random_primitives
 
-if TYPE_CHECKING:
-    from pathlib import Path
 
-
-def test_a_grid_is_read_back_by_the_rules_of_map_server(tmp_path: Path) -> None:
+def test_a_grid_is_read_back_by_the_rules_of_map_server(tmp_path):
     frame = frame_around(np.array([-1.0, 0.5]), np.array([0.5, 1.5]), 0.25)
     states = np.random.default_rng(0).choice([-1, 0, 100], frame.shape).astype(np.int8)
     (tmp_path / "grid.pgm").write_bytes(pgm_of(states))
@@ -53,7 +44,7 @@ def test_a_grid_is_read_back_by_the_rules_of_map_server(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_polyhedron_around_a_primitive_holds_it_and_is_closed(seed: int) -> None:
+def test_a_primitives_polyhedron_is_closed_and_holds_it(seed):
     primitives = random_primitives(np.random.default_rng(seed), 6)
     for i in range(len(primitives)):
         vertices, faces = polyhedron_around(primitives, i)
@@ -91,7 +82,7 @@ def write(files: dict[str, bytes], folder: Path) -> None:
         (folder / name).write_bytes(data)
 
 
-def test_mujoco_opens_the_mjcf_and_a_ball_comes_to_rest_on_the_table(tmp_path: Path) -> None:
+def test_mujoco_opens_the_mjcf_and_a_ball_rests_on_the_table(tmp_path):
     mujoco = pytest.importorskip("mujoco")
     objects, walls = scene()
     write(mjcf_files(objects, walls, 0.0, "room"), tmp_path)
@@ -112,11 +103,10 @@ def test_mujoco_opens_the_mjcf_and_a_ball_comes_to_rest_on_the_table(tmp_path: P
     assert at.geom_xpos[names.index("table-0")] == pytest.approx([1.5, 2.0, 0.7], abs=1e-6)
 
 
-def test_mujoco_has_the_texture_of_an_object_the_right_way_round(tmp_path: Path) -> None:
+def test_mujoco_has_the_texture_of_an_object_the_right_way_round(tmp_path):
     mujoco = pytest.importorskip("mujoco")
     objects, walls = scene()
     mesh = objects[0].mesh
-    assert mesh is not None
     low, size = mesh.vertices.min(axis=0), np.ptp(mesh.vertices, axis=0)
     # The picture as on the front of the table: left red, right blue, the lower half darker.
     right, height = ((mesh.vertices - low) / size)[:, [0, 2]].T
@@ -136,7 +126,7 @@ def test_mujoco_has_the_texture_of_an_object_the_right_way_round(tmp_path: Path)
     assert (model.tex_data[: image.size].reshape(image.shape) == image).all()
 
 
-def test_the_urdf_has_a_link_for_each_object_whose_meshes_lie_where_the_object_is(tmp_path: Path) -> None:
+def test_the_urdf_has_a_link_for_each_object_at_its_place(tmp_path):
     objects, walls = scene()
     write(urdf_files(objects, walls, 0.0, "room"), tmp_path)
     root = ElementTree.parse(tmp_path / "scene.urdf").getroot()

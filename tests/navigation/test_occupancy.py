@@ -1,14 +1,10 @@
-"""Grids: updated one by one as if new, unknown where nobody looked, refused where too large."""
-
 from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
-
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics, taken
@@ -22,7 +18,6 @@ from tests.navigation.rooms import boxes, seen_room, snapshot, table
 from tests.navigation.test_clearance import random_primitives
 
 # The first call of a kernel compiles it.
-pytestmark = pytest.mark.timeout(120)
 
 PART = Part(low_m=0.5, high_m=1.5, disc_m=0.1)
 
@@ -36,7 +31,7 @@ def grid_of(primitives: Superquadrics) -> Occupancy:
 
 @settings(max_examples=10)
 @given(st.integers(0, 10_000))
-def test_updates_one_by_one_leave_the_grid_as_if_it_were_new(seed: int) -> None:
+def test_updates_one_by_one_leave_the_grid_as_if_it_were_new(seed):
     rng = np.random.default_rng(seed)
     first, second = random_primitives(rng, 10), random_primitives(rng, 10)
     grid = grid_of(first)
@@ -51,14 +46,14 @@ def test_updates_one_by_one_leave_the_grid_as_if_it_were_new(seed: int) -> None:
     assert not grid.is_occupied().any()
 
 
-def test_a_grid_that_would_need_too_much_memory_is_refused_with_the_number() -> None:
+def test_a_grid_of_too_much_memory_is_refused_with_the_number():
     with pytest.raises(InputError, match=r"1000001 x 1000001 cells .* takes 8,583,086 MiB, allowed are 1,024"):
         frame_around(np.zeros(2), np.full(2, 1000.0005), 0.001)
     with pytest.raises(InputError, match="a cell of nan m"):
         frame_around(np.zeros(2), np.ones(2), float("nan"))
 
 
-def test_what_is_not_finite_is_refused_by_name() -> None:
+def test_what_is_not_finite_is_refused_by_name():
     grid = grid_of(table())
     bad = boxes(((1.0, np.nan, 1.0), (0.1, 0.1, 0.1)))
     with pytest.raises(ValueError, match="object 3 has a superquadric that is not finite"):
@@ -69,7 +64,7 @@ def test_what_is_not_finite_is_refused_by_name() -> None:
 
 @settings(max_examples=20)
 @given(st.integers(0, 10_000))
-def test_the_distance_field_never_promises_too_much(seed: int) -> None:
+def test_the_distance_field_never_promises_too_much(seed):
     rng = np.random.default_rng(seed)
     blocked = rng.random((30, 40)) < 0.02
     found = distance_field_m(blocked, 0.05)
@@ -84,7 +79,7 @@ def test_the_distance_field_never_promises_too_much(seed: int) -> None:
 
 
 @given(st.integers(0, 1000))
-def test_rectangles_make_up_the_mask_without_overlap(seed: int) -> None:
+def test_rectangles_make_up_the_mask_without_overlap(seed):
     mask = np.random.default_rng(seed).random((9, 11)) < 0.6
     counts = np.zeros(mask.shape, int)
     for a, b, c, d in rectangles(mask):
@@ -93,7 +88,7 @@ def test_rectangles_make_up_the_mask_without_overlap(seed: int) -> None:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4])
-def test_walls_are_occupied_what_nobody_saw_is_unknown_and_the_floor_is_neither(yaw: float) -> None:
+def test_walls_are_occupied_and_unseen_cells_unknown(yaw):
     c, s = np.cos(yaw), np.sin(yaw)
     pose = from_rotation_translation(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]), np.array([0.3, -0.2, 0.0]))
     submaps = snapshot(space=seen_room(dark_m=(4.0, 5.0)), world_from_submap=pose).submaps
@@ -117,7 +112,7 @@ def test_walls_are_occupied_what_nobody_saw_is_unknown_and_the_floor_is_neither(
     assert at(-0.5, -0.5) == Cell.UNKNOWN
 
 
-def test_what_submaps_saw_between_them_is_as_known_as_if_one_had_seen_it_all() -> None:
+def test_submaps_together_know_as_much_as_one():
     whole = seen_room(dark_m=(4.0, 5.0))
     # At random: columns that are cut across and in height, seams everywhere.
     is_first = np.random.default_rng(0).random(len(whole.free)) < 0.5
@@ -143,9 +138,7 @@ def test_what_submaps_saw_between_them_is_as_known_as_if_one_had_seen_it_all() -
 
 @given(st.floats(-3.1, 3.1), st.floats(-0.05, 0.05), st.floats(-9.0, 9.0), st.floats(-9.0, 9.0))
 @settings(max_examples=15)
-def test_a_submap_is_looked_up_only_around_it_and_nothing_is_missed(
-    yaw: float, tilt: float, x: float, y: float
-) -> None:
+def test_a_submap_is_searched_only_around_it(yaw, tilt, x, y):
     turn = trimesh.transformations.euler_matrix(tilt, -tilt / 2, yaw)[:3, :3]
     pose = from_rotation_translation(turn, np.array([x, y, 0.1]))
     submaps = snapshot(space=seen_room(dark_m=(4.0, 5.0)), world_from_submap=pose).submaps
@@ -158,7 +151,7 @@ def test_a_submap_is_looked_up_only_around_it_and_nothing_is_missed(
         assert np.array_equal(found, seen_columns(submaps, frame, band, 0.0).is_known)
 
 
-def test_the_walls_of_a_submap_that_a_correction_tilts_a_little_are_as_few_as_before_it() -> None:
+def test_a_tilting_correction_does_not_add_walls():
     level, band = snapshot().submaps[0], Band(low_m=0.05, high_m=0.6)
 
     def tilted(rad: float) -> Submap:

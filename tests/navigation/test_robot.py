@@ -1,17 +1,12 @@
-"""Robots from TOML: those that ship, and what is refused."""
-
-from pathlib import Path
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import ConfigError
 from hickory_stream.navigation.robot import Part, grown, load_robot, robot_names, turned
 
 SPHERES = '[[posture]]\nname = "arm"\nspheres_m = [[0.0, 0.0, 0.3, 0.2], [0.3, 0.0, 0.6, 0.1]]\n'
 
 
-def test_the_robots_that_ship_can_be_loaded_and_are_as_large_as_they_say() -> None:
+def test_the_robots_that_ship_load_with_their_stated_size():
     assert robot_names() == ("b2", "jackal", "point")
     heights = {name: [posture.height_m for posture in load_robot(name).postures] for name in robot_names()}
     assert heights == {"b2": [0.645, 0.42], "jackal": [0.45, 0.26], "point": [0.2]}
@@ -19,7 +14,7 @@ def test_the_robots_that_ship_can_be_loaded_and_are_as_large_as_they_say() -> No
     assert load_robot("b2").reach_m == pytest.approx(np.hypot(0.549, 0.225))
 
 
-def test_a_robot_of_spheres_is_read_from_a_file(tmp_path: Path) -> None:
+def test_a_robot_of_spheres_is_read_from_a_file(tmp_path):
     path = tmp_path / "arm.toml"
     path.write_text(SPHERES)
     robot = load_robot(str(path))
@@ -48,21 +43,21 @@ def test_a_robot_of_spheres_is_read_from_a_file(tmp_path: Path) -> None:
         ("[[posture", "robot"),
     ],
 )
-def test_a_file_that_is_no_robot_is_refused_with_the_reason(tmp_path: Path, text: str, complaint: str) -> None:
+def test_a_file_that_is_no_robot_is_refused_with_the_reason(tmp_path, text, complaint):
     path = tmp_path / "bad.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=complaint):
         load_robot(str(path))
 
 
-def test_a_robot_that_nobody_knows_is_refused_with_those_that_are_known() -> None:
+def test_an_unknown_robot_is_refused_with_the_known_ones():
     with pytest.raises(ConfigError, match="known are b2, jackal, point"):
         load_robot("rover")
     with pytest.raises(ConfigError, match="cannot read the robot"):
         load_robot("no/such/file.toml")
 
 
-def test_a_turned_part_covers_its_corners_in_every_heading_of_the_range() -> None:
+def test_a_turned_part_covers_its_corners_in_every_heading():
     part = Part(low_m=0.0, high_m=1.0, corners_m=np.array([[0.5, 0.2], [-0.5, 0.2], [-0.5, -0.2], [0.5, -0.2]]))
     covering = turned(part, 0.7, 0.3).corners_m
     directions = np.linspace(0, 2 * np.pi, 90)

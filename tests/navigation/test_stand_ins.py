@@ -1,14 +1,8 @@
-"""What a robot keeps off before the map is sure: stand-ins hold what was seen, and what is of no track is occupied."""
-
-from __future__ import annotations
-
 from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.lazy_arrays import give_up
 from hickory_stream.geometry.sketch import sketch
@@ -51,7 +45,6 @@ def cells_of_crate() -> np.ndarray:
 
 def state_at(costmap: Costmap, of: MapSnapshot, place: np.ndarray) -> int:
     update = costmap.update(of)
-    assert update is not None
     assert update.is_whole
     row, column = update.frame.cells_of(place[None])[0]
     return int(update.states[row, column])
@@ -68,9 +61,7 @@ def held_share(body: Superquadrics, points: np.ndarray) -> float:
     with_sketch=st.booleans(),
 )
 @settings(max_examples=40, deadline=None)
-def test_a_stand_in_holds_every_point_with_a_margin(
-    size: tuple[float, float, float], power: float, seed: int, with_sketch: bool
-) -> None:
+def test_a_stand_in_holds_every_point_with_a_margin(size, power, seed, with_sketch):
     rng = np.random.default_rng(seed)
     rays = rng.normal(size=(400, 3))
     rays = np.sign(rays) * np.abs(rays) ** power
@@ -97,7 +88,7 @@ def seen_as(points: np.ndarray) -> TrackedObject:
     return replace(crate(), points_world=points.astype(np.float32), colors=colors, box=box)
 
 
-def test_a_lamp_is_no_pillar() -> None:
+def test_a_lamp_is_no_pillar():
     lamp = points_of(((0, 0, 0), (0.3, 0.3, 0.02)), ((0.14, 0.14, 0.02), (0.16, 0.16, 1.2)))
     body = stand_in_of(seen_as(lamp))
     assert held_share(body, lamp) == 1.0
@@ -105,13 +96,13 @@ def test_a_lamp_is_no_pillar() -> None:
     assert volumes_m3(body).sum() < 0.03
 
 
-def test_the_inside_of_a_thing_of_which_two_sides_were_seen_stays_inside() -> None:
+def test_the_inside_of_a_half_seen_thing_stays_inside():
     corner = points_of(((0, 0, 0), (0.6, 0.0, 0.6)), ((0, 0, 0), (0.0, 0.6, 0.6)))
     body = stand_in_of(seen_as(corner))
     assert held_share(body, points_of(((0.2, 0.2, 0.1), (0.3, 0.3, 0.5)))) == 1.0
 
 
-def test_a_stand_in_takes_the_smaller_of_box_and_sketch() -> None:
+def test_a_stand_in_takes_the_smaller_of_box_and_sketch():
     rng = np.random.default_rng(0)
     rays = rng.normal(size=(2000, 3))
     ball = (rays / np.linalg.norm(rays, axis=1, keepdims=True) * 0.3 + [4.5, 1.0, 0.3]).astype(np.float32)
@@ -122,26 +113,25 @@ def test_a_stand_in_takes_the_smaller_of_box_and_sketch() -> None:
 
 
 @pytest.mark.parametrize("phase", [Phase.TENTATIVE, Phase.ACTIVE, Phase.DORMANT])
-def test_in_a_live_run_a_thing_is_in_the_way_from_its_first_sighting_on(phase: Phase) -> None:
+def test_in_a_live_run_a_thing_blocks_from_its_first_sighting(phase):
     seen = snapshot(crate(phase))
     assert state_at(Costmap(ROBOT, cell_m=0.05, seen=SeenSurface()), seen, CRATE_AT) == Cell.OCCUPIED
 
 
-def test_without_a_live_run_what_was_hardly_seen_is_not_in_the_way() -> None:
+def test_in_a_saved_map_a_hardly_seen_thing_does_not_block():
     assert state_at(Costmap(ROBOT, cell_m=0.05), snapshot(crate()), CRATE_AT) == Cell.FREE
 
 
-def test_the_real_shape_replaces_the_stand_in_when_it_comes() -> None:
+def test_the_real_shape_replaces_the_stand_in_when_it_comes():
     (before,) = early_obstacles([crate(Phase.ACTIVE)])
     finished = crate(Phase.ACTIVE, with_shape=True)
     (after,) = early_obstacles([finished])
     assert before.is_observed_only
     assert not after.is_observed_only
-    assert finished.shape is not None
     assert after.body is finished.shape.inflated
 
 
-def test_of_what_did_not_change_the_stand_in_is_made_once_and_of_what_did_anew() -> None:
+def test_a_stand_in_is_remade_only_when_its_object_changed():
     still, moving = crate(), replace(crate(), id=7)
     before = early_obstacles([still, moving])
     grown = replace(moving, points_world=moving.points_world + np.float32(0.1))
@@ -172,20 +162,19 @@ class Noted:
         pass
 
 
-def test_a_stand_in_is_put_into_the_grid_again_only_where_its_object_changed() -> None:
+def test_a_stand_in_re_enters_the_grid_only_after_a_change():
     still, moving = crate(), replace(crate(), id=7)
     points = still.points_world
     give_up(still, lambda name: points.copy(), "points_world")  # as those of a run are
     followed = Followed(lambda frame, _: Noted(frame), (0.0, 1.0), cell_m=0.05, seen=SeenSurface())
     grid = followed.update(snapshot(still, moving))
-    assert grid is not None
     assert grid.put_ids == [2, 7]
     followed.update(snapshot(still, moving))
     followed.update(snapshot(still, replace(moving, sightings=moving.sightings + 1)))
     assert grid.put_ids == [2, 7, 7]
 
 
-def test_what_was_seen_and_is_of_no_track_blocks_until_rays_pass_there_twice() -> None:
+def test_surface_of_no_track_blocks_until_rays_pass_twice():
     seen, empty = SeenSurface(), snapshot()
     seen.add(surface(surface_cells=cells_of_crate()), empty)
     assert state_at(Costmap(ROBOT, cell_m=0.05, seen=seen), empty, CRATE_AT) == Cell.OCCUPIED
@@ -194,7 +183,7 @@ def test_what_was_seen_and_is_of_no_track_blocks_until_rays_pass_there_twice() -
         assert state_at(Costmap(ROBOT, cell_m=0.05, seen=seen), empty, CRATE_AT) == expected
 
 
-def test_a_thing_that_is_seen_again_is_not_looked_through() -> None:
+def test_a_thing_that_is_seen_again_is_not_looked_through():
     seen, empty = SeenSurface(), snapshot()
     for _ in range(3):
         seen.add(surface(surface_cells=cells_of_crate()), empty)
@@ -202,7 +191,7 @@ def test_a_thing_that_is_seen_again_is_not_looked_through() -> None:
     assert state_at(Costmap(ROBOT, cell_m=0.05, seen=seen), empty, CRATE_AT) == Cell.OCCUPIED
 
 
-def test_the_floor_is_no_obstacle_and_what_is_higher_than_the_robot_is_none() -> None:
+def test_the_floor_and_what_is_above_the_robot_do_not_block():
     seen, empty = SeenSurface(), snapshot()
     floor = cells_of_crate() * [1, 1, 0]
     seen.add(surface(surface_cells=np.concatenate([floor, floor + np.array([0, 0, 38])])), empty)
@@ -210,7 +199,7 @@ def test_the_floor_is_no_obstacle_and_what_is_higher_than_the_robot_is_none() ->
     assert state_at(Costmap(low, cell_m=0.05, seen=seen), empty, CRATE_AT) == Cell.FREE
 
 
-def test_surface_of_an_object_with_a_layer_four_is_no_obstacle_of_its_own() -> None:
+def test_surface_of_an_object_with_layer_four_blocks_once():
     seen = SeenSurface()
     finished = snapshot(crate(Phase.ACTIVE, with_shape=True))
     seen.add(surface(surface_cells=cells_of_crate()), finished)
@@ -218,7 +207,7 @@ def test_surface_of_an_object_with_a_layer_four_is_no_obstacle_of_its_own() -> N
     assert len(space.hulls[SEEN_SURFACE]) == 0
 
 
-def test_surface_stays_with_its_submap_when_that_is_placed_anew() -> None:
+def test_surface_stays_with_its_submap_when_that_is_placed_anew():
     seen = SeenSurface()
     seen.add(surface(surface_cells=cells_of_crate()), snapshot())
     moved = np.eye(4)
@@ -228,7 +217,7 @@ def test_surface_stays_with_its_submap_when_that_is_placed_anew() -> None:
     assert state_at(Costmap(ROBOT, cell_m=0.05, seen=seen), moved_snapshot, CRATE_AT - [1, 0]) == Cell.OCCUPIED
 
 
-def test_a_planner_goes_around_what_was_seen_once_and_the_collision_check_refuses_the_way_through() -> None:
+def test_a_planner_avoids_what_was_seen_once():
     start, goal = np.array([3.6, 1.0]), np.array([5.6, 1.0])
     seen = SeenSurface()
     seen.add(surface(surface_cells=cells_of_crate() + np.array([0, 12, 0])), snapshot())
@@ -243,7 +232,7 @@ def test_a_planner_goes_around_what_was_seen_once_and_the_collision_check_refuse
     assert not is_verified(early, through_the_unnamed, np.zeros(1, np.int64))
 
 
-def test_what_is_in_the_way_is_said_to_be_observed_only() -> None:
+def test_what_is_in_the_way_is_said_to_be_observed_only():
     seen = SeenSurface()
     seen.add(surface(surface_cells=cells_of_crate() + np.array([0, 30, 0])), snapshot())
     space = free_space_of(snapshot(crate()), ROBOT, seen=seen)

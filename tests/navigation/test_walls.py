@@ -1,15 +1,9 @@
-"""Walls for simulators: few long boxes that are what was seen, no posts, no noise."""
-
-from __future__ import annotations
-
 from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.voxels import cells_of_keys, keys_of_cells
 from hickory_stream.navigation.observed import Band, wall_hulls
@@ -47,7 +41,7 @@ def num_posts(hulls: np.ndarray) -> int:
 
 
 @given(arrays(bool, st.tuples(*[st.integers(1, 6)] * 3)))
-def test_the_union_of_the_boxes_is_the_mask(mask: np.ndarray) -> None:
+def test_the_union_of_the_boxes_is_the_mask(mask):
     covered = np.zeros_like(mask)
     for x0, y0, z0, x1, y1, z1 in boxes_of(mask):
         assert mask[x0:x1, y0:y1, z0:z1].all()
@@ -55,14 +49,14 @@ def test_the_union_of_the_boxes_is_the_mask(mask: np.ndarray) -> None:
     assert np.array_equal(covered, mask)
 
 
-def test_a_solid_is_one_box_and_a_room_of_four_walls_is_four() -> None:
+def test_a_solid_is_one_box_and_a_room_of_four_walls_is_four():
     assert len(boxes_of(np.ones((9, 4, 7), bool))) == 1
     room = np.ones((30, 20, 10), bool)
     room[1:-1, 1:-1] = False
     assert len(boxes_of(room)) == 4
 
 
-def test_the_walls_of_a_room_are_all_their_cells_in_a_handful_of_boxes() -> None:
+def test_the_walls_of_a_room_are_a_handful_of_boxes():
     submap = room_with(np.empty((0, 3), int))
     hulls = wall_boxes([submap], BAND, 0.0)
     cells = cells_of_keys(submap.observed_space.structure)
@@ -71,7 +65,7 @@ def test_the_walls_of_a_room_are_all_their_cells_in_a_handful_of_boxes() -> None
     assert len(hulls) == 6
 
 
-def test_voxels_of_noise_before_a_wall_are_posts_to_a_planner_and_nothing_to_a_simulator() -> None:
+def test_noise_before_a_wall_is_posts_for_planners_only():
     rng = np.random.default_rng(3)
     noise = np.column_stack([rng.permutation(np.arange(5, 115, 2))[:30], np.full(30, 2), rng.integers(3, 38, 30)])
     submap = room_with(noise)
@@ -81,7 +75,7 @@ def test_voxels_of_noise_before_a_wall_are_posts_to_a_planner_and_nothing_to_a_s
     assert len(hulls) == 6
 
 
-def test_a_wall_that_a_sofa_hides_reaches_the_floor_and_a_counter_keeps_its_height() -> None:
+def test_a_wall_behind_a_sofa_reaches_the_floor():
     hidden, counter = block((20, -1, 0), (60, 0, 18)), block((70, 60, 0), (100, 72, 18))
     found = cells_in(wall_boxes([room_with(counter, without=hidden)], BAND, 0.0))
     assert {tuple(cell) for cell in hidden.tolist() if cell[2] >= 1} <= found
@@ -89,7 +83,7 @@ def test_a_wall_that_a_sofa_hides_reaches_the_floor_and_a_counter_keeps_its_heig
     assert not {tuple(cell) for cell in block((70, 60, 18), (100, 72, 39)).tolist()} & found
 
 
-def test_structure_within_an_object_is_no_wall() -> None:
+def test_structure_within_an_object_is_no_wall():
     shelf = block((60, 70, 2), (80, 76, 34))
     body = boxes(((70 * VOXEL_M, 73 * VOXEL_M, 0.9), (0.6, 0.25, 0.95)))
     with_shelf = room_with(shelf)
@@ -97,7 +91,7 @@ def test_structure_within_an_object_is_no_wall() -> None:
     assert not {tuple(cell) for cell in shelf.tolist()} & cells_in(wall_boxes([with_shelf], BAND, 0.0, [body]))
 
 
-def test_a_crack_that_nobody_looked_into_is_filled_and_one_that_is_free_stays_open() -> None:
+def test_an_unseen_crack_is_filled_and_a_free_one_stays_open():
     crack = block((70, 65, 1), (100, 66, 18))
     counter = np.concatenate([block((70, 60, 1), (100, 65, 18)), block((70, 66, 1), (100, 71, 18))])
     submap = room_with(counter)
@@ -107,7 +101,7 @@ def test_a_crack_that_nobody_looked_into_is_filled_and_one_that_is_free_stays_op
     assert middle <= cells_in(wall_boxes([replace(submap, observed_space=dark)], BAND, 0.0))
 
 
-def test_the_walls_of_a_tilted_submap_lie_where_its_voxels_are() -> None:
+def test_the_walls_of_a_tilted_submap_lie_where_its_voxels_are():
     cells = block((0, 0, 4), (40, 2, 30))
     space = ObservedSpace(
         voxel_m=VOXEL_M, free=np.empty(0, np.int64), structure=np.sort(keys_of_cells(cells)), floor_z_m=None
@@ -120,12 +114,12 @@ def test_the_walls_of_a_tilted_submap_lie_where_its_voxels_are() -> None:
     assert local.max(axis=0) == pytest.approx([40, 2, 30])
 
 
-def test_a_map_without_structure_has_no_walls() -> None:
+def test_a_map_without_structure_has_no_walls():
     space = ObservedSpace(voxel_m=VOXEL_M, free=np.empty(0, np.int64), structure=np.empty(0, np.int64), floor_z_m=0.0)
     assert wall_boxes([Submap(id=0, world_from_submap=np.eye(4), observed_space=space)], BAND, 0.0).shape == (0, 8, 3)
 
 
-def test_the_walls_of_several_submaps_are_those_of_each() -> None:
+def test_the_walls_of_several_submaps_are_those_of_each():
     grid = np.stack(np.meshgrid(np.arange(40), np.arange(2), np.arange(30), indexing="ij"), axis=-1).reshape(-1, 3)
     first = Submap(
         id=0,

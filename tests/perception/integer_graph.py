@@ -1,7 +1,6 @@
 """A graph of eight-bit convolutions run with NumPy's integers: what is exact here must come out of onnxruntime."""
 
 from pathlib import Path
-
 import numpy as np
 import onnx
 from numpy.typing import NDArray

@@ -1,17 +1,10 @@
 """Scenes by construction: a camera above a floor, with boxes, cylinders and walls rendered by exact ray casting."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 import numpy as np
-
+from numpy.typing import NDArray
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import Frame
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 CAMERA = Camera(width=320, height=240, fx=290.0, fy=290.0, cx=159.5, cy=119.5)
 
@@ -82,13 +75,10 @@ def render(
     shown = np.where(np.isfinite(nearest), depths.argmin(axis=0), -1)
     colors = np.array([thing.color for thing in things] + [(0, 0, 0)], dtype=np.uint8)
     frame = Frame(
-        index=0,
-        stamp_ns=0,
-        rgb=colors[shown],
-        depth_m=np.where(np.isfinite(nearest), nearest, np.nan).astype(np.float32),
-        camera=camera,
+        index=0, stamp_ns=0, rgb=colors[shown],
+        depth_m=np.where(np.isfinite(nearest), nearest, np.nan).astype(np.float32), camera=camera,
         world_from_camera=world_from_camera,
-    )
+    )  # fmt: skip
     return frame, shown
 
 

@@ -1,7 +1,6 @@
 """Small ONNX graphs with the inputs and outputs of the real networks, that compute what a test can know beforehand."""
 
 from pathlib import Path
-
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper

@@ -1,10 +1,7 @@
 """A small image-text pair in the files of a published one: what it knows of a picture is its mean colour."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
@@ -12,28 +9,17 @@ from tokenizers import Tokenizer
 from tokenizers.models import WordLevel
 from tokenizers.pre_tokenizers import Whitespace
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 SIDE_PX = 8
 # What a word means: red, green, blue. "Window" is blue and "mug" is red; the others say nothing in particular.
 WORDS = {
-    "[PAD]": (0, 0, 0),
-    "[UNK]": (0.1, 0.1, 0.1),
-    **dict.fromkeys(("a", "photo", "of", "."), (0, 0, 0)),
-    **dict.fromkeys(("object", "thing", "stuff", "texture"), (1, 1, 1)),
-    "window": (0, 0, 1),
-    "coffee": (0.5, 0.1, 0.1),
+    "[PAD]": (0, 0, 0), "[UNK]": (0.1, 0.1, 0.1), **dict.fromkeys(("a", "photo", "of", "."), (0, 0, 0)),
+    **dict.fromkeys(("object", "thing", "stuff", "texture"), (1, 1, 1)), "window": (0, 0, 1), "coffee": (0.5, 0.1, 0.1),
     "mug": (1, 0, 0),
-}
+}  # fmt: skip
 PREPROCESSING = {
-    "size": {"shortest_edge": SIDE_PX},
-    "do_center_crop": True,
-    "crop_size": {"height": SIDE_PX, "width": SIDE_PX},
-    "resample": 3,
-    "image_mean": [0.0, 0.0, 0.0],
-    "image_std": [1.0, 1.0, 1.0],
-}
+    "size": {"shortest_edge": SIDE_PX}, "do_center_crop": True, "crop_size": {"height": SIDE_PX, "width": SIDE_PX},
+    "resample": 3, "image_mean": [0.0, 0.0, 0.0], "image_std": [1.0, 1.0, 1.0],
+}  # fmt: skip
 
 
 def write_pair(folder: Path, *, length: int | None = None, with_mask: bool = True, output: str = "embeds") -> Path:

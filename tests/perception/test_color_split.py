@@ -1,15 +1,9 @@
-"""Fragments that fall apart by their colour."""
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-
-from hickory_stream.perception.fragments.color_split import (
-    _histogram,
-    split_by_color,
-)
+from hickory_stream.perception.fragments.color_split import _histogram, split_by_color
 from hickory_stream.perception.masks import label_boxes
 from hickory_stream.perception.surface import lab_of
 from tests.strategies import seeds
@@ -26,7 +20,7 @@ def divided(rgb: NDArray[np.uint8], labels: NDArray[np.int32], depth: int = 2) -
     return split_by_color(labels, label_boxes(labels, int(labels.max()) + 1), lab_of(rgb), depth)
 
 
-def test_two_patterned_boxes_that_are_flush_are_two() -> None:
+def test_two_patterned_boxes_that_are_flush_are_two():
     rgb = np.concatenate([checks(30, 40, RED), checks(30, 40, ORANGE)])
     out = divided(rgb, np.ones((60, 40), dtype=np.int32))
     assert set(np.unique(out)) == {1, 2}
@@ -36,23 +30,23 @@ def test_two_patterned_boxes_that_are_flush_are_two() -> None:
     assert top[0] != bottom[0]
 
 
-def test_a_pattern_alone_divides_nothing() -> None:
+def test_a_pattern_alone_divides_nothing():
     assert (divided(checks(60, 40, RED), np.ones((60, 40), dtype=np.int32)) == 1).all()
 
 
-def test_a_shadow_divides_nothing() -> None:
+def test_a_shadow_divides_nothing():
     rgb = np.full((60, 40, 3), (150, 150, 150), dtype=np.uint8)
     rgb[30:] = (115, 115, 115)
     assert (divided(rgb, np.ones((60, 40), dtype=np.int32)) == 1).all()
 
 
-def test_a_speck_divides_nothing() -> None:
+def test_a_speck_divides_nothing():
     rgb = np.full((60, 40, 3), WHITE, dtype=np.uint8)
     rgb[10:14, 10:14] = RED
     assert (divided(rgb, np.ones((60, 40), dtype=np.int32)) == 1).all()
 
 
-def test_a_piece_is_divided_again() -> None:
+def test_a_piece_is_divided_again():
     rgb = np.zeros((90, 40, 3), dtype=np.uint8)
     rgb[:30], rgb[30:60], rgb[60:] = RED, (60, 90, 200), (70, 200, 90)
     out = divided(rgb, np.ones((90, 40), dtype=np.int32))
@@ -63,7 +57,7 @@ def test_a_piece_is_divided_again() -> None:
 
 @given(st.integers(0, 10_000))
 @pytest.mark.filterwarnings("error")
-def test_pieces_are_of_one_fragment_and_leave_nothing_out(seed: int) -> None:
+def test_pieces_are_of_one_fragment_and_leave_nothing_out(seed):
     random = np.random.default_rng(seed)
     labels = np.repeat(np.repeat(random.integers(0, 4, (4, 4)), 12, axis=0), 12, axis=1).astype(np.int32)
     names, labels = np.unique(labels, return_inverse=True)
@@ -77,7 +71,7 @@ def test_pieces_are_of_one_fragment_and_leave_nothing_out(seed: int) -> None:
 
 
 @given(seeds, st.integers(2, 200), st.integers(0, 3))
-def test_a_histogram_counts_what_lies_between_its_edges(seed: int, count: int, digits: int) -> None:
+def test_a_histogram_counts_what_lies_between_its_edges(seed, count, digits):
     values = np.round(np.random.default_rng(seed).normal(size=count), digits)
     edges = np.linspace(values.min(), values.max() + 0.1, 49)
     assert np.array_equal(_histogram(values, edges), np.histogram(values, bins=edges)[0])

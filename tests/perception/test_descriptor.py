@@ -1,16 +1,14 @@
 from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.perception.descriptor import ColorTextureDescriptor, _pixels_of_patches, mask_feature
 from hickory_stream.perception.observe import ObserveConfig, observe
 from hickory_stream.records import Segmentation
 
-from perception_scenes import Block, looking, render  # isort: skip
+from tests.perception.perception_scenes import Block, looking, render  # isort: skip
 
 DESCRIPTOR = ColorTextureDescriptor()
 
@@ -24,7 +22,7 @@ def observation_of_a_filled_image():
 
 
 @given(height=st.integers(1, 60), width=st.integers(1, 60), seed=st.integers(0, 99))
-def test_features_have_unit_norm_and_one_patch_per_fourteen_pixels_begun(height, width, seed):
+def test_features_have_unit_norm_and_one_patch_per_14_pixels(height, width, seed):
     rgb = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
     features = DESCRIPTOR.extract(rgb)
     assert features.shape == (-(-height // 14), -(-width // 14), DESCRIPTOR.dim)
@@ -32,7 +30,7 @@ def test_features_have_unit_norm_and_one_patch_per_fourteen_pixels_begun(height,
     assert np.linalg.norm(features, axis=-1) == pytest.approx(1.0, abs=1e-5)
 
 
-def test_a_plain_mask_has_no_variance_and_a_pooled_feature_of_unit_norm():
+def test_a_plain_mask_has_no_variance_and_a_unit_feature():
     frame, observation = observation_of_a_filled_image()
     feature = mask_feature(observation, DESCRIPTOR.extract(frame.rgb), DESCRIPTOR.patch_px)
     assert feature.variance == pytest.approx(0.0, abs=1e-6)

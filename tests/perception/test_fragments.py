@@ -3,13 +3,12 @@
 import numpy as np
 from hypothesis import given
 from scipy.ndimage import label
-
 from hickory_stream.perception.fragments.over_segmentation import _label_level
 from tests.strategies import seeds
 
 
 @given(seeds)
-def test_large_regions_of_a_level_get_its_label_where_there_is_none(seed):
+def test_large_unlabelled_regions_of_a_level_get_its_label(seed):
     rng = np.random.default_rng(seed)
     shape = (14, 19)
     points, normals = np.zeros((2, *shape, 3), dtype=np.float32)

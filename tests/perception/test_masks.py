@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
-
 from hickory_stream.perception.masks import InstanceMask, MaskConfig, compose, enlarged, enlarged_mask, occluded_shares
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
+from tests.perception.perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
 
 WOOD, WHITE, RED = (170, 130, 80), (225, 225, 220), (190, 40, 40)
 TABLE = Block(low=(-0.4, -0.6, 0.69), high=(0.4, 0.6, 0.73), color=WOOD)
@@ -24,7 +23,7 @@ def masked(mask, score=0.9):
     return InstanceMask(box_px=box, mask=mask[box[1] : box[3], box[0] : box[2]], score=score)
 
 
-def test_a_cup_inside_the_mask_of_a_table_stays_a_thing_of_its_own():
+def test_a_cup_inside_the_mask_of_a_table_stays_a_thing():
     surface, shown, nothing = scene(Cylinder(foot=(-0.1, 0.1, 0.73), radius=0.05, height=0.12, color=WHITE))
     whole, cup = shown >= 1, shown == 2
     instances, rejected = compose([masked(whole), masked(cup)], surface, nothing, MaskConfig())
@@ -34,7 +33,7 @@ def test_a_cup_inside_the_mask_of_a_table_stays_a_thing_of_its_own():
     assert (instances[cup] != instances[shown == 1][0]).all()
 
 
-def test_a_magazine_flat_on_a_table_stays_and_a_label_on_a_front_is_a_part():
+def test_a_magazine_on_a_table_stays_and_a_label_is_a_part():
     surface, shown, nothing = scene()
     flat = np.zeros(shown.shape, bool)
     ys, xs = np.nonzero(shown == 1)
@@ -77,7 +76,7 @@ def test_a_mask_made_up_of_others_is_left_out():
     assert ["made up of smaller masks" in r.reason for r in rejected] == [True]
 
 
-def test_small_masks_the_scene_and_structure_are_rejected_with_their_reasons():
+def test_unusable_masks_are_rejected_with_their_reasons():
     surface, shown, _ = scene()
     small = np.zeros(shown.shape, bool)
     small[5:10, 5:10] = True
@@ -121,7 +120,7 @@ def test_what_is_enlarged_repeats_pixels_and_is_nothing_beyond(factor, more_x, m
     assert np.array_equal(enlarged_mask(labels == 1, factor, size), expected == 1)
 
 
-def test_an_occluded_share_is_that_of_the_outline_behind_something_nearer():
+def test_the_occluded_share_is_the_outline_behind_nearer_things():
     depth = np.full((6, 8), 2.0, dtype=np.float32)
     labels = np.zeros((6, 8), dtype=np.int32)
     labels[2:4, 2:5] = 1

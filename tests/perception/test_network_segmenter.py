@@ -1,9 +1,6 @@
 from dataclasses import replace
-
 import numpy as np
 import pytest
-from perception_scenes import Block, best_iou, floor, looking, render
-
 from hickory_stream.engine.shape_jobs.processor import processor_of_run
 from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, THING, PixelOdds
 from hickory_stream.perception.choose import make_segmenter
@@ -12,6 +9,7 @@ from hickory_stream.perception.network_segmenter import NetworkJoinConfig, Netwo
 from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.perception.regions.join import JoinConfig
 from hickory_stream.perception.regions.odds_features import ODDS_FEATURES
+from tests.perception.perception_scenes import Block, best_iou, floor, looking, render
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 LEFT = Block(low=(-0.15, 0.15, 0.0), high=(0.15, 0.45, 0.35), color=(190, 40, 40))
@@ -48,7 +46,7 @@ def two_boxes():
     return render([floor(), LEFT, RIGHT], VIEW)
 
 
-def test_a_mask_that_the_network_takes_for_a_part_of_the_room_is_rejected_with_the_reason(two_boxes):
+def test_a_mask_that_the_network_takes_for_the_room_is_rejected(two_boxes):
     frame, shown = two_boxes
     odds = even()
     columns = np.flatnonzero((shown == 1).any(axis=0)) * 160 // shown.shape[1]
@@ -76,7 +74,7 @@ def test_two_boxes_apart_are_two_instances(two_boxes):
     assert result.structure[(shown == 0) & (frame.depth_m < 5.5)].mean() > 0.9
 
 
-def test_trees_that_have_learned_ask_the_network_by_their_own_probability(two_boxes):
+def test_trained_trees_ask_the_network_by_their_probability(two_boxes):
     frame, _ = two_boxes
     config = NetworkJoinConfig(learned_probability=0.4)
     asked = Asked()

@@ -3,8 +3,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from perception_scenes import CAMERA, Block, floor, looking, render
-
 from hickory_stream.box_scene import SceneBox, cast_scene
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.lattice import STEPS_PER_M, Lattice, steps_of
@@ -13,6 +11,7 @@ from hickory_stream.perception.observe import ObserveConfig, mask_area_of, obser
 from hickory_stream.perception.space import SpaceConfig, observe_space
 from hickory_stream.records import Frame, Segmentation
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
+from tests.perception.perception_scenes import CAMERA, Block, floor, looking, render
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
 BOX = Block(low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.4), color=(190, 40, 40))
@@ -27,13 +26,9 @@ def truth(shown, labels):
 
 def with_depth(frame, depth):
     return Frame(
-        index=0,
-        stamp_ns=0,
-        rgb=frame.rgb,
-        depth_m=depth,
-        camera=frame.camera,
+        index=0, stamp_ns=0, rgb=frame.rgb, depth_m=depth, camera=frame.camera,
         world_from_camera=frame.world_from_camera,
-    )
+    )  # fmt: skip
 
 
 def distance_to_box(points, block):
@@ -50,7 +45,7 @@ def test_lifted_points_lie_on_the_true_surface():
     assert (observations[0].colors == BOX.color).all()
 
 
-def test_the_factors_of_a_view_are_shares_of_the_image_and_of_the_mask():
+def test_the_factors_of_a_view_are_shares_of_image_and_mask():
     frame, shown = render([floor(), BOX], VIEW)
     depth = frame.depth_m.copy()
     lost = (shown == 1) & (np.arange(CAMERA.width) % 4 == 0)
@@ -98,7 +93,7 @@ def test_an_image_without_depth_says_nothing_of_space():
 
 
 @given(height=st.floats(0.8, 2.0), aim=st.floats(-0.5, 0.5))
-def test_free_voxels_hold_no_sampled_return_and_structure_lies_on_the_floor(height, aim):
+def test_free_voxels_hold_no_return_and_structure_is_the_floor(height, aim):
     frame, shown = render([floor(), BOX], looking((0.0, aim, 0.2), start=(-2.0, 0.0, height)))
     lattice = Lattice()
     space = observe_space(frame, truth(shown, [1]), SpaceConfig(), lattice)
@@ -118,7 +113,7 @@ def test_free_voxels_hold_no_sampled_return_and_structure_lies_on_the_floor(heig
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 200))
-def test_a_voxels_mean_is_that_of_its_points_in_the_order_of_keys(seed, count):
+def test_a_voxels_mean_is_that_of_its_points_in_key_order(seed, count):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-0.03, 0.03, (count, 3)).astype(np.float32)
     colors = rng.integers(0, 256, (count, 3)).astype(np.uint8)
@@ -151,7 +146,7 @@ def can_at(distance_m):
 
 
 @pytest.mark.parametrize("distance_m", [1.0, 2.0, 3.0, 4.0])
-def test_a_can_is_lifted_as_wide_and_as_tall_as_it_is_at_any_distance(distance_m):
+def test_a_can_has_its_true_size_at_any_distance(distance_m):
     frame, mask = can_at(distance_m)
     segmentation = Segmentation(instances=mask.astype(np.int32), structure=~mask)
     observations, rejected = observe(frame, segmentation, ObserveConfig(), Lattice())
@@ -162,7 +157,7 @@ def test_a_can_is_lifted_as_wide_and_as_tall_as_it_is_at_any_distance(distance_m
     assert size[1:] == pytest.approx([0.10, 0.14], abs=slack_m)
 
 
-def test_the_rim_of_a_mask_that_shows_the_wall_behind_is_left_out():
+def test_the_rim_of_a_mask_that_shows_the_wall_is_left_out():
     frame, mask = can_at(2.0)
     wide = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8))
     segmentation = Segmentation(instances=wide.astype(np.int32), structure=wide == 0)

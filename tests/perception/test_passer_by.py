@@ -1,8 +1,6 @@
 """What a person walking through leaves behind: nothing, once the place where one stood is looked through."""
 
 import numpy as np
-from perception_scenes import Block, Cylinder, floor, looking, render
-
 from hickory_stream.events import ComputeFeatures, FeaturesReady, FrameObserved, Publish, RequestShape, ShapeFailed
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.lattice import Lattice
@@ -14,6 +12,7 @@ from hickory_stream.perception.geometric_segmenter import GeometricConfig, Geome
 from hickory_stream.perception.perceive import PerceptionConfig, features_of, perceive
 from hickory_stream.perception.space import SpaceConfig
 from hickory_stream.records import Frame, Phase
+from tests.perception.perception_scenes import Block, Cylinder, floor, looking, render
 
 BOX = Block(low=(0.1, 0.3, 0.0), high=(0.5, 0.8, 0.45), color=(170, 130, 80))
 WALL = Block(low=(1.6, -9.0, 0.0), high=(1.8, 9.0, 2.6), color=(225, 225, 220))
@@ -39,13 +38,9 @@ def played(steps):
         shot, _ = render(things, view, SMALL)
         noise = np.random.default_rng(i).normal(0.0, 0.0015, shot.depth_m.shape) * shot.depth_m**2
         frame = Frame(
-            index=i,
-            stamp_ns=int(i * PERIOD_S * 1e9),
-            rgb=shot.rgb,
-            depth_m=(shot.depth_m + noise).astype(np.float32),
-            camera=shot.camera,
-            world_from_camera=view,
-        )
+            index=i, stamp_ns=int(i * PERIOD_S * 1e9), rgb=shot.rgb, depth_m=(shot.depth_m + noise).astype(np.float32),
+            camera=shot.camera, world_from_camera=view,
+        )  # fmt: skip
         seen = perceive(frame, core.prior(), None, segmenter, config, lattice=Lattice())
         waiting = core.handle(
             FrameObserved(
@@ -87,7 +82,7 @@ def structure_near(snapshot, x, y):
     return int(at_place.sum())
 
 
-def test_a_person_who_stands_a_while_is_forgotten_once_the_place_is_looked_through():
+def test_a_person_is_forgotten_once_the_place_is_seen_through():
     maps = played([(0.0, -0.6)] * 4 + [None] * 7)
     # Who stands is, from one side, an upright slab from the floor to above one's waist: taken for a piece of wall.
     assert objects_near(maps[3], 0.0, -0.6) or structure_near(maps[3], 0.0, -0.6) > 20

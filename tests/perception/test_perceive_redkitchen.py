@@ -1,8 +1,6 @@
 import itertools
-
 import numpy as np
 import pytest
-
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from players import open_source
 
@@ -21,7 +19,7 @@ FRAMES = {
 
 
 @pytest.mark.parametrize("index", sorted(FRAMES))
-def test_table_chairs_and_mugs_of_a_real_kitchen_are_instances_of_their_own(redkitchen, index):
+def test_table_chairs_and_mugs_of_a_real_kitchen_are_instances(redkitchen, index):
     position = sorted(redkitchen.glob("*.color.jpg")).index(redkitchen / f"frame-{index:06d}.color.jpg")
     source = open_source(str(redkitchen))
     frame = next(itertools.islice(source.frames(), position, None)).decode()

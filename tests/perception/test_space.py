@@ -1,9 +1,6 @@
-"""Free space against a plain walk along every ray."""
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.geometry.voxels import keys_of_cells, keys_of_points
 from hickory_stream.perception.space import _free_keys
 from tests.strategies import seeds
@@ -21,9 +18,7 @@ def walked(origin: np.ndarray, ends: np.ndarray, returns: np.ndarray, voxel_m: f
 
 
 @given(seeds, st.integers(0, 40), st.sampled_from([0.05, 0.11]), st.sampled_from([0.3, 2.0]))
-def test_free_voxels_are_those_that_a_walk_along_the_rays_meets(
-    seed: int, count: int, voxel_m: float, reach_m: float
-) -> None:
+def test_free_voxels_are_those_that_a_walk_along_the_rays_meets(seed, count, voxel_m, reach_m):
     rng = np.random.default_rng(seed)
     origin = rng.uniform(-3, 3, 3)
     ends = origin + rng.uniform(-reach_m, reach_m, (count, 3))
@@ -32,5 +27,5 @@ def test_free_voxels_are_those_that_a_walk_along_the_rays_meets(
     assert np.array_equal(free, walked(origin, ends, returns, voxel_m))
 
 
-def test_no_ray_frees_nothing() -> None:
+def test_no_ray_frees_nothing():
     assert len(_free_keys(np.zeros(3), np.empty((0, 3)), np.empty((0, 3)), 0.05)) == 0

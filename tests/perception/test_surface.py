@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
 from hypothesis import given
-from perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
-
 from hickory_stream.perception.structure.detection import (
     StructureConfig,
     floor_height_m,
@@ -10,6 +8,7 @@ from hickory_stream.perception.structure.detection import (
     pixel_areas_m2,
 )
 from hickory_stream.perception.surface import SurfaceConfig, _reduce_depth, _without_flying_pixels, surface_of
+from tests.perception.perception_scenes import CAMERA, Block, Cylinder, floor, looking, render
 from tests.strategies import seeds
 
 VIEW = looking((0.0, 0.0, 0.3), start=(-2.2, -0.3, 1.5))
@@ -46,7 +45,7 @@ def test_points_lie_on_the_true_surface_at_any_working_size():
         assert np.abs(surface.points_world[valid][:, 2]).max() < 0.03
 
 
-def test_a_lone_flying_pixel_is_removed_and_a_pole_of_two_pixels_survives():
+def test_a_flying_pixel_goes_and_a_pole_of_two_pixels_stays():
     pole = Cylinder(foot=(0.0, 0.0, 0.0), radius=0.008, height=1.0, color=(90, 90, 90))
     frame, shown = render([floor(), pole], VIEW)
     depth = frame.depth_m.copy()
@@ -59,7 +58,7 @@ def test_a_lone_flying_pixel_is_removed_and_a_pole_of_two_pixels_survives():
     assert np.isfinite(cleaned.depth_m[shown == 1]).mean() > 0.9
 
 
-def test_planes_are_found_at_their_heights_and_with_their_visible_areas():
+def test_planes_are_found_with_their_heights_and_areas():
     frame, _ = render([floor(), BOX], VIEW)
     surface = surface_of(frame, SurfaceConfig(width_px=CAMERA.width))
     planes = horizontal_planes(surface, pixel_areas_m2(surface), min_area_m2=0.05)
@@ -75,7 +74,7 @@ def test_a_known_floor_is_replaced_by_a_lower_one_only():
     assert heights == pytest.approx([0.0, -0.7, 0.0], abs=0.01)
 
 
-def test_on_another_storey_the_widest_plane_is_the_floor_and_over_a_railing_that_of_the_map_stays():
+def test_another_storey_has_its_own_floor():
     table = Block(low=(-0.5, -0.5, 0.0), high=(0.5, 0.5, 0.7), color=(120, 60, 50))
     frame, _ = render([floor(), table], VIEW)
     surface = surface_of(frame, SurfaceConfig(width_px=CAMERA.width))
@@ -87,7 +86,7 @@ def test_on_another_storey_the_widest_plane_is_the_floor_and_over_a_railing_that
 
 @pytest.mark.parametrize("factor", [1, 2, 3])
 @given(seed=seeds)
-def test_a_working_pixel_has_the_lower_median_of_the_valid_depths_of_its_block(factor: int, seed: int) -> None:
+def test_a_working_pixel_has_the_lower_median_of_its_block(factor, seed):
     rng = np.random.default_rng(seed)
     depth = rng.choice(np.array([np.nan, 0.1, 1.0, 2.0, 3.0, 5.9, 7.0], dtype=np.float32), (4 * factor, 5 * factor))
     reduced = _reduce_depth(depth, factor, 4, 5, 0.2, 6.0)
@@ -98,7 +97,7 @@ def test_a_working_pixel_has_the_lower_median_of_the_valid_depths_of_its_block(f
 
 
 @given(seed=seeds)
-def test_a_pixel_stays_with_two_that_agree_where_nothing_is_before_it_and_with_three_elsewhere(seed: int) -> None:
+def test_a_pixel_stays_with_two_or_three_that_agree(seed):
     depth = np.random.default_rng(seed).choice(np.array([np.nan, 1.0, 1.5], dtype=np.float32), (6, 7))
     kept = _without_flying_pixels(depth)
     for (y, x), z in np.ndenumerate(depth):

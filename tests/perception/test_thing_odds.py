@@ -1,10 +1,9 @@
 import numpy as np
-
 from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO, THING, PixelOdds
 from hickory_stream.perception.network_segmenter import thing_log_odds
 
 
-def test_a_mask_has_the_mean_of_the_odds_of_its_pixels_and_none_where_no_output_falls():
+def test_a_mask_has_the_mean_odds_of_its_pixels_or_none():
     labels = np.zeros((6, 8), dtype=np.int32)
     labels[:, :4] = 1
     labels[1, 5] = 2  # between the outputs, which are those of even rows and columns

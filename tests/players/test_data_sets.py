@@ -1,24 +1,14 @@
-"""The layouts of Kimera-Multi and NUS-CLB, quirks included, played without a word said about them."""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
-
 from hickory_stream.errors import CalibrationError
+from hickory_stream.evaluation.truth import Truth
 from hickory_stream.geometry.rigid import invert, rotation_angle_rad
 from hickory_stream.worlds.recording import make_recording
 from players import SourceOptions, open_source
 from players.profile import load_profile, profile_names
 from tools.worlds.layouts import layout_files
 from tools.worlds.recording_config import RecordingConfig
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.evaluation.truth import Truth
 
 pytestmark = pytest.mark.timeout(90)
 
@@ -34,7 +24,7 @@ def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return layout, [folder / file for file in layout_files(layout, "log")], truth
 
 
-def test_the_profile_is_guessed_and_the_chain_is_told(recorded: tuple[str, list[Path], Truth]) -> None:
+def test_the_profile_is_guessed_and_the_chain_is_told(recorded):
     layout, files, _ = recorded
     streams = dict(open_source(files).info.streams)
     name = "kimera_multi" if layout == "kimera_multi" else "nus_clb"
@@ -47,9 +37,7 @@ def test_the_profile_is_guessed_and_the_chain_is_told(recorded: tuple[str, list[
     )
 
 
-def test_poses_are_the_colour_cameras_within_a_millimetre_before_any_jump(
-    recorded: tuple[str, list[Path], Truth],
-) -> None:
+def test_poses_are_the_colour_cameras_within_a_millimetre(recorded):
     layout, files, truth = recorded
     true = {frame.stamp_ns: frame.world_from_camera for frame in truth.frames}
     frames = list(open_source(files).frames())
@@ -64,7 +52,7 @@ def test_poses_are_the_colour_cameras_within_a_millimetre_before_any_jump(
         assert rotation_angle_rad(error[:3, :3]) < np.radians(0.05) * slack
 
 
-def test_depth_is_registered_to_colour(recorded: tuple[str, list[Path], Truth]) -> None:
+def test_depth_is_registered_to_colour(recorded):
     layout, files, _ = recorded
     source = open_source(files)
     frame = next(source.frames()).decode()
@@ -77,7 +65,7 @@ def test_depth_is_registered_to_colour(recorded: tuple[str, list[Path], Truth]) 
     assert unregistered.startswith("profile kimera_multi" if layout == "kimera_multi" else "none")
 
 
-def test_every_message_is_accounted_for(recorded: tuple[str, list[Path], Truth]) -> None:
+def test_every_message_is_accounted_for(recorded):
     source = open_source(recorded[1])
     assert sum(1 for _ in source.frames()) > 0
     account = source.account().as_dict()  # type: ignore[attr-defined]
@@ -85,9 +73,7 @@ def test_every_message_is_accounted_for(recorded: tuple[str, list[Path], Truth])
     assert account["unreadable"] == account["difference"] == account["not_played"] == 0
 
 
-def test_the_wheels_are_never_taken_for_the_body_of_the_visual_odometry(
-    recorded: tuple[str, list[Path], Truth],
-) -> None:
+def test_wheels_are_not_taken_for_the_body_of_visual_odometry(recorded):
     layout, files, _ = recorded
     if layout != "kimera_multi":
         pytest.skip("of Kimera-Multi only")
@@ -98,7 +84,7 @@ def test_the_wheels_are_never_taken_for_the_body_of_the_visual_odometry(
         open_source(files[0])
 
 
-def test_a_robot_that_is_not_known_is_refused(recorded: tuple[str, list[Path], Truth]) -> None:
+def test_a_robot_that_is_not_known_is_refused(recorded):
     layout, files, _ = recorded
     if layout != "kimera_multi":
         pytest.skip("of Kimera-Multi only")
@@ -106,15 +92,13 @@ def test_a_robot_that_is_not_known_is_refused(recorded: tuple[str, list[Path], T
         open_source(files, SourceOptions(robot="spot", profile="kimera_multi"))
 
 
-def test_every_profile_is_read_with_a_title() -> None:
+def test_every_profile_is_read_with_a_title():
     robots = {"kimera_multi": "thoth"}
     for name in profile_names():
         assert load_profile(name, robot=robots.get(name)).title
 
 
-def test_the_ground_truth_file_of_kimera_multi_is_a_pose_source(
-    recorded: tuple[str, list[Path], Truth], tmp_path: Path
-) -> None:
+def test_the_ground_truth_file_of_kimera_multi_is_a_pose_source(recorded, tmp_path):
     from hickory_stream.geometry.rigid import quaternion_from_rotation
 
     layout, files, truth = recorded

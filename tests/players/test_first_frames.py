@@ -1,12 +1,9 @@
-from pathlib import Path
-
 import pytest
-
 from players import open_source
 from players.first_frames import FirstFrames
 
 
-def test_the_first_frames_of_a_log_are_those_of_the_log(demo_log: Path) -> None:
+def test_the_first_frames_of_a_log_are_those_of_the_log(demo_log):
     stamps = [raw.stamp_ns for raw in open_source(demo_log).frames()]
     source = FirstFrames(open_source(demo_log), 5)
     assert [raw.stamp_ns for raw in source.frames()] == stamps[:5]
@@ -15,6 +12,6 @@ def test_the_first_frames_of_a_log_are_those_of_the_log(demo_log: Path) -> None:
     source.close()
 
 
-def test_no_frames_are_no_beginning(demo_log: Path) -> None:
+def test_no_frames_are_no_beginning(demo_log):
     with pytest.raises(ValueError, match="first 0"):
         FirstFrames(open_source(demo_log), 0)

@@ -1,7 +1,6 @@
 """Whether colour has anything to say."""
 
 import numpy as np
-
 from players.doctor.image_brightness import brightness_of, median_brightness
 
 
@@ -9,21 +8,20 @@ def image(*rgb: int) -> np.ndarray:
     return np.broadcast_to(np.array(rgb, dtype=np.uint8), (40, 60, 3))
 
 
-def test_a_black_image_is_dark_and_a_lit_one_is_not() -> None:
+def test_a_black_image_is_dark_and_a_lit_one_is_not():
     assert brightness_of(image(3, 2, 4)).is_dark
     assert not brightness_of(image(90, 80, 70)).is_dark
 
 
-def test_what_has_brightness_only_is_grey() -> None:
+def test_what_has_brightness_only_is_grey():
     assert brightness_of(image(90, 90, 90)).is_grey
     assert not brightness_of(image(90, 60, 40)).is_grey
 
 
-def test_the_light_of_a_log_is_that_of_most_of_its_frames() -> None:
+def test_the_light_of_a_log_is_that_of_most_of_its_frames():
     assert median_brightness([]) is None
     found = median_brightness(
         [brightness_of(image(0, 0, 0)), brightness_of(image(90, 60, 40)), brightness_of(image(90, 60, 40))]
     )
-    assert found is not None
     assert not found.is_dark
     assert not found.is_grey

@@ -1,13 +1,9 @@
 """A camera that sits elsewhere than the profile assumes: `doctor` says so, and `play` maps through the estimate."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
-
 from hickory_stream.cli import main
 from hickory_stream.poses.hand_eye import HandEye
 from hickory_stream.worlds.recording import make_recording
@@ -18,10 +14,6 @@ from players.poses.extrinsics import estimated_extrinsics
 from tools.worlds.layouts import drawn_mounting
 from tools.worlds.recording_config import RecordingConfig
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-pytestmark = pytest.mark.timeout(120)
 SEED = 7
 
 
@@ -43,7 +35,7 @@ def estimate(recorded: Path) -> HandEye:
     return found
 
 
-def test_the_offset_is_four_decimetres_and_ten_degrees_by_the_seed() -> None:
+def test_the_offset_is_four_decimetres_and_ten_degrees_by_seed():
     for seed in range(5):
         mounting = drawn_mounting(seed)
         assert np.linalg.norm(mounting[:3, 3]) == pytest.approx(0.4)
@@ -52,7 +44,7 @@ def test_the_offset_is_four_decimetres_and_ten_degrees_by_the_seed() -> None:
     assert not np.allclose(drawn_mounting(0), drawn_mounting(1))
 
 
-def test_the_camera_is_found_within_three_centimetres_and_a_degree_or_called_open(estimate: HandEye) -> None:
+def test_the_camera_is_found_to_three_centimetres_or_left_open(estimate):
     off = estimate.body_from_camera[:3, 3] - drawn_mounting(SEED)[:3, 3]
     for axis, name in enumerate(("forward", "left", "up")):
         assert abs(off[axis]) < 0.03 or name in estimate.open_names()
@@ -60,9 +52,7 @@ def test_the_camera_is_found_within_three_centimetres_and_a_degree_or_called_ope
     assert np.degrees(np.arccos(min(1.0, (np.trace(turned) - 1) / 2))) < 1.0
 
 
-def test_doctor_warns_that_the_profile_is_off(
-    recorded: Path, estimate: HandEye, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_doctor_warns_that_the_profile_is_off(recorded, estimate, monkeypatch):
     monkeypatch.setattr("players.doctor.diagnosis.estimated_extrinsics", lambda _: estimate)
     found = examine([recorded / "b2"], SourceOptions())
     told = [problem for problem in found.problems if "by its motion the camera sits" in problem]
@@ -70,7 +60,7 @@ def test_doctor_warns_that_the_profile_is_off(
     assert "--extrinsics estimate" in told[0]
 
 
-def test_a_log_is_mapped_through_the_estimate(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_is_mapped_through_the_estimate(recorded, capsys):
     out = recorded / "b2.map"
     played = ("play", str(recorded / "b2"), "--extrinsics", "estimate", "--end", "8", "--out", str(out))
     assert main([*played, "--viewer", "none", "--set", "mapper.mapping.requests.max_failures=0"]) in (0, 3)

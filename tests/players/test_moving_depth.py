@@ -1,24 +1,15 @@
 """Depth of a camera of its own, taken a little later than colour: the way between the two counts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
-import player_scenes as scenes
 import pytest
-
+from numpy.typing import NDArray
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.ports import Source
 from players import SourceOptions, open_source
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.ports import Source
+from tests import player_scenes as scenes
 
 LAG_NS = 40_000_000
 COLOR_FROM_DEPTH = from_rotation_translation(np.eye(3), np.array([-0.03, 0.0, 0.0]))
@@ -67,13 +58,13 @@ def moved(tmp_path_factory: pytest.TempPathFactory) -> NDArray[np.float64]:
     return errors_m(log(tmp_path_factory.mktemp("moved") / "log"))
 
 
-def test_late_depth_is_as_right_as_depth_of_the_same_moment(tmp_path: Path, moved: NDArray[np.float64]) -> None:
+def test_late_depth_is_as_right_as_depth_of_the_same_moment(tmp_path, moved):
     same = errors_m(log(tmp_path / "log", lag_ns=0))
     assert np.median(moved) < np.median(same) + 0.001
     assert (moved > 0.05).mean() < (same > 0.05).mean() + 0.01
 
 
-def test_by_the_recorders_clock_nobody_knows_the_way_between(tmp_path: Path, moved: NDArray[np.float64]) -> None:
+def test_by_the_recorders_clock_nobody_knows_the_way_between(tmp_path, moved):
     log(tmp_path / "log")
     still = errors_m(open_source(tmp_path / "log", replace(OPTIONS, clock="log")))
     assert np.median(still) > 3 * np.median(moved)

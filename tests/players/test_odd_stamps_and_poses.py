@@ -1,21 +1,14 @@
 """Bad inputs that real logs contain: each with what is said, and where its messages end in the ledger."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
-
+from pathlib import Path
+from typing import Any
 import numpy as np
-import player_scenes as scenes
 import pytest
-
 from players import SourceOptions, open_source
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from players.logs.log_source import LogSource
+from players.logs.log_source import LogSource
+from tests import player_scenes as scenes
 
 MS = 1_000_000
 S = 1_000 * MS
@@ -48,7 +41,7 @@ def _where(is_changed: Callable[[scenes.Message], bool], stamp: Callable[[int], 
     return [_restamped(m, stamp(m.stamp_ns)) if is_changed(m) else m for m in LOG]
 
 
-def test_stamps_that_were_never_set_are_replaced_by_log_time(tmp_path: Path) -> None:
+def test_stamps_that_were_never_set_are_replaced_by_log_time(tmp_path):
     source = _open(tmp_path, _where(lambda m: m.topic in IMAGES, lambda _: 0))
     assert dict(source.info.streams)["stamps"].startswith("log time: the header stamps of /cam/color")
     frames, ledger, _ = _played(source)
@@ -56,19 +49,19 @@ def test_stamps_that_were_never_set_are_replaced_by_log_time(tmp_path: Path) -> 
     assert ledger == {"frames": len(TRUTH)}
 
 
-def test_a_clock_that_is_far_off_the_other_is_replaced_by_log_time(tmp_path: Path) -> None:
+def test_a_clock_far_off_is_replaced_by_log_time(tmp_path):
     source = _open(tmp_path, _where(lambda m: m.topic == scenes.PNG_DEPTH, lambda s: s + 3_600 * S))
     assert "3600 s apart" in dict(source.info.streams)["stamps"]
     assert len(_played(source)[0]) == len(TRUTH)
 
 
-def test_log_time_may_be_asked_for(tmp_path: Path) -> None:
+def test_log_time_may_be_asked_for(tmp_path):
     source = _open(tmp_path, LOG, clock="log")
     assert dict(source.info.streams)["stamps"] == "log time, as asked"
     assert len(_played(source)[0]) == len(TRUTH)
 
 
-def test_one_image_with_a_stamp_of_zero_is_rejected(tmp_path: Path) -> None:
+def test_one_image_with_a_stamp_of_zero_is_rejected(tmp_path):
     wrong = TRUTH[5].stamp_ns
     source = _open(tmp_path, _where(lambda m: m.topic == scenes.PNG_COLOR and m.stamp_ns == wrong, lambda _: 0))
     frames, ledger, account = _played(source)
@@ -77,7 +70,7 @@ def test_one_image_with_a_stamp_of_zero_is_rejected(tmp_path: Path) -> None:
     assert account["rejected"] == {"color_stamp_off": 1, "depth_without_color": 1}
 
 
-def test_a_log_that_was_played_in_a_loop_is_played_whole(tmp_path: Path) -> None:
+def test_a_log_that_was_played_in_a_loop_is_played_whole(tmp_path):
     """Each round has the same header stamps; the time of recording goes on."""
     span_ns = 5 * S
     again = [replace(m, stamp_ns=m.stamp_ns + span_ns) for m in LOG if m.topic != "/tf_static"]
@@ -95,7 +88,7 @@ def test_a_log_that_was_played_in_a_loop_is_played_whole(tmp_path: Path) -> None
     assert set(ledger) == {"frames"}
 
 
-def test_doubled_images_are_rejected_once(tmp_path: Path) -> None:
+def test_doubled_images_are_rejected_once(tmp_path):
     doubled = [m for message in LOG for m in ([message] * 2 if message.topic == scenes.PNG_COLOR else [message])]
     frames, ledger, account = _played(_open(tmp_path, doubled))
     assert len(frames) == len(TRUTH)
@@ -103,7 +96,7 @@ def test_doubled_images_are_rejected_once(tmp_path: Path) -> None:
     assert account["rejected"] == {"duplicate_color": len(TRUTH)}
 
 
-def test_overlapping_splits_are_one_log(tmp_path: Path) -> None:
+def test_overlapping_splits_are_one_log(tmp_path):
     middle = len(LOG) // 2
     first = scenes.write_mcap(tmp_path / "a_0.mcap", M, LOG[: middle + 20])
     second = scenes.write_mcap(tmp_path / "a_1.mcap", M, LOG[middle - 20 :])
@@ -112,7 +105,7 @@ def test_overlapping_splits_are_one_log(tmp_path: Path) -> None:
     assert ledger["duplicate_color"] > 0
 
 
-def test_a_pose_that_teleports_is_rejected(tmp_path: Path) -> None:
+def test_a_pose_that_teleports_is_rejected(tmp_path):
     def far(message: scenes.Message) -> scenes.Message:
         pose = M.odometry(message.stamp_ns, "odom", "base_link", np.diag([1.0, 1, 1, 1]))
         position = replace(pose.pose.pose.position, x=50.0)
@@ -130,14 +123,14 @@ def test_a_pose_that_teleports_is_rejected(tmp_path: Path) -> None:
         np.testing.assert_allclose(raw.world_from_camera, true.world_from_camera, atol=2e-3)
 
 
-def test_a_calibration_that_comes_late_is_waited_for(tmp_path: Path) -> None:
+def test_a_calibration_that_comes_late_is_waited_for(tmp_path):
     infos = [m for m in LOG if m.topic.endswith("camera_info")]
     rest = [m for m in LOG if not m.topic.endswith("camera_info")]
     frames, _, _ = _played(_open(tmp_path, [*rest, *infos[-2:]]))
     assert len(frames) == len(TRUTH)
 
 
-def test_a_calibration_that_changes_in_mid_run_is_counted_and_the_first_is_kept(tmp_path: Path) -> None:
+def test_a_changed_calibration_is_counted_and_the_first_is_kept(tmp_path):
     other = replace(scenes.CAMERA, fx=90.0)
     late = TRUTH[6].stamp_ns
     messages = [
@@ -152,14 +145,14 @@ def test_a_calibration_that_changes_in_mid_run_is_counted_and_the_first_is_kept(
     assert {frame.camera for frame in frames} == {scenes.CAMERA}
 
 
-def test_static_links_that_come_after_the_images_are_found(tmp_path: Path) -> None:
+def test_static_links_that_come_after_the_images_are_found(tmp_path):
     links = [m for m in LOG if m.topic == "/tf_static"]
     frames, _, _ = _played(_open(tmp_path, [*[m for m in LOG if m.topic != "/tf_static"], *links]))
     assert len(frames) == len(TRUTH)
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])
-def test_two_bags_are_played_as_one_whatever_their_clocks(tmp_path: Path, compression: str) -> None:
+def test_two_bags_are_played_as_one_whatever_their_clocks(tmp_path, compression):
     """The odometry was recorded years later from a replay: only header stamps agree."""
     from rosbags.rosbag1 import Writer
 

@@ -1,17 +1,12 @@
-"""Logs without poses: where their cameras were is estimated, said where it cannot be, and the same again each time."""
-
-from __future__ import annotations
-
 import asyncio
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
+from typing import Any
 import numpy as np
-import player_scenes as scenes
 import pytest
-
+from numpy.typing import NDArray
 from hickory_stream.box_scene import SceneSource
 from hickory_stream.cli import main
 from hickory_stream.engine.mapper import Mapper
@@ -20,21 +15,15 @@ from hickory_stream.evaluation.trajectory_error import trajectory_error
 from hickory_stream.geometry.lattice import Lattice
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.perception.perceive import PerceptionConfig, perceive
-from hickory_stream.ports import SourceAround
+from hickory_stream.ports import Source, SourceAround
+from hickory_stream.records import RawFrame
 from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
 from players import SourceOptions, open_source
 from players.first_frames import FirstFrames
 from players.poses.odometry_source import OdometrySource
+from tests import player_scenes as scenes
 from tests.engine.run_fixtures import NO_SHAPES, scene_config
 from tools.worlds.corridor import CorridorConfig, scan_from
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Source
-    from hickory_stream.records import RawFrame
 
 DEMO = Path(__file__).resolve().parents[2] / "recordings" / "demo.mcap"
 UNPOSED = SourceOptions(pose_topic="none")
@@ -48,7 +37,7 @@ def poses_of(source: Source) -> tuple[list[int], NDArray[np.float64]]:
     return [frame.stamp_ns for frame in frames], np.array([frame.world_from_camera for frame in frames])
 
 
-def test_a_log_played_without_its_poses_is_estimated_from_depth_in_an_upright_world() -> None:
+def test_a_log_without_poses_is_estimated_in_an_upright_world():
     found = poses_of(FirstFrames(open_source(DEMO, UNPOSED), 40))
     true = poses_of(FirstFrames(open_source(DEMO), 40))
     assert found[0] == true[0]
@@ -58,7 +47,7 @@ def test_a_log_played_without_its_poses_is_estimated_from_depth_in_an_upright_wo
         assert np.degrees(np.arccos(min(1.0, mine[2, :3] @ theirs[2, :3]))) < 1.0, "up is up"
 
 
-def test_the_frames_that_are_decoded_are_at_the_estimated_poses() -> None:
+def test_the_frames_that_are_decoded_are_at_the_estimated_poses():
     source = FirstFrames(open_source(DEMO, UNPOSED), 3)
     for raw in source.frames():
         frame = raw.decode()
@@ -68,12 +57,12 @@ def test_the_frames_that_are_decoded_are_at_the_estimated_poses() -> None:
     assert dict(source.info.streams)["pose"] == "odometry: small_gicp on depth"
 
 
-def test_estimated_poses_are_the_same_in_every_pass() -> None:
+def test_estimated_poses_are_the_same_in_every_pass():
     source = FirstFrames(open_source(DEMO, UNPOSED), 15)
     assert poses_of(source)[1].tobytes() == poses_of(source)[1].tobytes()
 
 
-def test_with_poses_in_the_log_the_world_is_theirs() -> None:
+def test_with_poses_in_the_log_the_world_is_theirs():
     found = poses_of(FirstFrames(open_source(DEMO, SourceOptions(odometry="depth")), 15))
     true = poses_of(FirstFrames(open_source(DEMO), 15))
     np.testing.assert_array_equal(found[1][0], true[1][0])
@@ -81,7 +70,7 @@ def test_with_poses_in_the_log_the_world_is_theirs() -> None:
 
 
 @pytest.mark.parametrize("layout", ["seven_scenes", "tum"])
-def test_a_folder_without_poses_is_played_by_odometry_unless_poses_are_asked_for(tmp_path: Path, layout: str) -> None:
+def test_a_folder_without_poses_uses_odometry_by_default(tmp_path, layout):
     frames = scenes.make_scene()
     folder = tmp_path / "log"
     if layout == "tum":
@@ -101,7 +90,7 @@ def test_a_folder_without_poses_is_played_by_odometry_unless_poses_are_asked_for
     assert np.degrees(np.arccos(min(1.0, first.world_from_camera[2, :3] @ up))) < 2.0
 
 
-def test_a_frame_that_cannot_be_registered_is_left_out_counted_and_said(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_unregistered_frame_is_left_out_and_counted(caplog):
     class Carried(SourceAround):
         """In the middle somebody holds the camera before a wall elsewhere."""
 
@@ -149,7 +138,7 @@ def swept_log(
     return scenes.write_ros2(folder / "log", m, sorted(messages, key=lambda each: each.stamp_ns))
 
 
-def test_a_log_without_poses_is_played_by_its_lidar(tmp_path: Path) -> None:
+def test_a_log_without_poses_is_played_by_its_lidar(tmp_path):
     source = open_source(swept_log(tmp_path))
     assert dict(source.info.streams)["pose"] == "odometry: small_gicp on lidar"
     assert dict(source.info.streams)["lidar_to_camera"].startswith("TF of the log")
@@ -162,7 +151,7 @@ def test_a_log_without_poses_is_played_by_its_lidar(tmp_path: Path) -> None:
     np.testing.assert_allclose(moved[:3, 3], truly[:3, 3], atol=0.02)
 
 
-def test_where_both_exist_the_pose_topic_predicts_how_the_lidar_moved(tmp_path: Path) -> None:
+def test_a_pose_topic_predicts_how_the_lidar_moved(tmp_path):
     source = open_source(swept_log(tmp_path, with_odometry=True), SourceOptions(odometry="lidar"))
     stamps_ns, poses = poses_of(source)
     true = np.array([scenes.pose_at(stamp_ns) for stamp_ns in stamps_ns])
@@ -170,7 +159,7 @@ def test_where_both_exist_the_pose_topic_predicts_how_the_lidar_moved(tmp_path: 
     np.testing.assert_allclose(poses[-1][:3, 3], true[-1][:3, 3], atol=0.02)
 
 
-def test_a_frame_says_along_what_the_scans_did_not_tell_where_it_is(tmp_path: Path) -> None:
+def test_a_frame_says_what_the_scans_left_open(tmp_path):
     endless = replace(HALL, length_m=60.0, width_m=3.0, range_m=10.0)
     source = open_source(swept_log(tmp_path, with_odometry=True, hall=endless), SourceOptions(odometry="lidar"))
     last = list(source.frames())[-1].decode()
@@ -181,19 +170,19 @@ def test_a_frame_says_along_what_the_scans_did_not_tell_where_it_is(tmp_path: Pa
     assert np.array_equal(seen.event(last).degenerate, last.degenerate)
 
 
-def test_a_lidar_that_nothing_connects_to_the_camera_is_no_way_to_its_poses(tmp_path: Path) -> None:
+def test_an_unconnected_lidar_is_not_used_for_poses(tmp_path):
     log = swept_log(tmp_path, lidar_frame="somewhere")
     with pytest.raises(CalibrationError, match="no static transform from the LiDAR's frame somewhere to the camera's"):
         open_source(log, SourceOptions(odometry="lidar"))
     assert dict(open_source(log).info.streams)["pose"] == "odometry: small_gicp on depth"
 
 
-def test_a_log_without_a_lidar_says_so() -> None:
+def test_a_log_without_a_lidar_says_so():
     with pytest.raises(RecordingError, match=r"has no LiDAR .*; choose --odometry depth"):
         open_source(DEMO, SourceOptions(odometry="lidar"))
 
 
-def test_after_an_interruption_poses_go_on_from_those_that_were_journaled() -> None:
+def test_after_an_interruption_poses_go_on_from_the_journal():
     """On another kind of processor they may differ: what follows is moved along, by the same rigid motion."""
     plain = poses_of(FirstFrames(open_source(DEMO, UNPOSED), 8))
     moved = from_rotation_translation(yaw_rotation(0.1), np.array([0.05, -0.02, 0.01]))
@@ -205,7 +194,7 @@ def test_after_an_interruption_poses_go_on_from_those_that_were_journaled() -> N
     np.testing.assert_allclose(found[1][4:], np.array([moved @ pose for pose in plain[1][4:]]), atol=1e-12)
 
 
-def test_a_run_by_odometry_that_was_stopped_goes_on_to_the_same_map(tmp_path: Path) -> None:
+def test_a_stopped_odometry_run_resumes_to_the_same_map(tmp_path):
     count = 16
     instances = SceneSource(count).instances
 
@@ -223,7 +212,6 @@ def test_a_run_by_odometry_that_was_stopped_goes_on_to_the_same_map(tmp_path: Pa
             )
             async for _ in snapshots:
                 pass
-            assert mapper.folder is not None
             return mapper.folder.manifest
 
     whole = asyncio.run(run("whole"))
@@ -234,7 +222,7 @@ def test_a_run_by_odometry_that_was_stopped_goes_on_to_the_same_map(tmp_path: Pa
     assert main(["replay", str(tmp_path / "stopped"), "--json"]) == 0
 
 
-def test_the_command_writes_tum_and_the_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_tum_and_the_errors(tmp_path, capsys):
     log = scenes.write_seven_scenes(tmp_path / "log", scenes.make_scene())
     out = tmp_path / "poses.tum"
     asked = ["odometry", str(log), "--profile", "registered", "--pose-topic", "none", "-o", str(out)]

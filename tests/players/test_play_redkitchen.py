@@ -1,22 +1,14 @@
 """Real, unregistered frames: 7-Scenes redkitchen."""
 
-from __future__ import annotations
-
 from itertools import pairwise
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-
 from hickory_stream.geometry.camera import backproject, project
 from hickory_stream.geometry.rigid import apply, invert
+from hickory_stream.records import Frame
 from players import open_source
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.records import Frame
 
 
 @pytest.fixture(scope="module")
@@ -40,16 +32,16 @@ def _agreement(a: Frame, b: Frame) -> float:
     return float((np.abs(off) < 0.05)[off < 0.05].mean())
 
 
-def test_frames_agree_with_each_other_in_the_world(frames: list[Frame]) -> None:
+def test_frames_agree_with_each_other_in_the_world(frames):
     shares = [_agreement(a, b) for a, b in pairwise(frames)]
     assert np.median(shares) > 0.9
 
 
-def test_the_camera_is_upright_in_the_world(frames: list[Frame]) -> None:
+def test_the_camera_is_upright_in_the_world(frames):
     assert all(frame.world_from_camera[2, 1] < -0.8 for frame in frames)
 
 
-def test_edges_of_depth_lie_on_edges_of_colour(frames: list[Frame]) -> None:
+def test_edges_of_depth_lie_on_edges_of_colour(frames):
     """The colour gradient on the depth edges is greater where the images are registered than beside it."""
     gains = []
     for frame in frames:

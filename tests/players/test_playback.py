@@ -1,11 +1,5 @@
-"""The playback clock, with a clock of its own to read."""
-
-from __future__ import annotations
-
 import threading
-
 import pytest
-
 from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
 from hickory_stream.cli.runs.play import press
 from hickory_stream.errors import InputError
@@ -20,7 +14,7 @@ class _Time:
         return self.now_s
 
 
-def test_at_a_rate_frames_are_due_by_their_stamps() -> None:
+def test_at_a_rate_frames_are_due_by_their_stamps():
     time = _Time()
     clock = PlaybackClock(2.0, time)
     assert clock.due_in_s(START_NS, is_keyframe=False) == 0.0
@@ -29,11 +23,11 @@ def test_at_a_rate_frames_are_due_by_their_stamps() -> None:
     assert clock.due_in_s(START_NS + 10**9, is_keyframe=False) == 0.0
 
 
-def test_without_a_rate_frames_are_due_at_once() -> None:
+def test_without_a_rate_frames_are_due_at_once():
     assert PlaybackClock(None).due_in_s(START_NS, is_keyframe=False) == 0.0
 
 
-def test_where_playback_is_counts_from_the_first_frame_though_its_stamp_is_zero() -> None:
+def test_playback_counts_from_a_first_frame_at_stamp_zero():
     clock = PlaybackClock(None)
     assert clock.describe() == "at 0.0 s, max"
     for stamp_ns in (0, 2_500_000_000):
@@ -41,13 +35,13 @@ def test_where_playback_is_counts_from_the_first_frame_though_its_stamp_is_zero(
     assert clock.describe() == "at 2.5 s, max"
 
 
-def test_a_start_after_the_end_says_how_long_the_log_is() -> None:
+def test_a_start_after_the_end_says_how_long_the_log_is():
     source = PlayedSource(SceneSource(4), PlaybackClock(), start_s=60.0)
     with pytest.raises(InputError, match=r"--start 60, but the log is only \d+\.\d s long"):
         next(source.frames())
 
 
-def test_a_change_of_rate_counts_from_where_it_was_made() -> None:
+def test_a_change_of_rate_counts_from_where_it_was_made():
     time = _Time()
     clock = PlaybackClock(1.0, time)
     clock.due_in_s(START_NS, is_keyframe=False)
@@ -57,7 +51,7 @@ def test_a_change_of_rate_counts_from_where_it_was_made() -> None:
     assert clock.due_in_s(START_NS + 2 * 10**9, is_keyframe=False) == pytest.approx(2.0)
 
 
-def test_a_pause_holds_frames_and_a_step_lets_one_through() -> None:
+def test_a_pause_holds_frames_and_a_step_lets_one_through():
     clock = PlaybackClock(None)
     clock.pause(True)
     assert clock.due_in_s(START_NS, is_keyframe=False) is None
@@ -66,13 +60,13 @@ def test_a_pause_holds_frames_and_a_step_lets_one_through() -> None:
     assert clock.due_in_s(START_NS, is_keyframe=False) is None
 
 
-def test_a_step_to_the_next_keyframe_lets_all_before_it_through() -> None:
+def test_a_step_to_the_next_keyframe_lets_all_before_it_through():
     clock = PlaybackClock(None)
     clock.step("keyframe")
     assert [clock.due_in_s(START_NS, is_keyframe=key) for key in (False, False, True, False)] == [0.0, 0.0, 0.0, None]
 
 
-def test_a_part_of_a_log_is_played() -> None:
+def test_a_part_of_a_log_is_played():
     seconds = PERIOD_NS / 1e9
     source = PlayedSource(SceneSource(8), PlaybackClock(), start_s=2 * seconds, end_s=5 * seconds)
     frames = list(source.frames())
@@ -82,7 +76,7 @@ def test_a_part_of_a_log_is_played() -> None:
     assert source.ledger()["frames_skipped"] == 2
 
 
-def test_a_seek_forward_skips_and_a_seek_back_begins_again() -> None:
+def test_a_seek_forward_skips_and_a_seek_back_begins_again():
     clock = PlaybackClock()
     source = PlayedSource(SceneSource(8), clock)
     shown = []
@@ -95,7 +89,7 @@ def test_a_seek_forward_skips_and_a_seek_back_begins_again() -> None:
     assert shown == [0, 1, 5, 6, 3, 4, 5, 6, 7]
 
 
-def test_stopping_wakes_whoever_waits() -> None:
+def test_stopping_wakes_whoever_waits():
     clock = PlaybackClock(None)
     clock.pause(True)
     source = PlayedSource(SceneSource(2), clock)
@@ -108,7 +102,7 @@ def test_stopping_wakes_whoever_waits() -> None:
     assert len(frames) == 2
 
 
-def test_keys_drive_the_clock() -> None:
+def test_keys_drive_the_clock():
     clock = PlaybackClock(1.0)
     press(clock, b" ")
     assert clock.is_paused

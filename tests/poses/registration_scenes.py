@@ -1,22 +1,14 @@
 """A furnished room as a camera with noise sees it, and odometry of it that drifts: what tests of registration share."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
-
 import numpy as np
-
+from numpy.typing import NDArray
 from hickory_stream.box_scene import SceneBox, cast_scene
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.poses.surface_image import SurfaceImage, surface_image
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 CAMERA = Camera(width=160, height=120, fx=87.0, fy=87.0, cx=79.5, cy=59.5)
 SPREAD_PER_M = 0.0012

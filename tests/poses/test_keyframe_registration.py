@@ -1,24 +1,7 @@
-"""Keyframes are registered to the surface of those before: drift is taken out, exact poses stay, strangers stay out."""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from collections.abc import Sequence
 import numpy as np
 import pytest
-from registration_scenes import (
-    CAMERA,
-    EMPTY_WALL,
-    NUM_KEYFRAMES,
-    ROOM,
-    SPREAD_PER_M,
-    drifted,
-    errors_m,
-    image,
-    true_pose,
-    wall_pose,
-)
-
+from numpy.typing import NDArray
 from hickory_stream.box_scene import SceneBox
 from hickory_stream.errors import RangeError
 from hickory_stream.geometry.rigid import compose, from_rotation_translation, invert, yaw_rotation
@@ -32,11 +15,18 @@ from hickory_stream.poses.keyframe_registration import (
 )
 from hickory_stream.poses.registration_config import RegistrationConfig
 from hickory_stream.poses.surface_image import surface_image
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
+from tests.poses.registration_scenes import (
+    CAMERA,
+    EMPTY_WALL,
+    NUM_KEYFRAMES,
+    ROOM,
+    SPREAD_PER_M,
+    drifted,
+    errors_m,
+    image,
+    true_pose,
+    wall_pose,
+)
 
 CONFIG = RegistrationConfig()
 TRUE = [true_pose(i) for i in range(NUM_KEYFRAMES)]
@@ -57,13 +47,13 @@ def corrected() -> list[Placed | KeptOut]:
     return walked(DRIFTED)
 
 
-def test_exact_poses_stay_as_they_are_to_the_last_bit() -> None:
+def test_exact_poses_stay_as_they_are_to_the_last_bit():
     found = walked(TRUE)
     assert all(isinstance(each, Placed) and not each.belief.corrects for each in found)
     assert [pose.tobytes() for pose in poses_of(found)] == [pose.tobytes() for pose in TRUE]
 
 
-def test_most_of_a_drift_is_taken_out(corrected: list[Placed | KeptOut]) -> None:
+def test_most_of_a_drift_is_taken_out(corrected):
     before, after = errors_m(DRIFTED), errors_m(poses_of(corrected))
     assert before[-1] > 0.09
     assert len(after) == NUM_KEYFRAMES
@@ -71,19 +61,19 @@ def test_most_of_a_drift_is_taken_out(corrected: list[Placed | KeptOut]) -> None
     assert np.sqrt((after**2).mean()) < 0.3 * np.sqrt((before**2).mean())
 
 
-def test_the_correction_grows_and_never_jumps(corrected: list[Placed | KeptOut]) -> None:
+def test_the_correction_grows_and_never_jumps(corrected):
     offsets = np.array([each.belief.map_from_odometry for each in corrected if isinstance(each, Placed)])
     at_camera = [compose(offset, DRIFTED[-1])[:3, 3] for offset in offsets]
     assert np.linalg.norm(np.diff(at_camera, axis=0), axis=1).max() < 0.03
     assert np.linalg.norm(at_camera[-1] - at_camera[0]) > 0.08
 
 
-def test_the_same_keyframes_have_the_same_places_to_the_last_bit(corrected: list[Placed | KeptOut]) -> None:
+def test_the_same_keyframes_have_the_same_places_to_the_last_bit(corrected):
     again = poses_of(walked(DRIFTED))
     assert [pose.tobytes() for pose in again] == [pose.tobytes() for pose in poses_of(corrected)]
 
 
-def test_a_person_who_walks_along_does_not_pull_a_keyframe_along() -> None:
+def test_a_person_who_walks_along_does_not_pull_a_keyframe_along():
     registration = KeyframeRegistration(CONFIG)
     poses = []
     for i, pose in enumerate(DRIFTED):
@@ -96,7 +86,7 @@ def test_a_person_who_walks_along_does_not_pull_a_keyframe_along() -> None:
     assert errors_m(poses).max() < 0.03
 
 
-def test_along_a_bare_wall_only_the_odometry_moves_a_keyframe() -> None:
+def test_along_a_bare_wall_only_the_odometry_moves_a_keyframe():
     odometry = [wall_pose(i) for i in range(12)]
     for i, pose in enumerate(odometry):
         pose[0, 3] += 0.01 * i  # along the wall
@@ -115,7 +105,7 @@ def test_along_a_bare_wall_only_the_odometry_moves_a_keyframe() -> None:
     assert np.abs(shifts @ [0.0, 1.0, 0.0]).max() < 0.3
 
 
-def test_along_what_the_odometry_did_not_see_a_keyframe_is_moved_as_far_as_the_surface_says() -> None:
+def test_where_odometry_is_blind_the_surface_moves_a_keyframe():
     """The odometry guesses a quarter too little of each step and says so: it is no contradiction, nor too far."""
     short = drifted(TRUE[:16], scale=-0.25, yaw_deg=0.0)
     unsaid, said = KeyframeRegistration(CONFIG), KeyframeRegistration(CONFIG)
@@ -131,7 +121,7 @@ def test_along_what_the_odometry_did_not_see_a_keyframe_is_moved_as_far_as_the_s
     assert errors_m(poses_of(found))[-8:].max() < 0.03
 
 
-def test_new_ground_that_the_odometry_did_not_see_either_is_as_unsure_as_its_guess() -> None:
+def test_new_ground_unseen_by_odometry_is_as_unsure_as_its_guess():
     nothing = surface_image(np.zeros((120, 160), np.uint16), CAMERA, spread_per_m=SPREAD_PER_M, max_sigma_m=0.1)
     sideways = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
     sigmas = []
@@ -147,7 +137,7 @@ def test_new_ground_that_the_odometry_did_not_see_either_is_as_unsure_as_its_gue
     assert sigmas[1][1:] == pytest.approx(sigmas[0][1:])
 
 
-def test_new_ground_is_mapped_where_the_odometry_has_it_and_is_less_sure() -> None:
+def test_new_ground_is_mapped_by_odometry_and_less_sure():
     registration = KeyframeRegistration(CONFIG)
     nothing = surface_image(np.zeros((120, 160), np.uint16), CAMERA, spread_per_m=SPREAD_PER_M, max_sigma_m=0.1)
     found = [registration.place(image(0) if i == 0 else nothing, pose) for i, pose in enumerate(TRUE[:6])]
@@ -158,7 +148,7 @@ def test_new_ground_is_mapped_where_the_odometry_has_it_and_is_less_sure() -> No
     assert sure[-1] > 4 * sure[1]
 
 
-def test_a_robot_that_was_carried_away_is_kept_out_and_then_begins_anew() -> None:
+def test_a_carried_robot_is_kept_out_and_then_starts_over():
     registration = KeyframeRegistration(CONFIG)
     for i in range(12):
         assert isinstance(registration.place(image(i), TRUE[i]), Placed)
@@ -174,7 +164,7 @@ def test_a_robot_that_was_carried_away_is_kept_out_and_then_begins_anew() -> Non
     assert set(hows[1:]) == {"fits"}
 
 
-def test_a_slip_of_the_odometry_is_found_again() -> None:
+def test_a_slip_of_the_odometry_is_found_again():
     slip = from_rotation_translation(yaw_rotation(0.01), np.array([0.06, -0.03, 0.0]))
     odometry = [*TRUE[:12], *(compose(slip, pose) for pose in TRUE[12:])]
     found = walked(odometry)
@@ -183,7 +173,7 @@ def test_a_slip_of_the_odometry_is_found_again() -> None:
     assert errors_m(poses_of(found)[-20:], NUM_KEYFRAMES - 20).max() < 0.02
 
 
-def test_who_was_kept_out_does_not_believe_new_ground() -> None:
+def test_who_was_kept_out_does_not_believe_new_ground():
     registration = KeyframeRegistration(CONFIG)
     for i in range(12):
         registration.place(image(i), TRUE[i])
@@ -195,7 +185,7 @@ def test_who_was_kept_out_does_not_believe_new_ground() -> None:
     assert isinstance(registration.place(image(14), TRUE[14]), Placed)
 
 
-def test_after_a_jump_that_is_known_of_a_keyframe_that_does_not_fit_begins_anew_at_once() -> None:
+def test_after_a_known_jump_an_unfitting_keyframe_starts_over():
     registration = KeyframeRegistration(CONFIG)
     for i in range(6):
         registration.place(image(i), TRUE[i])
@@ -205,7 +195,7 @@ def test_after_a_jump_that_is_known_of_a_keyframe_that_does_not_fit_begins_anew_
     assert found.how == "begun anew"
 
 
-def test_a_log_that_begins_again_begins_without_a_correction(corrected: list[Placed | KeptOut]) -> None:
+def test_a_log_that_begins_again_begins_without_a_correction(corrected):
     registration = KeyframeRegistration(CONFIG)
     for i, pose in enumerate(DRIFTED):
         registration.place(image(i), pose)
@@ -217,7 +207,7 @@ def test_a_log_that_begins_again_begins_without_a_correction(corrected: list[Pla
 
 
 @pytest.mark.parametrize("until", [5, 20])
-def test_what_was_restored_goes_on_to_the_same_places(corrected: list[Placed | KeptOut], until: int) -> None:
+def test_what_was_restored_goes_on_to_the_same_places(corrected, until):
     placed = [each for each in corrected if isinstance(each, Placed)]
     remembered = [
         Remembered(image=image(i), map_from_camera=each.map_from_camera, number=i, is_anchor=each.is_anchor)
@@ -233,13 +223,13 @@ def test_what_was_restored_goes_on_to_the_same_places(corrected: list[Placed | K
         assert found.is_anchor == placed[i].is_anchor
 
 
-def test_few_keyframes_are_remembered_where_all_were_seen_before(corrected: list[Placed | KeptOut]) -> None:
+def test_few_keyframes_are_remembered_where_all_were_seen_before(corrected):
     anchors = [each.is_anchor for each in corrected if isinstance(each, Placed)]
     assert sum(anchors) < 0.6 * NUM_KEYFRAMES
     assert not any(anchors[-4:])
 
 
-def test_the_covariance_covers_the_error(corrected: list[Placed | KeptOut]) -> None:
+def test_the_covariance_covers_the_error(corrected):
     sigmas = []
     for i, each in enumerate(corrected):
         if isinstance(each, Placed) and each.belief.corrects and i > 10:
@@ -250,6 +240,6 @@ def test_the_covariance_covers_the_error(corrected: list[Placed | KeptOut]) -> N
     assert np.array(sigmas).min() > 0.0002
 
 
-def test_a_configuration_out_of_its_ranges_is_refused() -> None:
+def test_a_configuration_out_of_its_ranges_is_refused():
     with pytest.raises(RangeError, match="drift_share"):
         RegistrationConfig(drift_share=1.1)

@@ -1,10 +1,5 @@
-"""Which way is up, by what a room shows; and nothing where it shows no level surface."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
-
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, rotation_of_vector
 from hickory_stream.poses.upright import up_in
 from hickory_stream.records import Scan
@@ -28,18 +23,18 @@ def scan_of(points: np.ndarray) -> Scan:
 
 
 @pytest.mark.parametrize("tilt", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.5), (-0.5, 0.1, 2.0)])
-def test_up_is_found_to_a_degree_whatever_the_tilt_of_the_camera(tilt: tuple[float, float, float]) -> None:
+def test_up_is_found_to_a_degree_whatever_the_tilt_of_the_camera(tilt):
     tilted = from_rotation_translation(rotation_of_vector(np.array(tilt)), np.array([0.4, -0.2, 1.0]))
     found = up_in(scan_of(apply(tilted, room(has_floor=True))), UP)
     assert found is not None
     assert np.degrees(np.arccos(min(1.0, found @ tilted[:3, 2]))) < 1.0
 
 
-def test_walls_alone_do_not_tell() -> None:
+def test_walls_alone_do_not_tell():
     assert up_in(scan_of(room(has_floor=False)), UP) is None
 
 
-def test_a_cloud_without_surfaces_does_not_tell() -> None:
+def test_a_cloud_without_surfaces_does_not_tell():
     points = np.random.default_rng(1).normal(0.0, 1.0, (5000, 3))
     assert up_in(scan_of(points), UP) is None
     assert up_in(scan_of(points[:50]), UP) is None

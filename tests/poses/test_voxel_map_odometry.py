@@ -1,20 +1,11 @@
-"""Registration to a local voxel map: how true it is, what it says of itself, and what it does when it is lost."""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
+from numpy.typing import NDArray
 from hickory_stream.geometry.rigid import apply, compose, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.ports import NotRegistered, Registered
 from hickory_stream.poses.voxel_map_odometry import VoxelMapOdometry
 from hickory_stream.records import Scan
 from tools.worlds.corridor import CorridorConfig, corridor_scans
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 ROOM = CorridorConfig(length_m=7.0, width_m=5.0, margin_m=2.0, way_m=2.0, columns=360)
 ENDLESS = CorridorConfig(length_m=60.0, margin_m=20.0, range_m=12.0, way_m=3.0, columns=360)
@@ -37,16 +28,14 @@ def end_error_m(found: Registered | NotRegistered, walk: list[tuple[Scan, NDArra
     return float(np.linalg.norm(found.start_from_sensor[:3, 3] - true_end[:3, 3]))
 
 
-def test_a_room_is_followed_to_a_centimetre_and_nothing_of_it_is_degenerate(
-    room: list[tuple[Scan, NDArray[np.float64]]],
-) -> None:
+def test_a_room_is_followed_to_a_centimetre(room):
     odometry = VoxelMapOdometry("lidar")
     found = [odometry.register(scan) for scan, _ in room]
     assert end_error_m(found[-1], room) < 0.01
     assert [len(each.degenerate) for each in found if isinstance(each, Registered)] == [0] * len(room)
 
 
-def test_the_information_is_that_of_the_errors(room: list[tuple[Scan, NDArray[np.float64]]]) -> None:
+def test_the_information_is_that_of_the_errors(room):
     """Of 6 degrees of freedom, the squared error over its covariance is 6 on average; within a factor of three."""
     odometry = VoxelMapOdometry("lidar")
     squared, before = [], None
@@ -62,9 +51,7 @@ def test_the_information_is_that_of_the_errors(room: list[tuple[Scan, NDArray[np
     assert 1.0 < float(np.median(squared)) < 18.0
 
 
-def test_a_corridor_without_ends_is_declared_degenerate_along_it(
-    corridor: list[tuple[Scan, NDArray[np.float64]]],
-) -> None:
+def test_a_corridor_without_ends_is_declared_degenerate_along_it(corridor):
     odometry = VoxelMapOdometry("lidar")
     found = [odometry.register(scan) for scan, _ in corridor]
     declared = [each for each in found[1:] if isinstance(each, Registered) and len(each.degenerate)]
@@ -76,9 +63,7 @@ def test_a_corridor_without_ends_is_declared_degenerate_along_it(
             assert abs(direction @ each.information @ direction) < 1e-6 * np.trace(each.information)
 
 
-def test_along_a_degenerate_direction_the_prediction_moves_the_pose(
-    corridor: list[tuple[Scan, NDArray[np.float64]]],
-) -> None:
+def test_along_a_degenerate_direction_the_prediction_moves(corridor):
     odometry = VoxelMapOdometry("lidar")
     found: Registered | NotRegistered = NotRegistered(reason="no scan")
     for i, (scan, truth) in enumerate(corridor):
@@ -87,9 +72,7 @@ def test_along_a_degenerate_direction_the_prediction_moves_the_pose(
     assert end_error_m(found, corridor) < 0.1
 
 
-def test_a_sensor_that_was_carried_away_is_lost_until_it_is_back(
-    room: list[tuple[Scan, NDArray[np.float64]]],
-) -> None:
+def test_a_sensor_that_was_carried_away_is_lost_until_it_is_back(room):
     odometry = VoxelMapOdometry("lidar")
     for scan, _ in room[:10]:
         odometry.register(scan)
@@ -102,7 +85,7 @@ def test_a_sensor_that_was_carried_away_is_lost_until_it_is_back(
     assert end_error_m(odometry.register(room[11][0]), room[:12]) < 0.02
 
 
-def test_points_that_a_turning_sensor_measured_one_after_the_other_are_put_straight() -> None:
+def test_points_of_a_turning_sensor_are_straightened():
     """A sweep of a tenth of a second while the sensor turns at 1 rad/s and goes at 1 m/s."""
     still = corridor_scans(ROOM, seed=2)[0][0]
     velocity = from_rotation_translation(yaw_rotation(1.0), np.array([1.0, 0.0, 0.0]))

@@ -1,11 +1,6 @@
-"""How questions are read."""
-
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.errors import InputError
 from hickory_stream.query import vocabulary
 from hickory_stream.query.grammar import question_of
@@ -43,11 +38,11 @@ WORDS = sorted(
         ("anything", "any object"),
     ],
 )
-def test_a_question_means(text: str, meaning: str) -> None:
+def test_a_question_means(text, meaning):
     assert phrase_of(question_of(text).thing) == meaning
 
 
-def test_a_question_that_counts_is_told_from_one_that_looks() -> None:
+def test_a_question_that_counts_is_told_from_one_that_looks():
     assert question_of("how many red boxes are there?").counts
     assert question_of("the number of seats").counts
     assert not question_of("red boxes").counts
@@ -66,14 +61,14 @@ def test_a_question_that_counts_is_told_from_one_that_looks() -> None:
         ("red " * 200, "800 characters"),
     ],
 )
-def test_what_is_no_question_is_refused_in_one_line(text: str, complaint: str) -> None:
+def test_what_is_no_question_is_refused_in_one_line(text, complaint):
     with pytest.raises(InputError, match=complaint.replace(".", r"\.")) as refused:
         question_of(text)
     assert "\n" not in str(refused.value)
 
 
 @given(st.lists(st.sampled_from(WORDS), max_size=12))
-def test_words_in_any_order_are_a_question_or_refused(words: list[str]) -> None:
+def test_words_in_any_order_are_a_question_or_refused(words):
     try:
         assert phrase_of(question_of(" ".join(words)).thing)
     except InputError:

@@ -1,10 +1,5 @@
-"""Words that only a network knows, and the pictures that it is shown."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import InputError
 from hickory_stream.query.grammar import question_of
 from hickory_stream.query.looks import squared
@@ -22,17 +17,17 @@ from hickory_stream.query.question import phrase_of
         ("a red box", "(red, box)"),
     ],
 )  # fmt: skip
-def test_words_that_geometry_does_not_tell_are_looks(text: str, meaning: str) -> None:
+def test_words_that_geometry_does_not_tell_are_looks(text, meaning):
     assert phrase_of(question_of(text, with_looks=True).thing) == meaning
 
 
 @pytest.mark.parametrize("text", ["a mug #", "50 mugs", "% of it"])
-def test_what_is_no_word_is_none_with_a_network_either(text: str) -> None:
+def test_what_is_no_word_is_none_with_a_network_either(text):
     with pytest.raises(InputError):
         question_of(text, with_looks=True)
 
 
-def test_a_view_is_made_a_square_of_which_nothing_is_cut_off() -> None:
+def test_a_view_is_made_a_square_of_which_nothing_is_cut_off():
     picture = np.zeros((4, 10, 3), np.uint8)
     picture[:, 5:] = 200
     square = squared(picture)

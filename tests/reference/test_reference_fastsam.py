@@ -3,13 +3,10 @@
 Needs the extra `export` (torch, ultralytics, transformers); skipped without. Run: pytest -m reference tests/reference
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import sys
 import types
 from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -17,11 +14,7 @@ torch = pytest.importorskip("torch", reason="needs the extra `export`: pip insta
 
 import tools.export_models as export  # noqa: E402 -- needs torch only where it is there
 from hickory_stream.perception.models.fastsam import FastSamConfig  # noqa: E402
-from hickory_stream.perception.models.preprocessing import (  # noqa: E402
-    built_in_picture,
-    letterbox_of,
-    letterboxed,
-)
+from hickory_stream.perception.models.preprocessing import built_in_picture, letterbox_of, letterboxed  # noqa: E402
 
 pytestmark = [pytest.mark.reference, pytest.mark.timeout(600), pytest.mark.filterwarnings("default")]
 
@@ -98,7 +91,7 @@ def yolo(request, ultralytics, tmp_path_factory):
 
 
 @pytest.mark.parametrize("size", SIZES, ids=str)
-def test_masks_of_a_yolo_graph_are_those_of_the_packages_own_predictor(yolo, size):
+def test_masks_of_a_yolo_graph_equal_the_packages_predictor(yolo, size):
     model, file = yolo
     picture = resized(size)
     config = FastSamConfig(confidence=0.3, nms_iou=0.7, max_masks=100)

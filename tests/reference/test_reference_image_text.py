@@ -3,8 +3,6 @@
 Needs transformers (of the extra `export`; without torch, too). Run: pytest -m reference tests/reference
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -67,14 +65,9 @@ def test_tokens_are_those_of_the_package(tmp_path, with_mask):
         tokenizer_config=folder / "tokenizer_config.json",
     )
     texts = (
-        "a photo of a mug.",
-        "A Window",
-        "it's 10 mugs",
-        "",
-        "x" * 100,
-        "  two   spaces ",
+        "a photo of a mug.", "A Window", "it's 10 mugs", "", "x" * 100, "  two   spaces ",
         "caf\u00e9 \u2014 na\u00efve",
-    )
+    )  # fmt: skip
     for text in texts:
         theirs = tokenizer(text, truncation=True, padding=False if with_mask else "max_length")["input_ids"]
         assert pair.tokens_of(text) == theirs, text

@@ -3,10 +3,7 @@
 Needs the extra `export` (torch, ultralytics, transformers); skipped without. Run: pytest -m reference tests/reference
 """
 
-from __future__ import annotations
-
 from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -15,16 +12,8 @@ torch = pytest.importorskip("torch", reason="needs the extra `export`: pip insta
 import tools.export_models as export  # noqa: E402 -- needs torch only where it is there
 from hickory_stream.perception.models.dinov2 import DinoConfig, DinoExtractor  # noqa: E402
 from hickory_stream.perception.models.network import Network, NetworkConfig  # noqa: E402
-from hickory_stream.perception.models.preprocessing import (  # noqa: E402
-    built_in_picture,
-    normalised,
-)
-from hickory_stream.perception.models.semantic_graph import (  # noqa: E402
-    PanopticConfig,
-    best_classes,
-    panoptic_classes,
-    query_scores,
-)
+from hickory_stream.perception.models.preprocessing import built_in_picture, normalised  # noqa: E402
+from hickory_stream.perception.models.semantic_graph import PanopticConfig, best_classes, panoptic_classes, query_scores  # noqa: E402
 
 pytestmark = [pytest.mark.reference, pytest.mark.timeout(600), pytest.mark.filterwarnings("default")]
 
@@ -79,7 +68,7 @@ def queries(seed, num=20, num_classes=12, size=(30, 40)):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_classes_of_queries_are_those_of_the_packages_post_processing(segments, seed):
+def test_classes_of_queries_equal_the_packages_processing(segments, seed):
     classes, masks = queries(seed)
     outputs = SimpleNamespace(
         class_queries_logits=torch.from_numpy(classes)[None], masks_queries_logits=torch.from_numpy(masks)[None]
@@ -100,28 +89,15 @@ def test_classes_of_a_oneformer_graph_are_those_of_the_package(segments, tmp_pat
 
     torch.manual_seed(5)
     backbone = transformers.SwinConfig(
-        image_size=64,
-        embed_dim=24,
-        depths=[1, 1, 1, 1],
-        num_heads=[2, 2, 2, 2],
-        window_size=4,
+        image_size=64, embed_dim=24, depths=[1, 1, 1, 1], num_heads=[2, 2, 2, 2], window_size=4,
         out_features=["stage1", "stage2", "stage3", "stage4"],
-    )
+    )  # fmt: skip
     num_classes = 9
     config = transformers.OneFormerConfig(
-        backbone_config=backbone,
-        num_queries=30,
-        hidden_dim=64,
-        conv_dim=64,
-        mask_dim=64,
-        encoder_feedforward_dim=64,
-        dim_feedforward=64,
-        encoder_layers=2,
-        decoder_layers=2,
-        num_attention_heads=4,
-        is_training=False,
+        backbone_config=backbone, num_queries=30, hidden_dim=64, conv_dim=64, mask_dim=64, encoder_feedforward_dim=64,
+        dim_feedforward=64, encoder_layers=2, decoder_layers=2, num_attention_heads=4, is_training=False,
         num_labels=num_classes,
-    )
+    )  # fmt: skip
     model = transformers.OneFormerForUniversalSegmentation(config).eval()
     for name, value in model.named_parameters():
         if "class_embed" in name and value.ndim == 2:

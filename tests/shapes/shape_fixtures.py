@@ -2,11 +2,9 @@
 
 import ctypes
 from typing import Any
-
 import libusb_package
 import numpy as np
 import trimesh
-
 from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.mesh import Mesh
@@ -99,23 +97,16 @@ def shape_inputs(
         rgb = np.full((*depth.shape, 3), 90, np.uint8)
         rgb[mask] = (200, 120, 40)
         crop = Crop(
-            rgb=rgb[y0:y1, x0:x1],
-            depth_m=depth[y0:y1, x0:x1].astype(np.float32),
-            mask=mask[y0:y1, x0:x1],
-            camera=camera.cropped(x0, y0, x1, y1),
-            world_from_camera=pose,
-        )
+            rgb=rgb[y0:y1, x0:x1], depth_m=depth[y0:y1, x0:x1].astype(np.float32), mask=mask[y0:y1, x0:x1],
+            camera=camera.cropped(x0, y0, x1, y1), world_from_camera=pose,
+        )  # fmt: skip
         crops.append(crop)
         inside = crop.mask & np.isfinite(crop.depth_m)
         points.append(apply(pose, backproject(crop.depth_m, crop.camera)[inside]))
         colors.append(crop.rgb[inside])
     fused, rgb_points = fused_points(np.concatenate(points), np.concatenate(colors), 0.01)
     return ShapeInputs(
-        crops=tuple(crops),
-        points_world=fused,
-        colors=rgb_points,
-        box=gravity_aligned_box(fused, 0.01),
-        support_z_m=0.0,
+        crops=tuple(crops), points_world=fused, colors=rgb_points, box=gravity_aligned_box(fused, 0.01), support_z_m=0.0
     )
 
 

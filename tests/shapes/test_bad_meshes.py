@@ -1,14 +1,11 @@
 """Whatever mesh comes: a certified, finite layer 4, or an error that says why there is none."""
 
 from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shape_fixtures import as_mesh, test_mesh
-
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value
@@ -17,6 +14,7 @@ from hickory_stream.shapes.build import ShapeConfig, build_shape
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics
 from hickory_stream.shapes.inflate.inflation import InflateConfig, inflated
 from hickory_stream.shapes.mesh_validation import usable
+from tests.shapes.shape_fixtures import as_mesh, test_mesh
 
 COARSE = FitConfig(cells=24, joint_samples=800)
 
@@ -49,10 +47,9 @@ def certified(mesh: Mesh, margin: float, config: FitConfig = COARSE) -> Superqua
     return found.primitives
 
 
-@pytest.mark.timeout(120)
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 100_000), st.integers(3, 20), st.integers(1, 30), st.sampled_from([0.0, 0.02, 2.0]))
-def test_a_mesh_of_random_triangles_is_contained(seed: int, num_vertices: int, num_faces: int, margin: float) -> None:
+def test_a_mesh_of_random_triangles_is_contained(seed, num_vertices, num_faces, margin):
     rng = np.random.default_rng(seed)
     vertices = rng.normal(size=(num_vertices, 3)) * 10 ** rng.uniform(-2, 1, 3)
     faces = rng.integers(0, num_vertices, (num_faces, 3))
@@ -78,7 +75,7 @@ BOX = trimesh.creation.box((0.4, 0.3, 0.2))
     ids=["open", "inside-out", "non-manifold", "self-intersecting", "two-parts", "flat", "one-triangle", "collinear"],
 )
 @pytest.mark.parametrize("margin", [0.0, 0.05, 2.0])
-def test_an_odd_mesh_is_contained(mesh: Mesh, margin: float) -> None:
+def test_an_odd_mesh_is_contained(mesh, margin):
     certified(mesh, margin)
 
 
@@ -91,7 +88,7 @@ WITH_WASTE = {
 
 
 @pytest.mark.parametrize(("vertices", "faces"), WITH_WASTE.values(), ids=WITH_WASTE.keys())
-def test_what_is_no_surface_changes_nothing(vertices: list[list[float]], faces: list[list[int]]) -> None:
+def test_what_is_no_surface_changes_nothing(vertices, faces):
     wasteful = mesh_of(np.concatenate([BOX.vertices, vertices]), [*BOX.faces.tolist(), *faces])
     clean = as_mesh(BOX)
     for margin in (0.02, 1.0):
@@ -100,19 +97,19 @@ def test_what_is_no_surface_changes_nothing(vertices: list[list[float]], faces: 
         assert np.array_equal(found.world_from_local, expected.world_from_local)
 
 
-def test_a_triangle_that_is_a_line_is_contained_as_far_as_it_reaches() -> None:
+def test_a_degenerate_triangle_is_contained_along_its_line():
     spike = mesh_of(np.concatenate([BOX.vertices, [[3.0, 0, 0]]]), [*BOX.faces.tolist(), [0, 0, 8]])
     certified(spike, 0.02)
 
 
-def test_a_box_whose_sides_share_no_vertices_is_the_same_box() -> None:
+def test_a_box_whose_sides_share_no_vertices_is_the_same_box():
     apart = mesh_of(BOX.vertices[BOX.faces.ravel()], np.arange(3 * len(BOX.faces)))
     one, other = (certified(mesh, 0.02) for mesh in (as_mesh(BOX), apart))
     assert len(other) == 1
     assert other.semi_axes_m == pytest.approx(one.semi_axes_m, rel=1e-6)
 
 
-def test_a_shape_of_a_wasteful_reconstructor_is_that_of_its_surface_in_all_layers() -> None:
+def test_a_wasteful_reconstructors_shape_keeps_its_surface():
     class Wasteful:
         name = "wasteful"
 
@@ -134,14 +131,14 @@ def test_a_shape_of_a_wasteful_reconstructor_is_that_of_its_surface_in_all_layer
     assert built.inflated.semi_axes_m.max() < 0.3
 
 
-def test_points_that_are_not_finite_are_told_and_contained_by_nothing() -> None:
+def test_points_that_are_not_finite_are_reported_and_outside():
     points = np.array([[0.0, 0, 0], [np.nan, 0, 0]])
     with pytest.raises(ValueError, match="8 vertices of faces and 2 points, 1 of them not finite"):
         inflated(fit_superquadrics(as_mesh(BOX), COARSE), BOX.vertices, BOX.faces, points, InflateConfig())
 
 
 @pytest.mark.parametrize("scale", [3e-3, 3e3])
-def test_three_millimetres_and_three_kilometres_are_as_good_as_a_metre(scale: float) -> None:
+def test_three_millimetres_and_three_kilometres_work_as_a_metre(scale):
     shape = test_mesh("monitor").copy()
     shape.apply_scale(scale / np.ptp(shape.vertices, axis=0).max())
     grown = certified(as_mesh(shape), min(0.02 * scale, 2.0), FitConfig())
@@ -159,6 +156,6 @@ def test_three_millimetres_and_three_kilometres_are_as_good_as_a_metre(scale: fl
     ],
     ids=["empty", "nan", "infinite", "point", "wrong-index"],
 )
-def test_what_is_no_mesh_is_refused_with_its_reason(mesh: Mesh, reason: str) -> None:
+def test_what_is_no_mesh_is_refused_with_its_reason(mesh, reason):
     with pytest.raises(ValueError, match=reason):
         fit_superquadrics(mesh, FitConfig())

@@ -1,14 +1,8 @@
-"""A generated shape that is joined with what was seen."""
-
-from __future__ import annotations
-
 from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
-
 from hickory_stream.geometry.mesh import is_closed
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import Reconstruction, ShapeInputs
@@ -38,7 +32,7 @@ def joined(made: trimesh.Trimesh, inputs: ShapeInputs) -> tuple[Reconstruction, 
     return answer, apply(answer.world_from_object, answer.mesh.vertices.astype(np.float64))
 
 
-def test_it_passes_through_what_was_measured_and_keeps_the_rest(inputs: ShapeInputs) -> None:
+def test_it_passes_through_what_was_measured_and_keeps_the_rest(inputs):
     # 3 cm too wide all round: the seen sides are drawn in, the unseen back stays.
     answer, vertices = joined(body((0.46, 0.36, 0.5)), inputs)
     assert is_closed(answer.mesh)
@@ -53,7 +47,7 @@ def test_it_passes_through_what_was_measured_and_keeps_the_rest(inputs: ShapeInp
     assert -0.27 < vertices[:, 0].min() < -0.215
 
 
-def test_what_lies_in_free_space_or_under_the_support_is_cut_away(inputs: ShapeInputs) -> None:
+def test_shape_in_free_space_or_under_the_support_is_cut(inputs):
     shelf = trimesh.util.concatenate([body((0.4, 0.3, 0.5)), body((0.3, 0.1, 0.1), at=(0.3, 0, 0.3))])
     _, vertices = joined(shelf, inputs)
     assert vertices[:, 0].max() < 0.25

@@ -1,9 +1,6 @@
-"""What one shape job says of its layers."""
-
 import numpy as np
 import pytest
 import trimesh
-
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.geometry.superquadric import Superquadrics
@@ -12,7 +9,7 @@ from hickory_stream.shapes.build import seen_shares
 
 
 @pytest.mark.parametrize(("cut", "share"), [(-1.0, 1.0), (0.0, 0.5), (0.25, 0.25), (1.0, 0.0)])
-def test_the_seen_share_is_that_of_the_area(cut: float, share: float) -> None:
+def test_the_seen_share_is_that_of_the_area(cut, share):
     # Of a ball, the area above a height is proportional to what is left of the diameter.
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
     place = from_rotation_translation(np.eye(3), np.array([2.0, -1.0, 0.5]))

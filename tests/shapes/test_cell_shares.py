@@ -1,9 +1,6 @@
-"""The cells that a superquadric fills: by the distances of `tangent_distance`, to the last bit."""
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.shapes.fit.cell_shares import body_of, distance_bound, occupancies, occupancy
 from hickory_stream.shapes.fit.quadric_lm import row_of, tangent_distance
 from tests.strategies import rotations
@@ -30,14 +27,12 @@ def occupancies_one_by_one(row: np.ndarray) -> np.ndarray:
 
 
 @given(st.floats(0.1, 2.0), st.floats(0.1, 2.0), rotations(), st.tuples(*[st.floats(0.3, 8.0)] * 3))
-def test_shares_of_a_block_are_those_of_each_cell(
-    e1: float, e2: float, rotation: np.ndarray, axes: tuple[float, float, float]
-) -> None:
+def test_shares_of_a_block_are_those_of_each_cell(e1, e2, rotation, axes):
     row = row_of((e1, e2), np.array(axes), np.array([0.3, -0.6, 0.1]), rotation)
     assert np.array_equal(occupancies(row, _LOW, _HIGH), occupancies_one_by_one(row))
 
 
-def test_a_box_fills_its_volume() -> None:
+def test_a_box_fills_its_volume():
     row = row_of((0.1, 0.1), np.array([5.0, 3.0, 2.5]), np.zeros(3), np.eye(3))
     filled = occupancies(row, _LOW, _HIGH)
     assert filled.dtype == np.float32

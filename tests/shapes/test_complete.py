@@ -1,7 +1,6 @@
 """Which of the space that nobody saw belongs to an object."""
 
 import numpy as np
-
 from hickory_stream.shapes.reconstruct.completion import FREE, SOLID, solid_of
 
 INNER = (slice(3, 17), slice(3, 17), slice(3, 17))
@@ -16,14 +15,14 @@ def seen_front(free_depth: int) -> np.ndarray:
     return states
 
 
-def test_a_box_of_which_only_the_front_was_seen_is_filled_behind_it_as_far_as_it_is_looked_at() -> None:
+def test_a_box_seen_from_the_front_is_filled_behind():
     solid = solid_of(seen_front(0), INNER, None, 0)
     assert solid[INNER][1:-1, 1:8, 1:-1].mean() > 0.95
     assert solid[INNER][1:-1, 1:-1, 1:-1].mean() > 0.75
     assert not solid[:, :3].any()
 
 
-def test_where_much_was_seen_free_what_hides_behind_the_front_is_not_filled_to_the_end() -> None:
+def test_seen_free_space_limits_the_filling():
     states = seen_front(11)
     solid = solid_of(states, INNER, None, 0)
     assert not (solid & (states == FREE)).any()
@@ -49,7 +48,7 @@ def seen_bed() -> np.ndarray:
 BED = (slice(5, 35), slice(4, 35), slice(3, 20))
 
 
-def test_nothing_is_filled_under_a_bed_and_its_feet_stay() -> None:
+def test_nothing_is_filled_under_a_bed_and_its_feet_stay():
     states = seen_bed()
     solid = solid_of(states, BED, 3, 3, is_wide=True)
     assert not solid[10:30, 10:30, 3:8].any()
@@ -57,7 +56,7 @@ def test_nothing_is_filled_under_a_bed_and_its_feet_stay() -> None:
     assert solid[5:7, 4:6, 3:9].all()
 
 
-def test_what_is_narrow_or_comes_down_in_many_places_is_filled_to_the_support() -> None:
+def test_a_narrow_or_many_footed_shape_is_filled_to_the_support():
     narrow = solid_of(seen_bed(), BED, 3, 3, is_wide=False)
     assert narrow[12:28, 12:28, 3:8].mean() > 0.6
     states = seen_bed()

@@ -1,16 +1,13 @@
-"""Connected pieces of cells and of triangles: those of SciPy's labels and components."""
-
 import numpy as np
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
-
 from hickory_stream.shapes.connected import joined_faces, piece_around, pieces_of
 
 
 @given(st.integers(0, 1000), st.floats(0.2, 0.8), st.tuples(*[st.integers(1, 12)] * 3))
-def test_pieces_of_cells_are_labelled_in_their_order(seed: int, share: float, shape: tuple[int, int, int]) -> None:
+def test_pieces_of_cells_are_labelled_in_their_order(seed, share, shape):
     cells = np.random.default_rng(seed).random(shape) < share
     labels, sizes, bounds = pieces_of(cells)
     truth, count = ndimage.label(cells)
@@ -32,9 +29,7 @@ def edges_by_count(faces: np.ndarray) -> dict[tuple[int, int], int]:
 
 
 @given(st.integers(0, 1000), st.integers(1, 40), st.integers(3, 30))
-def test_faces_are_joined_by_their_vertices_and_open_where_an_edge_is_not_passed_back(
-    seed: int, num_faces: int, num_vertices: int
-) -> None:
+def test_faces_join_at_vertices_and_open_at_unpaired_edges(seed, num_faces, num_vertices):
     faces = np.random.default_rng(seed).integers(0, num_vertices, (num_faces, 3))
     pieces, are_open = joined_faces(faces, num_vertices)
     balance = edges_by_count(faces)
@@ -47,7 +42,7 @@ def test_faces_are_joined_by_their_vertices_and_open_where_an_edge_is_not_passed
         assert are_open[f] == any(count != 0 for (a, _), count in balance.items() if a in piece)
 
 
-def test_a_box_beside_one_without_a_face_is_closed() -> None:
+def test_a_box_beside_one_without_a_face_is_closed():
     box, other = trimesh.creation.box(), trimesh.creation.box()
     faces = np.concatenate([box.faces, other.faces[1:] + len(box.vertices)])
     pieces, are_open = joined_faces(faces.astype(np.int64), 2 * len(box.vertices))

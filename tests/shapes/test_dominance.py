@@ -1,10 +1,7 @@
 """The points that decide whether a superquadric contains them all."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-
 from hickory_stream.shapes.inflate.cover import undominated
 
 
@@ -15,7 +12,7 @@ def by_definition(points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("steps", [4, 1000])
-def test_a_point_is_left_out_exactly_if_another_one_lies_beyond_it(steps: int) -> None:
+def test_a_point_is_left_out_exactly_if_another_lies_beyond(steps):
     rng = np.random.default_rng(7)
     points = np.floor(rng.random((400, 3)) * steps) / steps
     # On steps so coarse many points share a coordinate: whatever is left out still has one that stands for it.
@@ -26,7 +23,7 @@ def test_a_point_is_left_out_exactly_if_another_one_lies_beyond_it(steps: int) -
         np.testing.assert_array_equal(kept, expected)
 
 
-def test_few_points_of_a_box_decide_and_all_of_a_ball_do() -> None:
+def test_few_points_of_a_box_decide_and_all_of_a_ball_do():
     rng = np.random.default_rng(8)
     ball = np.abs(rng.normal(size=(500, 3)))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)

@@ -1,10 +1,5 @@
-"""The envelope of a hollow thing: cavities that are enclosed are filled, and nothing else."""
-
-from __future__ import annotations
-
 import numpy as np
 import trimesh
-
 from hickory_stream.shapes.fit.envelope import filled
 from hickory_stream.shapes.sdf import DistanceGrid, distance_grid
 from tools.evaluation.shapes.meshes import hollow_mesh, test_mesh
@@ -18,7 +13,7 @@ def volume_of(grid: DistanceGrid) -> float:
     return float((grid.values < 0).sum() * grid.step_m**3)
 
 
-def test_a_bowl_is_filled_to_its_rim() -> None:
+def test_a_bowl_is_filled_to_its_rim():
     found = filled(grid_of(hollow_mesh("bowl")))
     assert found is not None
     half_a_ball = 2 / 3 * np.pi * 0.12**3
@@ -26,13 +21,13 @@ def test_a_bowl_is_filled_to_its_rim() -> None:
     assert np.abs(found.values).max() <= found.band_m + 1e-9
 
 
-def test_a_pipe_is_filled() -> None:
+def test_a_pipe_is_filled():
     pipe = trimesh.creation.annulus(r_min=0.09, r_max=0.1, height=0.4, sections=32)
     found = filled(grid_of(pipe))
     assert found is not None
     assert abs(volume_of(found) / (np.pi * 0.1**2 * 0.4) - 1) < 0.12
 
 
-def test_what_encloses_nothing_has_no_envelope() -> None:
+def test_what_encloses_nothing_has_no_envelope():
     for name in ("box", "torus", "chair", "table", "shelf"):
         assert filled(grid_of(test_mesh(name))) is None, name

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 import trimesh
-from shape_fixtures import as_mesh, test_mesh
-
 from hickory_stream.geometry.rigid import apply, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, volumes_m3, world_bounds
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics, fitted_shape
 from hickory_stream.shapes.fit.quadric_lm import refined, row_of
 from hickory_stream.shapes.fit.tangent_planes import distances_of
 from hickory_stream.shapes.sdf import distance_grid
+from tests.shapes.shape_fixtures import as_mesh, test_mesh
 from tools.evaluation.shapes.meshes import hollow_mesh
 
 CONFIG = FitConfig()
@@ -44,7 +43,7 @@ def union_iou(primitives: Superquadrics, mesh: trimesh.Trimesh) -> float:
         ("organic", 4, 0.93),
     ],
 )
-def test_few_primitives_explain_the_object(name: str, most: int, iou: float) -> None:
+def test_few_primitives_explain_the_object(name, most, iou):
     fitted = fit_superquadrics(as_mesh(test_mesh(name)), CONFIG)
     assert len(fitted) <= most
     assert union_iou(fitted, test_mesh(name)) >= iou
@@ -53,7 +52,7 @@ def test_few_primitives_explain_the_object(name: str, most: int, iou: float) -> 
     assert (fitted.exponents <= 2.0).all()
 
 
-def test_a_turned_box_is_found_with_its_size_and_place() -> None:
+def test_a_turned_box_is_found_with_its_size_and_place():
     mesh = trimesh.creation.box((0.6, 0.3, 0.2))
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = yaw_rotation(0.4), (1.0, 2.0, 3.0)
@@ -65,7 +64,7 @@ def test_a_turned_box_is_found_with_its_size_and_place() -> None:
 
 
 @pytest.mark.parametrize("scale", [0.003, 3000.0])
-def test_the_unit_of_length_does_not_matter(scale: float) -> None:
+def test_the_unit_of_length_does_not_matter(scale):
     small = fit_superquadrics(as_mesh(test_mesh("monitor")), CONFIG)
     scaled = test_mesh("monitor").copy()
     scaled.apply_scale(scale)
@@ -74,13 +73,13 @@ def test_the_unit_of_length_does_not_matter(scale: float) -> None:
     assert volumes_m3(large).sum() / scale**3 == pytest.approx(volumes_m3(small).sum(), rel=0.02)
 
 
-def test_the_same_mesh_gives_the_same_primitives_to_the_byte() -> None:
+def test_the_same_mesh_gives_the_same_primitives_to_the_byte():
     first, second = (fit_superquadrics(as_mesh(test_mesh("chair")), CONFIG) for _ in range(2))
     assert first.semi_axes_m.tobytes() == second.semi_axes_m.tobytes()
     assert first.world_from_local.tobytes() == second.world_from_local.tobytes()
 
 
-def test_a_bowl_becomes_its_envelope() -> None:
+def test_a_bowl_becomes_its_envelope():
     bowl = hollow_mesh("bowl")
     found = fitted_shape(as_mesh(bowl), FitConfig())
     assert found.kind == "envelope"
@@ -96,7 +95,7 @@ def test_a_bowl_becomes_its_envelope() -> None:
     assert (is_found == is_in_ball).mean() > 0.93
 
 
-def test_a_bin_becomes_one_upright_cylinder_around_it() -> None:
+def test_a_bin_becomes_one_upright_cylinder_around_it():
     walls = trimesh.creation.annulus(r_min=0.145, r_max=0.15, height=0.4, sections=48)
     bottom = trimesh.creation.cylinder(radius=0.15, height=0.006, sections=48)
     bottom.apply_translation([0, 0, -0.197])
@@ -106,7 +105,7 @@ def test_a_bin_becomes_one_upright_cylinder_around_it() -> None:
     assert found.semi_axes_m[0] == pytest.approx([0.15, 0.15, 0.2], abs=0.007)
 
 
-def test_a_flat_mesh_becomes_one_box_of_its_extent() -> None:
+def test_a_flat_mesh_becomes_one_box_of_its_extent():
     square = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
     fitted = fit_superquadrics(as_mesh(square), CONFIG)
     assert len(fitted) == 1
@@ -114,7 +113,7 @@ def test_a_flat_mesh_becomes_one_box_of_its_extent() -> None:
     assert fitted.world_from_local[0, :3, 3] == pytest.approx([0.5, 1.0, 0.0])
 
 
-def test_distances_to_a_sphere_are_exact() -> None:
+def test_distances_to_a_sphere_are_exact():
     row = row_of((1.0, 1.0), np.full(3, 5.0), np.array([1.0, 2.0, 3.0]), np.eye(3))
     points = np.random.default_rng(0).uniform(-8, 8, (200, 3))
     truth = np.linalg.norm(points - row[5:8], axis=1) - 5.0
@@ -124,13 +123,13 @@ def test_distances_to_a_sphere_are_exact() -> None:
     assert (np.abs(found[~outside] - truth[~outside]) < 1e-6).mean() > 0.9
 
 
-def test_distances_inside_a_sharp_plate_are_those_to_its_faces() -> None:
+def test_distances_inside_a_sharp_plate_are_those_to_its_faces():
     row = row_of((0.1, 0.1), np.array([30.0, 20.0, 2.0]), np.zeros(3), np.eye(3))
     points = np.random.default_rng(0).uniform([-27, -17, -1.5], [27, 17, 1.5], (200, 3))
     assert distances_of(row, points, np.inf) == pytest.approx(np.abs(points[:, 2]) - 2.0, abs=0.1)
 
 
-def test_a_fit_from_nearby_finds_the_primitive_that_made_the_distances() -> None:
+def test_a_fit_from_nearby_finds_the_true_primitive():
     truth = row_of((0.5, 1.0), np.array([6.0, 4.0, 9.0]), np.array([15.0, 15, 15]), np.eye(3))
     points = np.stack(np.meshgrid(*[np.arange(30.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     distances = distances_of(truth, points, np.inf)

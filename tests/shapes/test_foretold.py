@@ -1,13 +1,9 @@
 """Generated shapes that are checked by views that they were not made from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
-
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
 from hickory_stream.shapes.generated.judgement import JudgementConfig, by_other_views, newly_seen
 from tools.evaluation.shapes.spoiled_generator import Sighted, plain_mesh, sighted
@@ -49,7 +45,7 @@ def placed(seen: Sighted, *, flattened: float) -> Reconstruction:
     return Reconstruction(mesh=plain_mesh(moved, mesh.faces), world_from_object=np.eye(4))
 
 
-def test_a_shape_is_asked_for_what_its_own_views_did_not_show(seen: Sighted) -> None:
+def test_a_shape_is_asked_for_what_its_own_views_did_not_show(seen):
     found = newly_seen(seen.made_from, 1)
     assert found is not None
     first, new, size_m = found
@@ -60,23 +56,20 @@ def test_a_shape_is_asked_for_what_its_own_views_did_not_show(seen: Sighted) -> 
     assert newly_seen(replace(seen.made_from, crops=seen.made_from.crops[:1] * 3), 1) is None
 
 
-def test_a_made_up_back_loses_against_an_embedded_shape_that_foretold_more(seen: Sighted) -> None:
+def test_a_made_up_back_loses_to_a_better_foretelling_shape(seen):
     true, flat = placed(seen, flattened=0.0), placed(seen, flattened=0.9)
     knows = Knows(true)
     refused = by_other_views(flat, seen.made_from, 1, knows, CONFIG)
-    assert refused is not None
     assert not refused.is_accepted
     assert "the embedded one 1.00" in refused.reason
     # The embedded shape is asked with the generator's views alone, and with no points that only others saw.
-    assert knows.shown is not None
     assert knows.shown.crops == seen.made_from.crops[:1]
     assert len(newly_seen(seen.made_from, 1)[0]) == len(knows.shown.points_world)  # type: ignore[index]
 
 
 @pytest.mark.parametrize("other", ["flat", "none"])
-def test_a_shape_that_foretold_what_was_seen_is_kept(seen: Sighted, other: str) -> None:
+def test_a_shape_that_foretold_what_was_seen_is_kept(seen, other):
     embedded = NoShape(reason="no") if other == "none" else placed(seen, flattened=0.9)
     verdict = by_other_views(placed(seen, flattened=0.0), seen.made_from, 1, Knows(embedded), CONFIG)
-    assert verdict is not None
     assert verdict.is_accepted
     assert verdict.reason.startswith("foretold 1.00")

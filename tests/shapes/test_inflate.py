@@ -5,14 +5,13 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shape_fixtures import as_mesh, test_mesh
-
 from hickory_stream.geometry.superquadric import Superquadrics, implicit_value, taken, volumes_m3
 from hickory_stream.ports import Reconstruction
 from hickory_stream.shapes.certify import Inside, certify, inside_of, uncovered_cells
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fit_superquadrics
 from hickory_stream.shapes.inflate.cover import NET, NET_FACTOR
 from hickory_stream.shapes.inflate.inflation import InflateConfig, inflate, inflate_to_cover, inflated
+from tests.shapes.shape_fixtures import as_mesh, test_mesh
 
 PLATE = Superquadrics(
     exponents=np.full((1, 2), 0.1), semi_axes_m=np.array([[0.6, 0.4, 0.02]]), world_from_local=np.eye(4)[None]
@@ -56,7 +55,7 @@ def sampled_solid(mesh: trimesh.Trimesh, margin: float, rng: np.random.Generator
     )
 
 
-def test_the_net_encloses_the_sphere() -> None:
+def test_the_net_encloses_the_sphere():
     directions = np.abs(on_sphere(np.random.default_rng(0), 4000))
     # Every direction of the octant lies in the hull of the net, its factor and the centre.
     hull = trimesh.convex.convex_hull(np.concatenate([NET * NET_FACTOR, np.zeros((1, 3))]))
@@ -71,7 +70,7 @@ def test_the_net_encloses_the_sphere() -> None:
     st.sampled_from(["per_axis", "single_factor"]),
     st.sampled_from([0.0, 0.01, 0.3]),
 )
-def test_inflation_holds_the_ball_around_every_point_and_never_shrinks(before, seed, g, rule, margin) -> None:
+def test_inflation_holds_the_ball_around_every_point(before, seed, g, rule, margin):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(60, 3))
     after = inflate_to_cover(before, points, InflateConfig(rule=rule, g=g, r_safe_m=margin))
@@ -83,7 +82,7 @@ def test_inflation_holds_the_ball_around_every_point_and_never_shrinks(before, s
 
 
 @given(primitives(), st.integers(0, 10_000))
-def test_growing_each_axis_takes_no_more_volume_than_one_factor(before, seed) -> None:
+def test_growing_each_axis_takes_no_more_volume_than_one_factor(before, seed):
     points = np.random.default_rng(seed).normal(size=(60, 3))
     margins = {"r_safe_m": 0.0}
     per_axis = inflate_to_cover(before, points, InflateConfig(**margins))
@@ -91,7 +90,7 @@ def test_growing_each_axis_takes_no_more_volume_than_one_factor(before, seed) ->
     assert (volumes_m3(per_axis) <= volumes_m3(single) * 1.01).all()
 
 
-def test_the_single_factor_is_the_papers_gamma() -> None:
+def test_the_single_factor_is_the_papers_gamma():
     sphere = Superquadrics(exponents=np.ones((1, 2)), semi_axes_m=np.ones((1, 3)), world_from_local=np.eye(4)[None])
     after = inflate_to_cover(
         sphere, np.array([[0.0, 0.0, 3.0]]), InflateConfig(rule="single_factor", g=0.25, r_safe_m=0.0)
@@ -100,7 +99,7 @@ def test_the_single_factor_is_the_papers_gamma() -> None:
     assert after.semi_axes_m[0] == pytest.approx([6.0, 6.0, 6.0])
 
 
-def test_a_margin_of_five_centimetres_thickens_a_plate_by_about_that_and_not_by_its_ratio() -> None:
+def test_a_margin_thickens_a_plate_by_about_its_length():
     corners = np.array([[x, y, z] for x in (-0.6, 0.6) for y in (-0.4, 0.4) for z in (-0.02, 0.02)])
     per_axis = inflate_to_cover(PLATE, corners, InflateConfig(r_safe_m=0.05))
     single = inflate_to_cover(PLATE, corners, InflateConfig(r_safe_m=0.05, rule="single_factor"))
@@ -111,7 +110,7 @@ def test_a_margin_of_five_centimetres_thickens_a_plate_by_about_that_and_not_by_
 @pytest.mark.parametrize(
     ("name", "r_safe_m"), [("chair", 0.0), ("mug", 0.02), ("table", 0.05), ("torus", 0.0), ("organic", 0.02)]
 )
-def test_the_surface_its_margin_and_the_points_of_layer_1_are_inside(name: str, r_safe_m: float) -> None:
+def test_the_surface_its_margin_and_layer_1_are_inside(name, r_safe_m):
     shape = test_mesh(name)
     mesh = as_mesh(shape)
     fitted = fit_superquadrics(mesh, FitConfig())
@@ -128,7 +127,7 @@ def test_the_surface_its_margin_and_the_points_of_layer_1_are_inside(name: str, 
     assert (lowest_g(after, np.concatenate([sampled_solid(exact, r_safe_m, rng), moved_points])) <= 1.0).all()
 
 
-def test_the_inside_of_a_closed_mesh_is_contained_where_no_primitive_was() -> None:
+def test_the_inside_of_a_closed_mesh_is_contained_everywhere():
     # Two plates for a solid cube: what is between them is inside the mesh, and nothing else says so.
     cube = trimesh.creation.box((1, 1, 1)).subdivide().subdivide()
     poses = np.tile(np.eye(4), (2, 1, 1))
@@ -144,7 +143,7 @@ def test_the_inside_of_a_closed_mesh_is_contained_where_no_primitive_was() -> No
 
 @settings(max_examples=15, deadline=None)
 @given(primitives(), st.integers(0, 10_000), st.floats(0.0, 0.2))
-def test_a_certificate_that_holds_is_true_and_one_that_fails_is_not_given(shape, seed, margin) -> None:
+def test_a_certificate_is_given_exactly_where_it_holds(shape, seed, margin):
     rng = np.random.default_rng(seed)
     mesh = trimesh.creation.box(rng.uniform(0.1, 0.8, 3)).subdivide()
     mesh.apply_translation(rng.normal(size=3) * 0.2)
@@ -159,7 +158,7 @@ def test_a_certificate_that_holds_is_true_and_one_that_fails_is_not_given(shape,
     assert (lowest_g(found.primitives, sampled_solid(mesh, margin, rng)) <= 1.0).all()
 
 
-def test_the_certificate_counts_what_a_missing_primitive_leaves_open() -> None:
+def test_the_certificate_counts_what_a_missing_primitive_opens():
     vertices, faces = arrays_of(test_mesh("monitor"))
     config = InflateConfig(r_safe_m=0.02)
     fitted = fit_superquadrics(as_mesh(test_mesh("monitor")), FitConfig())
@@ -173,9 +172,7 @@ def test_the_certificate_counts_what_a_missing_primitive_leaves_open() -> None:
 
 @settings(max_examples=8, deadline=None)
 @given(primitives(), st.integers(0, 10_000))
-def test_a_cell_is_covered_where_one_primitive_holds_its_corners_and_never_where_a_point_sticks_out(
-    shape, seed
-) -> None:
+def test_a_cell_is_covered_where_one_primitive_holds_its_corners(shape, seed):
     rng = np.random.default_rng(seed)
     half = 10 ** rng.uniform(-2.5, -0.5)
     places = np.concatenate([rng.uniform(-1.5, 1.5, (300, 3)), shape.world_from_local[:, :3, 3]])
@@ -198,7 +195,7 @@ def test_a_cell_is_covered_where_one_primitive_holds_its_corners_and_never_where
 
 
 @pytest.mark.parametrize(("name", "size_m"), [("sphere", 4.0), ("cylinder", 20.0), ("ellipsoid", 8.0)])
-def test_a_large_round_thing_needs_no_box(name: str, size_m: float) -> None:
+def test_a_large_round_thing_needs_no_box(name, size_m):
     shape = test_mesh(name).copy()
     shape.apply_transform(trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.2])))
     shape.apply_scale(size_m / np.ptp(shape.vertices, axis=0).max())
@@ -210,7 +207,7 @@ def test_a_large_round_thing_needs_no_box(name: str, size_m: float) -> None:
     assert volumes_m3(found.primitives).sum() < 1.5 * shape.volume
 
 
-def test_without_a_primitive_a_box_takes_its_place_and_says_so() -> None:
+def test_without_a_primitive_a_box_takes_its_place_and_says_so():
     vertices, faces = arrays_of(test_mesh("chair"))
     none = taken(PLATE, np.array([], dtype=np.int64))
     found = inflated(none, vertices, faces, NO_POINTS, InflateConfig(r_safe_m=0.05))
@@ -238,7 +235,7 @@ ARMCHAIR = trimesh.util.concatenate([SEAT, *ARMS])
 SEAT_ONLY = box_like((0.25, 0.25, 0.05))
 
 
-def test_what_the_fit_left_out_gets_boxes_of_its_own_where_that_takes_less_space() -> None:
+def test_leftovers_of_the_fit_get_boxes_where_those_are_smaller():
     vertices, faces = arrays_of(ARMCHAIR)
     found = inflated(SEAT_ONLY, vertices, faces, NO_POINTS, InflateConfig(r_safe_m=0.02))
     without = inflated(SEAT_ONLY, vertices, faces, NO_POINTS, InflateConfig(r_safe_m=0.02, most_added=0))
@@ -254,7 +251,7 @@ def test_what_the_fit_left_out_gets_boxes_of_its_own_where_that_takes_less_space
     assert (lowest_g(found.primitives, sampled_solid(ARMCHAIR, 0.02, np.random.default_rng(0))) <= 1.0).all()
 
 
-def test_no_more_boxes_are_added_than_allowed_and_none_by_the_papers_rule() -> None:
+def test_no_more_boxes_are_added_than_allowed():
     vertices, faces = arrays_of(ARMCHAIR)
     two = inflated(SEAT_ONLY, vertices, faces, NO_POINTS, InflateConfig(r_safe_m=0.02, most_added=2))
     single = inflated(SEAT_ONLY, vertices, faces, NO_POINTS, InflateConfig(r_safe_m=0.02, rule="single_factor"))
@@ -263,7 +260,7 @@ def test_no_more_boxes_are_added_than_allowed_and_none_by_the_papers_rule() -> N
     assert single.certificate.holds
 
 
-def test_points_of_layer_1_far_from_the_mesh_get_boxes_of_their_own() -> None:
+def test_far_points_of_layer_1_get_boxes_of_their_own():
     vertices, faces = arrays_of(SEAT)
     far = np.array([1.0, 0.5, 0.4]) + np.random.default_rng(0).uniform(-0.05, 0.05, (50, 3))
     found = inflated(SEAT_ONLY, vertices, faces, far, InflateConfig(r_safe_m=0.02))
@@ -273,14 +270,14 @@ def test_points_of_layer_1_far_from_the_mesh_get_boxes_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("name", ["box", "mug", "chair", "table", "monitor"])
-def test_an_object_that_its_fit_explains_gets_no_boxes(name: str) -> None:
+def test_an_object_that_its_fit_explains_gets_no_boxes(name):
     shape = test_mesh(name)
     fitted = fit_superquadrics(as_mesh(shape), FitConfig())
     found = inflated(fitted, *arrays_of(shape), NO_POINTS, InflateConfig(r_safe_m=0.05))
     assert len(found.primitives) == len(fitted)
 
 
-def test_plates_around_a_solid_do_not_take_the_place_of_one_primitive_that_holds_it() -> None:
+def test_plates_around_a_solid_do_not_replace_one_primitive():
     # Boxes around the faces would be thin, but the inside has to be held, too.
     cube = trimesh.creation.box((1, 1, 1)).subdivide().subdivide()
     found = inflated(box_like((0.1, 0.1, 0.1)), *arrays_of(cube), NO_POINTS, InflateConfig(r_safe_m=0.02))
@@ -290,7 +287,7 @@ def test_plates_around_a_solid_do_not_take_the_place_of_one_primitive_that_holds
     assert (lowest_g(found.primitives, inside) <= 1.0).all()
 
 
-def test_a_box_around_a_round_thing_becomes_round_about_its_axis() -> None:
+def test_a_box_around_a_round_thing_becomes_round_about_its_axis():
     tube = trimesh.creation.cylinder(radius=0.2, height=0.6, sections=64)
     found = inflated(box_like((0.2, 0.2, 0.3)), *arrays_of(tube), NO_POINTS, InflateConfig(r_safe_m=0.02))
     assert found.certificate.holds
@@ -298,7 +295,7 @@ def test_a_box_around_a_round_thing_becomes_round_about_its_axis() -> None:
     assert volumes_m3(found.primitives)[0] < 1.2 * np.pi * 0.22**2 * 0.64
 
 
-def test_the_same_object_gives_the_same_boxes_to_the_byte() -> None:
+def test_the_same_object_gives_the_same_boxes_to_the_byte():
     first, second = (
         inflated(SEAT_ONLY, *arrays_of(ARMCHAIR), NO_POINTS, InflateConfig(r_safe_m=0.02)).primitives for _ in range(2)
     )
@@ -308,7 +305,7 @@ def test_the_same_object_gives_the_same_boxes_to_the_byte() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 6), st.sampled_from([0.0, 0.02, 0.1]), st.sampled_from([0.5, 1.0]))
-def test_whatever_is_left_out_is_contained_and_takes_no_more_space(seed: int, count: int, margin: float, g) -> None:
+def test_leftovers_are_contained_and_take_no_more_space(seed, count, margin, g):
     rng = np.random.default_rng(seed)
     parts = [block(tuple(10 ** rng.uniform(-2, -0.3, 3)), tuple(rng.uniform(-1, 1, 3))) for _ in range(count)]
     mesh = trimesh.util.concatenate([SEAT, *parts])

@@ -1,30 +1,17 @@
 """Placement of meshes of unknown place, size and axes, and the judgement of what was placed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
-
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.ports import MeshPlacement, NotPlaced, Reconstruction, ShapeInputs
 from hickory_stream.shapes.generated.distance_field import distance_field, even_samples, field_at
-from hickory_stream.shapes.generated.judgement import (
-    JudgementConfig,
-    ShapeEvidence,
-    judged,
-    replaces,
-    shape_evidence,
-)
+from hickory_stream.shapes.generated.judgement import JudgementConfig, ShapeEvidence, judged, replaces, shape_evidence
 from hickory_stream.shapes.generated.placement import EmbeddedPlacement, PlacementConfig
 from tools.evaluation.shapes.spoiled_generator import Generated, Sighted, generated, plain_mesh, sighted
-
-if TYPE_CHECKING:
-    from hickory_stream.geometry.mesh import Mesh
 
 CONFIG = PlacementConfig(rotations=300, descents=24, finalists=4)
 
@@ -66,9 +53,7 @@ def placed(given: Generated, inputs: ShapeInputs) -> MeshPlacement:
 
 
 @pytest.mark.parametrize(("seed", "is_spoiled"), [(0, False), (1, False), (2, True)])
-def test_a_mesh_in_a_frame_and_scale_of_its_own_is_put_where_the_object_is(
-    seen: Sighted, seed: int, is_spoiled: bool
-) -> None:
+def test_a_mesh_in_its_own_frame_and_scale_is_put_on_the_object(seen, seed, is_spoiled):
     given = generated(seen, np.random.default_rng(seed), is_spoiled=is_spoiled)
     found = placed(given, seen.made_from)
     assert adds(seen, given, found) < (0.05 if is_spoiled else 0.02)
@@ -78,13 +63,13 @@ def test_a_mesh_in_a_frame_and_scale_of_its_own_is_put_where_the_object_is(
     assert not found.is_symmetric
 
 
-def test_the_same_inputs_give_the_same_bits(seen: Sighted) -> None:
+def test_the_same_inputs_give_the_same_bits(seen):
     given = generated(seen, np.random.default_rng(0), is_spoiled=False)
     first, second = placed(given, seen.made_from), placed(given, seen.made_from)
     assert first.world_from_mesh.tobytes() == second.world_from_mesh.tobytes()
 
 
-def test_a_stretch_is_found_within_its_bounds_and_told() -> None:
+def test_a_stretch_is_found_within_its_bounds_and_told():
     seen = sighted(hooked(), np.random.default_rng(6), 5)
     assert seen is not None
     given = generated(seen, np.random.default_rng(0), is_spoiled=False)
@@ -106,7 +91,7 @@ def own_axes(mesh: Mesh) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     return axes * np.sign(np.linalg.det(axes))
 
 
-def test_what_fits_as_well_when_it_is_turned_is_called_symmetric() -> None:
+def test_what_fits_as_well_when_it_is_turned_is_called_symmetric():
     seen = sighted(box((0.4, 0.3, 0.5)), np.random.default_rng(1), 4)
     assert seen is not None
     given = generated(seen, np.random.default_rng(1), is_spoiled=False)
@@ -115,7 +100,7 @@ def test_what_fits_as_well_when_it_is_turned_is_called_symmetric() -> None:
     assert found.is_symmetric
 
 
-def test_what_was_not_seen_or_is_no_surface_is_not_placed(seen: Sighted) -> None:
+def test_what_was_not_seen_or_is_no_surface_is_not_placed(seen):
     nothing = replace(
         seen.made_from, crops=(), points_world=np.zeros((0, 3), np.float32), colors=np.zeros((0, 3), np.uint8)
     )
@@ -126,7 +111,7 @@ def test_what_was_not_seen_or_is_no_surface_is_not_placed(seen: Sighted) -> None
     assert "area" in found.reason
 
 
-def test_distances_are_those_to_the_surface() -> None:
+def test_distances_are_those_to_the_surface():
     ball = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
     field = distance_field(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32), 40)
     points = np.random.default_rng(0).normal(size=(200, 3))
@@ -138,16 +123,13 @@ def test_distances_are_those_to_the_surface() -> None:
     assert (found > true - field.cell).all()
 
 
-# ---- judgement ------------------------------------------------------------------------------------------------------
-
-
 def evidence_of(mesh: Mesh, seen: Sighted) -> ShapeEvidence:
     found = shape_evidence(Reconstruction(mesh=mesh, world_from_object=np.eye(4)), seen.made_from, 1)
     assert found is not None
     return found
 
 
-def test_the_truth_is_accepted_and_other_things_are_refused_with_the_number_that_says_so(seen: Sighted) -> None:
+def test_the_truth_is_accepted_and_other_things_are_refused(seen):
     truth = evidence_of(seen.mesh_world, seen)
     assert truth.explained > 0.9
     assert truth.violated < 0.1
@@ -162,7 +144,7 @@ def test_the_truth_is_accepted_and_other_things_are_refused_with_the_number_that
     assert "off its support" in judged(evidence_of(above, seen)).reason
 
 
-def test_what_is_worth_less_than_the_embedded_shape_does_not_replace_it() -> None:
+def test_a_shape_worth_less_does_not_replace_the_embedded():
     good = ShapeEvidence(explained=0.9, violated=0.05, silhouette=0.9, other_silhouette=None, support_gap=None)
     poor = replace(good, explained=0.7)
     assert replaces(good, poor, JudgementConfig()).is_accepted

@@ -1,15 +1,12 @@
-"""The field whose level set is layer 2."""
-
 import numpy as np
 import pytest
 from scipy import ndimage
-
 from hickory_stream.shapes.reconstruct.meshing import extract, surface_field
 from hickory_stream.shapes.reconstruct.tsdf import Evidence, VoxelGrid, gaussian_blurred
 
 
 @pytest.mark.parametrize("at_side", [False, True])
-def test_the_surface_is_that_of_exact_distances_also_where_the_solid_meets_the_side_of_its_block(at_side: bool) -> None:
+def test_the_surface_is_exact_also_at_the_side_of_its_block(at_side):
     solid = np.zeros((40, 36, 34), dtype=bool)
     first = 0 if at_side else 5
     solid[6:34, first:30, 5:29] = True

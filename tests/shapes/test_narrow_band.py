@@ -3,7 +3,6 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.shapes.sdf import lower_to_distances
 
 
@@ -17,7 +16,7 @@ def squared_distance(point: np.ndarray, triangle: np.ndarray) -> float:
 
 
 @given(st.integers(0, 1000), st.floats(0.5, 12.0))
-def test_distances_are_those_to_the_nearest_triangle(seed: int, size: float) -> None:
+def test_distances_are_those_to_the_nearest_triangle(seed, size):
     rng = np.random.default_rng(seed)
     corners = 4 + rng.uniform(-size / 2, size / 2, (3, 3, 3))
     squared = np.full((9, 9, 9), np.float32(9.0))
@@ -31,7 +30,7 @@ def test_distances_are_those_to_the_nearest_triangle(seed: int, size: float) -> 
         assert np.sqrt(found) >= np.sqrt(min(truth, 9.0)) - 0.02 * size
 
 
-def test_surface_within_a_solid_does_not_count() -> None:
+def test_surface_within_a_solid_does_not_count():
     triangle = np.array([[[4.0, 4.0, 3.0], [4.0, 4.0, 5.0], [4.0, 5.0, 4.0]]])
     squared = np.full((9, 9, 9), np.float32(9.0))
     lower_to_distances(triangle, np.ones(squared.shape, bool), squared, 3.0)

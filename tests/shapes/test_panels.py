@@ -1,16 +1,11 @@
-"""Thin things are as thick as they are, however coarse the grid of the fit."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
-from shape_fixtures import as_mesh
-
 from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value
 from hickory_stream.shapes.fit.marching_primitives import FitConfig, fitted_shape
 from hickory_stream.shapes.fit.panels import panels
 from hickory_stream.shapes.inflate.inflation import InflateConfig, inflated
+from tests.shapes.shape_fixtures import as_mesh
 
 CONFIG = FitConfig()
 TURN = trimesh.transformations.rotation_matrix(0.7, [1.0, 2.0, 3.0])
@@ -51,25 +46,25 @@ def union_m3(primitives: Superquadrics) -> float:
     return 27 * float(inside.mean())
 
 
-def test_a_carpet_is_as_thick_as_it_is() -> None:
+def test_a_carpet_is_as_thick_as_it_is():
     found = fitted_shape(as_mesh(turned(trimesh.creation.box((2.0, 1.4, 0.002)))), CONFIG)
     assert found.kind == "panels"
     assert np.sort(found.primitives.semi_axes_m) == pytest.approx(np.array([[0.001, 0.7, 1.0]]), rel=0.01)
 
 
-def test_a_rod_is_as_thick_as_it_is() -> None:
+def test_a_rod_is_as_thick_as_it_is():
     rod = turned(trimesh.creation.cylinder(radius=0.006, height=5.0, sections=24))
     found = fitted_shape(as_mesh(rod), CONFIG).primitives
     assert np.sort(found.semi_axes_m) == pytest.approx(np.array([[0.006, 0.006, 2.5]]), rel=0.02)
 
 
-def test_a_carton_keeps_its_five_panels() -> None:
+def test_a_carton_keeps_its_five_panels():
     found = fitted_shape(as_mesh(turned(carton())), CONFIG)
     assert found.kind == "panels"
     assert found.primitives.semi_axes_m.min(axis=1) == pytest.approx(np.full(5, 0.002), rel=0.01)
 
 
-def test_the_panels_of_a_bent_sheet_are_as_thick_as_the_sheet_and_layer_four_follows_its_bend() -> None:
+def test_the_panels_of_a_bent_sheet_are_as_thick_as_the_sheet():
     sheet = turned(bent_sheet())
     assert sheet.is_watertight and sheet.volume > 0
     vertices, faces = np.asarray(sheet.vertices), sheet.faces.astype(np.int32)
@@ -83,7 +78,7 @@ def test_the_panels_of_a_bent_sheet_are_as_thick_as_the_sheet_and_layer_four_fol
     assert union_m3(grown.primitives) < 0.16
 
 
-def test_an_open_mesh_has_no_thickness_to_share() -> None:
+def test_an_open_mesh_has_no_thickness_to_share():
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     found = panels(square, np.array([[0, 1, 2], [0, 2, 3]], np.int32), most=3, min_size_m=0.01)
     assert found.share == 0.0

@@ -1,11 +1,8 @@
-"""The signed distance field: true positions, and an inside for meshes that are not perfect."""
-
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.shapes.sdf import DistanceGrid, distance_grid
 
 
@@ -23,25 +20,25 @@ def box_distance(points: np.ndarray, half: np.ndarray) -> np.ndarray:
 
 
 @given(st.tuples(*[st.floats(0.02, 2.0)] * 3))
-def test_distances_to_a_box_are_exact_within_the_band(size: tuple[float, float, float]) -> None:
+def test_distances_to_a_box_are_exact_within_the_band(size):
     grid = grid_of(trimesh.creation.box(size), cells=16)
     truth = np.clip(box_distance(points_of(grid), np.array(size) / 2), -grid.band_m, grid.band_m)
     assert np.abs(grid.values.ravel() - truth).max() < 1e-5 * max(size)
 
 
-def test_a_plate_of_two_cells_keeps_its_thickness() -> None:
+def test_a_plate_of_two_cells_keeps_its_thickness():
     grid = grid_of(trimesh.creation.box((1.2, 0.8, 0.04)), cells=64)
     volume = np.clip(0.5 - grid.values / grid.step_m, 0, 1).sum() * grid.step_m**3
     assert volume == pytest.approx(1.2 * 0.8 * 0.04, rel=0.05)
 
 
-def test_turning_a_mesh_inside_out_changes_nothing() -> None:
+def test_turning_a_mesh_inside_out_changes_nothing():
     mesh = trimesh.creation.icosphere(subdivisions=2)
     turned = trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
     assert np.array_equal(grid_of(mesh).values, grid_of(turned).values)
 
 
-def test_a_box_without_one_face_still_has_its_inside() -> None:
+def test_a_box_without_one_face_still_has_its_inside():
     box = trimesh.creation.box((1.0, 1.0, 1.0))
     open_box = trimesh.Trimesh(box.vertices, box.faces[box.face_normals[:, 2] < 0.5], process=False)
     grid = grid_of(open_box)
@@ -51,7 +48,7 @@ def test_a_box_without_one_face_still_has_its_inside() -> None:
     assert (grid.values.ravel()[outside] > 0).mean() > 0.99
 
 
-def test_overlapping_parts_are_one_solid() -> None:
+def test_overlapping_parts_are_one_solid():
     two = trimesh.util.concatenate(
         [trimesh.creation.box((1, 1, 1)), trimesh.creation.box((1, 1, 1)).apply_translation([0.5, 0, 0])]
     )
@@ -61,6 +58,6 @@ def test_overlapping_parts_are_one_solid() -> None:
     assert np.array_equal(grid.values.ravel() < 0, truth)
 
 
-def test_a_mesh_of_one_point_is_refused() -> None:
+def test_a_mesh_of_one_point_is_refused():
     with pytest.raises(ValueError, match="no distance field"):
         distance_grid(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32), cells=16, band_cells=3.0)

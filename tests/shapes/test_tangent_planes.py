@@ -1,10 +1,7 @@
-"""Distances of a block of points are those of each point, and a quick logarithm is a logarithm."""
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.shapes.fit.quadric_lm import row_of, tangent_distance
 from hickory_stream.shapes.fit.tangent_planes import (
     BLOCK,
@@ -24,12 +21,12 @@ from tests.strategies import rotations
 
 
 @given(st.floats(1e-300, 1e300))
-def test_a_quick_logarithm_is_good_to_twelve_digits(x: float) -> None:
+def test_a_quick_logarithm_is_good_to_twelve_digits(x):
     assert quick_log(x) == pytest.approx(np.log(x), rel=1e-12, abs=1e-13)
 
 
 @given(st.floats(-690.0, 690.0))
-def test_a_quick_exponential_is_good_to_twelve_digits(x: float) -> None:
+def test_a_quick_exponential_is_good_to_twelve_digits(x):
     assert quick_exp(x) == pytest.approx(np.exp(x), rel=1e-12)
 
 
@@ -38,7 +35,7 @@ def row_with(e1: float, e2: float, rotation: np.ndarray) -> np.ndarray:
 
 
 @given(st.floats(0.1, 2.0), st.floats(0.1, 2.0), rotations(), st.integers(0, 200))
-def test_distances_of_many_points_are_those_of_each(e1: float, e2: float, rotation: np.ndarray, count: int) -> None:
+def test_distances_of_many_points_are_those_of_each(e1, e2, rotation, count):
     row = row_with(e1, e2, rotation)
     points = np.random.default_rng(count).uniform(-16, 16, (count, 3))
     local, gradient, shape = np.empty(3), np.empty(3), np.empty(5)
@@ -46,13 +43,13 @@ def test_distances_of_many_points_are_those_of_each(e1: float, e2: float, rotati
     np.testing.assert_allclose(distances_of(row, points, np.inf), wanted, rtol=1e-9, atol=1e-9)
 
 
-def test_a_point_that_is_deep_enough_is_given_a_bound_that_is_deep_enough_too() -> None:
+def test_a_deep_enough_point_gets_a_deep_enough_bound():
     row = row_with(0.5, 0.5, np.eye(3))
     points = np.array([[1.0, -2.0, 0.5], [1.3, -2.0, 0.4]])
     assert (distances_of(row, points, 0.5) < -0.5).all()
 
 
-def test_a_sphere_that_grows_or_moves_changes_its_distances_by_as_much() -> None:
+def test_a_growing_or_moving_sphere_changes_distances_equally():
     row = row_of((1.0, 1.0), np.full(3, 5.0), np.zeros(3), np.eye(3))
     points = np.random.default_rng(0).normal(size=(BLOCK, 3)) * 4
     block = new_block()

@@ -1,10 +1,7 @@
 """Thin parts that the fit left out get primitives of their own, as thick as they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
-
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.shapes.fit.panels import with_thin_parts
 
@@ -20,7 +17,7 @@ def found(parts: list[trimesh.Trimesh]) -> Superquadrics:
     return with_thin_parts(SEAT, vertices, faces, step_m=0.02, most=8, least_area=0.01)
 
 
-def test_a_rod_and_a_board_that_stick_out_are_found_as_thick_as_they_are() -> None:
+def test_a_rod_and_a_board_that_stick_out_keep_their_thickness():
     rod = trimesh.creation.cylinder(radius=0.012, height=0.5, sections=16).apply_translation((0.1, 0.1, -0.3))
     board = trimesh.creation.box((0.4, 0.01, 0.4)).apply_translation((0, 0.19, 0.25))
     shape = found([rod, board])
@@ -31,12 +28,12 @@ def test_a_rod_and_a_board_that_stick_out_are_found_as_thick_as_they_are() -> No
     np.testing.assert_allclose(sizes[1, :2], (0.012, 0.012), rtol=0.05)
 
 
-def test_a_bulge_on_one_side_is_no_part() -> None:
+def test_a_bulge_on_one_side_is_no_part():
     bulge = trimesh.creation.icosphere(subdivisions=3, radius=0.15).apply_translation((0, 0, 0.0))
     assert len(found([bulge])) == 1
 
 
-def test_nothing_is_added_beyond_the_most() -> None:
+def test_nothing_is_added_beyond_the_most():
     rods = [
         trimesh.creation.cylinder(radius=0.01, height=0.5, sections=12).apply_translation((x, y, -0.3))
         for x in (-0.15, -0.05, 0.05, 0.15)

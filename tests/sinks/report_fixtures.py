@@ -1,12 +1,9 @@
 """A synthetic run for sinks: a camera circles some boxes on a floor, rendered exactly; every box becomes an object."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from collections.abc import Iterator
+from pathlib import Path
 import cv2
 import numpy as np
-
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.mesh import Mesh, sha256_of, write_glb
@@ -27,10 +24,6 @@ from hickory_stream.records import (
     TrackedObject,
     View,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 START_NS = 1_700_000_000_123_456_789
 PERIOD_NS = 66_666_667
@@ -91,22 +84,15 @@ class SyntheticRun:
         rgb, depth_m, instances = render(self.boxes, self.camera, world_from_camera)
         color_bytes = cv2.imencode(".jpg", rgb[..., ::-1])[1].tobytes()
         shared = {
-            "index": index,
-            "stamp_ns": stamp_ns,
-            "camera": self.camera,
-            "world_from_camera": world_from_camera,
+            "index": index, "stamp_ns": stamp_ns, "camera": self.camera, "world_from_camera": world_from_camera,
             "color_bytes": color_bytes,
-        }
+        }  # fmt: skip
         if index % KEYFRAME_EVERY:
             return FrameReport(keyframe_index=None, **shared)
         frame = Frame(
-            index=index,
-            stamp_ns=stamp_ns,
-            rgb=rgb,
-            depth_m=depth_m,
-            camera=self.camera,
+            index=index, stamp_ns=stamp_ns, rgb=rgb, depth_m=depth_m, camera=self.camera,
             world_from_camera=world_from_camera,
-        )
+        )  # fmt: skip
         observed = self._observe(frame, instances)
         return FrameReport(
             keyframe_index=index // KEYFRAME_EVERY,
@@ -137,16 +123,9 @@ class SyntheticRun:
             box_px = (int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1)
             mask = instances[box_px[1] : box_px[3], box_px[0] : box_px[2]] == i
             observation = Observation(
-                index=len(observed),
-                box_px=box_px,
-                mask=mask,
-                points_world=points_world[rows, columns],
-                colors=frame.rgb[rows, columns],
-                box=box,
-                r_area=mask.sum() / instances.size,
-                r_depth=1.0,
-                is_cut=False,
-            )
+                index=len(observed), box_px=box_px, mask=mask, points_world=points_world[rows, columns],
+                colors=frame.rgb[rows, columns], box=box, r_area=mask.sum() / instances.size, r_depth=1.0, is_cut=False,
+            )  # fmt: skip
             observed.append((i, observation))
             self._fuse(i, observation, frame)
         return observed
@@ -157,18 +136,10 @@ class SyntheticRun:
         score = float(np.log(1.5) * observation.r_area**0.3)
         if i not in self.best or score > self.best[i].score:
             self.best[i] = View(
-                object_id=i,
-                frame_index=frame.index,
-                stamp_ns=frame.stamp_ns,
-                box_px=observation.box_px,
-                world_from_camera=frame.world_from_camera,
-                r_area=observation.r_area,
-                r_depth=1.0,
-                box_volume_m3=observation.box.volume_m3,
-                score=score,
-                variance=0.5,
-                feature=None,
-            )
+                object_id=i, frame_index=frame.index, stamp_ns=frame.stamp_ns, box_px=observation.box_px,
+                world_from_camera=frame.world_from_camera, r_area=observation.r_area, r_depth=1.0,
+                box_volume_m3=observation.box.volume_m3, score=score, variance=0.5, feature=None,
+            )  # fmt: skip
 
     def _snapshot(self, frame: Frame, is_merged: bool) -> MapSnapshot:
         floor = np.stack(np.meshgrid(np.arange(-2.5, 2.5, 0.05), np.arange(-2.5, 2.5, 0.05)), axis=-1).reshape(-1, 2)
@@ -184,20 +155,12 @@ class SyntheticRun:
     def _object(self, i: int, frame: Frame) -> TrackedObject:
         points = centers_of_keys(self.points[i], 0.02)
         return TrackedObject(
-            id=i,
-            phase=Phase.TENTATIVE if i == 3 and frame.index < 8 else Phase.DORMANT if i == 5 else Phase.ACTIVE,
-            submap_id=0,
-            sightings=1 + frame.index // KEYFRAME_EVERY,
-            first_seen_ns=START_NS,
-            last_seen_ns=frame.stamp_ns,
-            points_world=points,
-            colors=np.full((len(points), 3), _COLORS[i - 1], np.uint8),
-            box=self.boxes[i - 1],
-            feature=None,
-            views=(self.best[i],),
-            best_view=self.best[i],
-            shape=self.shapes[i] if frame.index >= SHAPE_FRAME else None,
-        )
+            id=i, phase=Phase.TENTATIVE if i == 3 and frame.index < 8 else Phase.DORMANT if i == 5 else Phase.ACTIVE,
+            submap_id=0, sightings=1 + frame.index // KEYFRAME_EVERY, first_seen_ns=START_NS,
+            last_seen_ns=frame.stamp_ns, points_world=points,
+            colors=np.full((len(points), 3), _COLORS[i - 1], np.uint8), box=self.boxes[i - 1], feature=None,
+            views=(self.best[i],), best_view=self.best[i], shape=self.shapes[i] if frame.index >= SHAPE_FRAME else None,
+        )  # fmt: skip
 
 
 def render(
@@ -250,16 +213,10 @@ def _write_shapes(shown: list[OrientedBox], folder: Path) -> dict[int, ObjectSha
         )
         write_glb(mesh, folder / "shapes" / f"{i}.glb")
         shapes[i] = ObjectShape(
-            revision=i,
-            reconstructor="fused",
-            mesh_name=f"{i}.glb",
-            mesh_sha256=sha256_of(mesh),
-            world_from_object=box.world_from_box,
-            fitted=_two_halves(box, 1.0),
-            inflated=_two_halves(box, 1.15),
-            seen_share=np.array([1.0, 0.5]),
-            containment=Containment(num_checked=100, num_outside=0, max_g=0.9),
-        )
+            revision=i, reconstructor="fused", mesh_name=f"{i}.glb", mesh_sha256=sha256_of(mesh),
+            world_from_object=box.world_from_box, fitted=_two_halves(box, 1.0), inflated=_two_halves(box, 1.15),
+            seen_share=np.array([1.0, 0.5]), containment=Containment(num_checked=100, num_outside=0, max_g=0.9),
+        )  # fmt: skip
     return shapes
 
 

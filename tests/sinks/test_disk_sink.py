@@ -1,11 +1,7 @@
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
-
 from hickory_stream.errors import MapFolderError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.map_folder.digest import map_digest
@@ -15,9 +11,6 @@ from hickory_stream.records import FrameReport, MapSnapshot
 from hickory_stream.sinks.disk_sink import DiskSink, DiskSinkConfig
 from tests.engine.snapshot_fixtures import make_snapshot
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 @pytest.fixture
 def folder(tmp_path: Path) -> MapFolder:
@@ -26,21 +19,17 @@ def folder(tmp_path: Path) -> MapFolder:
 
 def report(index: int, snapshot: MapSnapshot | None) -> FrameReport:
     return FrameReport(
-        index=index,
-        stamp_ns=index,
-        keyframe_index=None if snapshot is None else index,
-        camera=Camera(width=4, height=3, fx=4.0, fy=4.0, cx=1.5, cy=1.0),
-        world_from_camera=np.eye(4),
-        color_bytes=None,
+        index=index, stamp_ns=index, keyframe_index=None if snapshot is None else index,
+        camera=Camera(width=4, height=3, fx=4.0, fy=4.0, cx=1.5, cy=1.0), world_from_camera=np.eye(4), color_bytes=None,
         snapshot=snapshot,
-    )
+    )  # fmt: skip
 
 
 def saved_revision(folder: MapFolder) -> int:
     return open_map(folder.path).snapshot.revision
 
 
-def test_the_map_is_saved_every_so_many_keyframes_and_at_the_end(folder: MapFolder) -> None:
+def test_the_map_is_saved_every_so_many_keyframes_and_at_the_end(folder):
     sink = DiskSink(folder, DiskSinkConfig(every_keyframes=3))
     snapshot = make_snapshot(folder)
     found = []
@@ -54,7 +43,7 @@ def test_the_map_is_saved_every_so_many_keyframes_and_at_the_end(folder: MapFold
     assert map_digest(open_map(folder.path).snapshot) == map_digest(snapshot)
 
 
-def test_a_run_without_keyframes_leaves_an_empty_map(folder: MapFolder) -> None:
+def test_a_run_without_keyframes_leaves_an_empty_map(folder):
     sink = DiskSink(folder)
     sink.show(report(0, None))
     sink.close()
@@ -62,7 +51,7 @@ def test_a_run_without_keyframes_leaves_an_empty_map(folder: MapFolder) -> None:
     assert open_map(folder.path).snapshot.objects == ()
 
 
-def test_what_cannot_be_saved_is_an_error_and_is_tried_again_at_the_end(folder: MapFolder) -> None:
+def test_a_failed_save_is_an_error_and_repeated_at_the_end(folder):
     sink = DiskSink(folder, DiskSinkConfig(every_keyframes=1))
     snapshot = make_snapshot(folder)
     points = folder.path / "points"

@@ -1,25 +1,16 @@
-from __future__ import annotations
-
 import urllib.request
 from dataclasses import replace
-
 import numpy as np
 import pytest
-
 from hickory_stream.box_scene import SCENE_CAMERA
 from hickory_stream.errors import InputError
 from hickory_stream.records import FrameReport
 from hickory_stream.sinks.metrics_sink import MetricsSink
 
 REPORT = FrameReport(
-    index=0,
-    stamp_ns=1,
-    keyframe_index=None,
-    camera=SCENE_CAMERA,
-    world_from_camera=np.eye(4),
-    color_bytes=None,
+    index=0, stamp_ns=1, keyframe_index=None, camera=SCENE_CAMERA, world_from_camera=np.eye(4), color_bytes=None,
     metrics=(("time/perceive", 0.25), ("queue/shapes", 3.0), ("engine/workers", 2.0), ("score/7", 0.5)),
-)
+)  # fmt: skip
 
 
 def read(sink: MetricsSink) -> dict[str, float]:
@@ -28,7 +19,7 @@ def read(sink: MetricsSink) -> dict[str, float]:
     return {name: float(value) for name, _, value in (line.rpartition(" ") for line in lines if line[0] != "#")}
 
 
-def test_the_numbers_of_the_newest_report_are_answered_as_text() -> None:
+def test_the_numbers_of_the_newest_report_are_answered_as_text():
     sink = MetricsSink(0)
     try:
         sink.show(REPORT)
@@ -44,17 +35,11 @@ def test_the_numbers_of_the_newest_report_are_answered_as_text() -> None:
     assert not any("score" in name for name in numbers)
 
 
-def test_the_topics_of_a_live_route_are_answered_as_they_are_when_asked_for() -> None:
+def test_topics_of_a_live_route_are_answered_on_request():
     topic = {
-        "topic": "/cam/image",
-        "role": "color",
-        "rate_hz": 30.0,
-        "age_s": None,
-        "bytes_per_s": 100,
-        "received": 7,
-        "dropped": 2,
-        "lost": 1,
-    }
+        "topic": "/cam/image", "role": "color", "rate_hz": 30.0, "age_s": None, "bytes_per_s": 100, "received": 7,
+        "dropped": 2, "lost": 1,
+    }  # fmt: skip
     sink = MetricsSink(0)
     try:
         sink.watch(lambda: [topic])
@@ -67,7 +52,7 @@ def test_the_topics_of_a_live_route_are_answered_as_they_are_when_asked_for() ->
     assert not any("age_s" in name for name in numbers)
 
 
-def test_a_port_that_is_taken_is_refused() -> None:
+def test_a_port_that_is_taken_is_refused():
     sink = MetricsSink(0)
     try:
         with pytest.raises(InputError, match="--metrics-port"):

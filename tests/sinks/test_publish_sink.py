@@ -1,15 +1,10 @@
-"""What a robot is told: messages that decode to what the map knows, bounded, every one counted; goals are answered."""
-
-from __future__ import annotations
-
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
-
+from typing import Any
 import numpy as np
 import pytest
-
 from hickory_stream.errors import InputError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.navigation.robot import load_robot
@@ -28,9 +23,6 @@ from hickory_stream.sinks.publish_sink import (
 from hickory_stream.sinks.ros_messages import goal_message, store
 from tests.navigation.rooms import boxes, snapshot, table, tracked
 from tests.players.live.robot_fixtures import eventually
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 ROBOT = load_robot("point")
 START = (0.5, 0.5)
@@ -72,15 +64,10 @@ def report(of: MapSnapshot, at: tuple[float, float] = START) -> FrameReport:
     pose = np.eye(4)
     pose[:2, 3] = at
     return FrameReport(
-        index=0,
-        stamp_ns=1_700_000_000_500_000_000,
-        keyframe_index=0,
-        camera=Camera(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0),
-        world_from_camera=pose,
-        color_bytes=None,
-        snapshot=of,
-        space=SpaceObservation(free_keys=NOTHING, structure_keys=NOTHING, floor_z_m=0.0),
-    )
+        index=0, stamp_ns=1_700_000_000_500_000_000, keyframe_index=0,
+        camera=Camera(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0), world_from_camera=pose, color_bytes=None,
+        snapshot=of, space=SpaceObservation(free_keys=NOTHING, structure_keys=NOTHING, floor_z_m=0.0),
+    )  # fmt: skip
 
 
 def room(**options: Any) -> MapSnapshot:
@@ -98,7 +85,7 @@ def told(*snapshots: MapSnapshot, link: Link | None = None) -> Link:
     return link
 
 
-def test_topics_have_the_types_and_the_durability_that_nav2_and_rviz_expect() -> None:
+def test_topics_have_the_types_and_durability_of_nav2():
     assert told().offers == {
         MAP_TOPIC: ("nav_msgs/msg/OccupancyGrid", True),
         UPDATES_TOPIC: ("map_msgs/msg/OccupancyGridUpdate", False),
@@ -109,7 +96,7 @@ def test_topics_have_the_types_and_the_durability_that_nav2_and_rviz_expect() ->
     }
 
 
-def test_the_objects_have_their_ids_boxes_and_poses_and_say_what_was_only_observed() -> None:
+def test_objects_have_ids_boxes_and_poses():
     of = room()
     detections = told(of).last(OBJECTS_TOPIC).detections
     assert [found.id for found in detections] == ["1", "2"]
@@ -120,7 +107,7 @@ def test_the_objects_have_their_ids_boxes_and_poses_and_say_what_was_only_observ
         assert [size.x, size.y, size.z] == pytest.approx(2 * item.box.half_extents_m)
 
 
-def test_the_markers_begin_with_the_order_to_forget_the_others() -> None:
+def test_the_markers_begin_with_the_order_to_forget_the_others():
     markers = told(room()).last(MARKERS_TOPIC).markers
     assert markers[0].action == 3
     assert [(m.ns, m.id, m.type) for m in markers[1:]] == [
@@ -131,7 +118,7 @@ def test_the_markers_begin_with_the_order_to_forget_the_others() -> None:
     ]
 
 
-def test_the_costmap_holds_what_was_observed_only_and_then_its_changes() -> None:
+def test_the_costmap_starts_with_the_observed_and_sends_changes():
     link = told(snapshot(), room())
     assert [name for name, _ in link.sent if name in (MAP_TOPIC, UPDATES_TOPIC)] == [MAP_TOPIC, UPDATES_TOPIC]
     grid, update = link.last(MAP_TOPIC), link.last(UPDATES_TOPIC)
@@ -144,7 +131,7 @@ def test_the_costmap_holds_what_was_observed_only_and_then_its_changes() -> None
     assert grid.header.frame_id == "map"
 
 
-def test_map_from_odom_is_the_identity_until_the_submap_is_placed_anew() -> None:
+def test_map_from_odom_is_the_identity_until_a_placement():
     moved = np.eye(4)
     moved[:2, 3] = 1.0, -2.0
     for pose in (np.eye(4), moved):
@@ -165,7 +152,7 @@ def asked(goal: bytes, of: MapSnapshot | None = None) -> tuple[Link, dict[str, i
     return link, sink.counts()["goals"]
 
 
-def test_a_goal_is_answered_with_a_path_around_what_was_observed_only() -> None:
+def test_a_goal_gets_a_path_around_what_was_only_observed():
     link, fates = asked(goal_message(0, np.array([5.5, 1.0])), room())
     assert fates == {"answered": 1, "no_path": 0, "refused": 0, "dropped": 0}
     poses = link.last(PLAN_TOPIC).poses
@@ -176,7 +163,7 @@ def test_a_goal_is_answered_with_a_path_around_what_was_observed_only() -> None:
     assert (np.abs(ways - [4.5, 1.0]).max(axis=1) > 0.3).all()
 
 
-def test_a_goal_is_planned_in_the_map_of_that_moment() -> None:
+def test_a_goal_is_planned_in_the_map_of_that_moment():
     link = Link()
     sink = PublishSink(ROBOT, link, odom_frame="odom")
     # The grid of the planner follows once a second: the second snapshot is not in it before it is asked for.
@@ -187,13 +174,13 @@ def test_a_goal_is_planned_in_the_map_of_that_moment() -> None:
     assert sink.counts()["goals"]["no_path"] == 1
 
 
-def test_a_goal_that_cannot_be_reached_is_answered_with_an_empty_path() -> None:
+def test_a_goal_out_of_reach_gets_an_empty_path():
     link, fates = asked(goal_message(0, np.array([4.5, 1.0])), room())
     assert fates["no_path"] == 1
     assert link.last(PLAN_TOPIC).poses == []
 
 
-def test_a_goal_in_the_frame_of_the_odometry_is_moved_into_the_map() -> None:
+def test_a_goal_in_the_odometry_frame_is_moved_into_the_map():
     moved = np.eye(4)
     moved[0, 3] = 0.5
     link, fates = asked(goal_message(0, np.array([1.0, 3.0]), "odom"), snapshot(world_from_submap=moved))
@@ -212,16 +199,14 @@ def test_a_goal_in_the_frame_of_the_odometry_is_moved_into_the_map() -> None:
         (goal_message(0, np.array([99.0, 0.0])), room(), "goal"),
     ],
 )
-def test_a_bad_goal_is_refused_in_a_line(
-    goal: bytes, of: MapSnapshot | None, text: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_bad_goal_is_refused_in_a_line(goal, of, text, caplog):
     link, fates = asked(goal, of)
     assert fates["refused"] == 1
     assert text in caplog.text
     assert PLAN_TOPIC not in [name for name, _ in link.sent]
 
 
-def test_of_too_many_goals_the_last_ones_are_answered_and_the_others_counted() -> None:
+def test_of_too_many_goals_the_last_are_answered():
     link = Link()
     sink = PublishSink(ROBOT, link, odom_frame="odom")
     sink.show(report(room()))
@@ -235,7 +220,7 @@ def test_of_too_many_goals_the_last_ones_are_answered_and_the_others_counted() -
     assert fates["answered"] + fates["dropped"] == 20
 
 
-def test_a_link_that_stands_still_holds_nobody_up_and_what_it_misses_is_counted_and_made_good() -> None:
+def test_a_standing_link_holds_nobody_up_and_catches_up():
     link = Link()
     link.gate.clear()
     overtaken: list[str] = []
@@ -250,7 +235,7 @@ def test_a_link_that_stands_still_holds_nobody_up_and_what_it_misses_is_counted_
     assert link.sent[-1][1][0] == 9
 
 
-def test_after_a_window_was_dropped_the_next_costmap_is_a_whole_one() -> None:
+def test_after_a_dropped_window_the_next_costmap_is_whole():
     link = Link()
     sink = PublishSink(ROBOT, link, odom_frame="odom", parts=("costmap",))
     sink.show(report(snapshot()))
@@ -260,7 +245,7 @@ def test_after_a_window_was_dropped_the_next_costmap_is_a_whole_one() -> None:
     assert [name for name, _ in link.sent] == [MAP_TOPIC, MAP_TOPIC]
 
 
-def test_where_nobody_is_there_messages_are_counted_as_unheard() -> None:
+def test_where_nobody_is_there_messages_are_counted_as_unheard():
     link = Link(is_there=False)
     sink = PublishSink(ROBOT, link, odom_frame="", parts=("tf",))
     sink.show(report(snapshot()))
@@ -269,6 +254,6 @@ def test_where_nobody_is_there_messages_are_counted_as_unheard() -> None:
     assert link.last(TF_TOPIC).transforms[0].child_frame_id == "odom"
 
 
-def test_an_unknown_part_is_refused() -> None:
+def test_an_unknown_part_is_refused():
     with pytest.raises(InputError, match="found lidar to publish, expected some of costmap"):
         PublishSink(ROBOT, Link(), odom_frame="odom", parts=("lidar",))

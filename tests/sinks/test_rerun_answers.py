@@ -1,12 +1,9 @@
 """The recordings of `plan` and `align`: an arrangement each, and nothing in one plane with something else."""
 
 from dataclasses import replace
-
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
-from test_rerun_arrangement import arrangement_of
-
 from hickory_stream.alignment.align import align
 from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.alignment.object_map import object_map
@@ -18,6 +15,7 @@ from hickory_stream.sinks.rerun.alignment import write_alignment
 from hickory_stream.sinks.rerun.path import write_plan
 from tests.alignment.map_fixtures import frame, furniture, snapshot_of
 from tests.navigation.rooms import snapshot, table, tracked
+from tests.sinks.test_rerun_arrangement import arrangement_of
 
 NO_PATH = NoPath(reason=NoPathReason.UNREACHABLE, text="there is a wall")
 START, GOAL = np.array([0.5, 0.5]), np.array([5.0, 3.0])
@@ -57,7 +55,7 @@ def test_a_plan_opens_in_one_view_that_looks_at_all_of_it(planned):
     assert {"EyeControls3D:position", "EyeControls3D:look_target"} <= view["EyeControls3D"].keys()
 
 
-def test_cells_path_and_surfaces_of_a_plan_lie_at_heights_of_their_own(planned):
+def test_cells_path_and_surfaces_have_heights_of_their_own(planned):
     path, space, answer = planned
     static, moving = static_of(path)
     cells = np.unique(heights(static["/world/grid/blocked"]["Mesh3D:vertex_positions"]))
@@ -84,7 +82,7 @@ def test_the_tiles_of_a_plan_cover_the_grid_once(planned):
     assert area == pytest.approx(space.frame.rows * space.frame.columns * space.frame.cell_m**2, rel=1e-4)
 
 
-def test_a_plan_without_a_path_shows_where_it_was_to_begin_and_end(tmp_path, planned):
+def test_a_plan_without_a_path_shows_start_and_goal(tmp_path, planned):
     write_plan(tmp_path / "none.rrd", snapshot(), planned[1], NO_PATH, start=START, goal=GOAL)
     static, moving = static_of(tmp_path / "none.rrd")
     assert static["/world/ends"]["Points3D:labels"] == ["start", "goal"]
@@ -105,7 +103,7 @@ def maps():
     return solid(snapshot_of(items, np.eye(4), 1)), solid(snapshot_of(items[:10], frame(35, 1, 2), 2))
 
 
-def test_an_alignment_opens_with_the_maps_joined_and_apart_and_what_is_joined_is_translucent(tmp_path, maps):
+def test_an_alignment_shows_the_maps_joined_and_apart(tmp_path, maps):
     answer = align(*maps)
     assert isinstance(answer, Alignment)
     write_alignment(tmp_path / "join.rrd", *maps, answer)
@@ -132,7 +130,7 @@ def test_an_alignment_opens_with_the_maps_joined_and_apart_and_what_is_joined_is
     assert (ends[:, 1, 2] > ends[:, 0, 2].max()).all()
 
 
-def test_maps_that_are_not_aligned_stand_side_by_side_in_one_view(tmp_path, maps):
+def test_maps_that_are_not_aligned_are_side_by_side(tmp_path, maps):
     other = solid(snapshot_of(furniture(12, 60), np.eye(4), 3))
     answer = align(maps[0], other)
     assert isinstance(answer, NoAlignment)

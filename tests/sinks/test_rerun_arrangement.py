@@ -1,20 +1,18 @@
 """The arrangement that a recording carries: where the eyes stand, what each view shows, how the labels lie."""
 
 from pathlib import Path
-
 import numpy as np
 import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from report_fixtures import reports
 from rerun.chunk import RrdReader
-
 from hickory_stream.records import Phase
 from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.eye import MAIN_ASPECT, SIDE_ASPECT, eye_on
 from hickory_stream.sinks.rerun.labels import label_size, label_threads
 from hickory_stream.sinks.rerun.sink import RerunSink, parse_viewer
+from tests.sinks.report_fixtures import reports
 
 
 def arrangement_of(path: Path) -> dict[str, dict[str, dict[str, list]]]:
@@ -105,7 +103,7 @@ place = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(0, 2))
 
 
 @given(st.lists(place, min_size=1, max_size=20))
-def test_the_labels_of_things_that_stand_together_do_not_overlap_for_the_first_eye(places):
+def test_labels_of_close_things_do_not_overlap_for_the_first_eye(places):
     tops = np.array(places)
     texts = [str(7 * i) for i in range(len(tops))]
     eye = eye_on(np.concatenate([tops, tops * (1, 1, 0)]), MAIN_ASPECT)

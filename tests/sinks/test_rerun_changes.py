@@ -1,21 +1,14 @@
 """What has not changed since it was shown is neither shown again nor looked at: its arrays cannot even be read here."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
-
+from pathlib import Path
+from typing import Any
 import numpy as np
-
 from hickory_stream.geometry.lazy_arrays import give_up
+from hickory_stream.records import MapSnapshot
 from hickory_stream.sinks.rerun.objects import ObjectLayers
 from hickory_stream.sinks.rerun.structure import Structure
 from tests.engine.snapshot_fixtures import make_snapshot
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.records import MapSnapshot
 
 SECOND_NS = 1_000_000_000
 
@@ -30,7 +23,7 @@ def shown(folder: Path, snapshot: MapSnapshot) -> ObjectLayers:
     return layers
 
 
-def test_objects_that_stay_the_same_are_not_looked_at(tmp_path: Path) -> None:
+def test_objects_that_stay_the_same_are_not_looked_at(tmp_path):
     snapshot = make_snapshot()
     layers = shown(tmp_path, snapshot)
     for tracked in snapshot.objects:
@@ -39,7 +32,7 @@ def test_objects_that_stay_the_same_are_not_looked_at(tmp_path: Path) -> None:
     assert layers.finish() == []
 
 
-def test_a_cloud_that_grew_is_shown_once_its_time_has_come(tmp_path: Path) -> None:
+def test_a_cloud_that_grew_is_shown_once_its_time_has_come(tmp_path):
     snapshot = make_snapshot()
     layers = shown(tmp_path, snapshot)
     first, *others = snapshot.objects
@@ -58,13 +51,13 @@ def test_a_cloud_that_grew_is_shown_once_its_time_has_come(tmp_path: Path) -> No
     assert layers.update((again, *others), 6 * SECOND_NS) == []
 
 
-def test_whoever_comes_late_is_shown_the_whole(tmp_path: Path) -> None:
+def test_whoever_comes_late_is_shown_the_whole(tmp_path):
     snapshot = make_snapshot()
     paths = {item.path for item in shown(tmp_path, snapshot).update((), SECOND_NS)}
     assert {path.rpartition("/")[2] for path in paths} == {str(tracked.id) for tracked in snapshot.objects}
 
 
-def test_structure_is_made_anew_of_submaps_that_changed_alone() -> None:
+def test_structure_is_made_anew_of_submaps_that_changed_alone():
     snapshot = make_snapshot()
     structure = Structure()
     before = structure.items(snapshot)

@@ -1,16 +1,12 @@
 """What the Rerun sink shows of a pose graph."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-
 import numpy as np
-from report_fixtures import KEYFRAME_EVERY, reports
-from test_rerun_sink import play
-
 from hickory_stream.records import FrameReport, Submap
 from hickory_stream.sinks.rerun.graph import GRAPH, GraphLines
 from tests.graph.graph_fixtures import solved_graph
+from tests.sinks.report_fixtures import KEYFRAME_EVERY, reports
+from tests.sinks.test_rerun_sink import play
 
 RECORD = solved_graph()
 
@@ -35,14 +31,14 @@ def archetypes(items, path: str):
     return next(item.archetypes[0] for item in items if item.path == path)
 
 
-def test_nothing_is_logged_while_a_map_has_no_graph_nor_the_same_one_twice(tmp_path) -> None:
+def test_a_graph_is_logged_only_when_there_is_a_new_one(tmp_path):
     lines, report = GraphLines(), keyframe(tmp_path)
     assert lines.items(with_graph(report, graph=None)) == []
     assert lines.items(with_graph(report))
     assert lines.items(with_graph(report)) == []
 
 
-def test_loops_that_are_believed_have_their_scores_and_others_their_reasons_too(tmp_path) -> None:
+def test_believed_loops_have_scores_and_others_reasons(tmp_path):
     items = GraphLines().items(with_graph(keyframe(tmp_path)))
     believed = [loop for loop in RECORD.loops if loop.status == "accepted"]
     strips = archetypes(items, f"{GRAPH}/loops/accepted")
@@ -53,7 +49,7 @@ def test_loops_that_are_believed_have_their_scores_and_others_their_reasons_too(
     assert len(refused) == 12 * len(rejected)
 
 
-def test_few_loops_show_their_scores_and_many_only_where_one_points_at_them(tmp_path) -> None:
+def test_many_loops_show_their_scores_on_hover_only(tmp_path):
     report = keyframe(tmp_path)
     one = next(loop for loop in RECORD.loops if loop.status == "accepted")
     for count, is_shown in ((1, True), (12, False)):
@@ -62,7 +58,7 @@ def test_few_loops_show_their_scores_and_many_only_where_one_points_at_them(tmp_
         assert strips.show_labels.as_arrow_array().to_pylist() == [is_shown]
 
 
-def test_the_way_before_is_that_of_odometry_and_the_way_after_as_the_submaps_moved(tmp_path) -> None:
+def test_both_paths_are_drawn_odometry_and_corrected(tmp_path):
     shift = np.eye(4)
     shift[0, 3] = 2.0
     node = replace(RECORD.nodes[0], stamp_ns=0, place=shift, uncorrected=np.eye(4))
@@ -79,8 +75,8 @@ def test_the_way_before_is_that_of_odometry_and_the_way_after_as_the_submaps_mov
     assert np.allclose(ways[1] - ways[0], [2, 0, 0], atol=1e-6)
 
 
-def test_a_recording_has_the_graph_and_its_numbers_on_the_timeline(tmp_path) -> None:
-    from test_rerun_sink import rows_of
+def test_a_recording_has_the_graph_and_its_numbers(tmp_path):
+    from tests.sinks.test_rerun_sink import rows_of
 
     rows = rows_of(play(tmp_path, num_frames=2 * KEYFRAME_EVERY, change=with_graph))
     for name in ("before", "after", "submaps", "loops/accepted", "loops/rejected", "loops/withdrawn"):

@@ -9,23 +9,15 @@ import threading
 import time
 import warnings
 from pathlib import Path
-
 import pytest
 import rerun as rr
-from report_fixtures import reports
 from rerun.chunk import RrdReader
-
 from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.items import LogItem, Moment, Span, Weight
 from hickory_stream.sinks.rerun.live import LiveQueue
 from hickory_stream.sinks.rerun.sink import RerunSink, parse_viewer
-from hickory_stream.sinks.rerun.viewer import (
-    free_port,
-    host_and_port,
-    start_viewer,
-    viewer_binary,
-    viewer_environment,
-)
+from hickory_stream.sinks.rerun.viewer import free_port, host_and_port, start_viewer, viewer_binary, viewer_environment
+from tests.sinks.report_fixtures import reports
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
@@ -75,7 +67,7 @@ RUN = textwrap.dedent(
     import sys
     from pathlib import Path
     sys.path.insert(0, sys.argv[1])
-    from report_fixtures import reports
+    from tests.sinks.report_fixtures import reports
     from hickory_stream.sinks.rerun.config import RerunConfig
     from hickory_stream.sinks.rerun.sink import RerunSink, parse_viewer
     folder = Path(sys.argv[2])
@@ -91,13 +83,9 @@ RUN = textwrap.dedent(
 
 def run_against(port, folder):
     done = subprocess.run(
-        [sys.executable, "-c", RUN, str(HERE), str(folder), f"127.0.0.1:{port}"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
+        [sys.executable, "-c", RUN, str(HERE), str(folder), f"127.0.0.1:{port}"], capture_output=True, text=True,
+        timeout=60, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
     frames = {
         frame
         for chunk in RrdReader(folder / "run.rrd").stream()
@@ -107,13 +95,13 @@ def run_against(port, folder):
     return int(done.stdout.split()[-1]), frames
 
 
-def test_a_viewer_that_never_reads_costs_drops_and_not_the_file_nor_the_end_of_the_process(tmp_path, silent_server):
+def test_a_viewer_that_never_reads_costs_drops_only(tmp_path, silent_server):
     dropped, frames = run_against(silent_server, tmp_path)
     assert dropped > 0
     assert frames == set(range(48))
 
 
-def test_nobody_at_the_address_costs_drops_and_not_the_file_nor_the_end_of_the_process(tmp_path):
+def test_a_missing_viewer_costs_drops_only(tmp_path):
     dropped, frames = run_against(free_port(0), tmp_path)
     assert dropped > 0
     assert frames == set(range(48))
@@ -142,9 +130,7 @@ class Receiver:
         self.process.wait()
 
 
-def test_a_viewer_that_comes_late_gets_the_objects_of_before_and_one_that_comes_back_gets_them_again(
-    tmp_path, quiet_home
-):
+def test_a_late_or_returning_viewer_gets_earlier_objects(tmp_path, quiet_home):
     port = free_port(0)
     sink = RerunSink(RerunConfig(live_queue_length=8), tmp_path, None, parse_viewer(f"connect=127.0.0.1:{port}"))
     run = reports(24, tmp_path, width=160)
@@ -172,7 +158,7 @@ def test_a_viewer_that_comes_late_gets_the_objects_of_before_and_one_that_comes_
                 receiver.kill()
 
 
-def test_the_web_viewer_listens_on_loopback_only_and_ends_with_the_sink(tmp_path, quiet_home):
+def test_the_web_viewer_is_on_loopback_and_ends_with_the_sink(tmp_path, quiet_home):
     import psutil
 
     sink = RerunSink(RerunConfig(), tmp_path, None, parse_viewer("web"))
@@ -205,7 +191,7 @@ def drained(queue):
     return entries
 
 
-def test_a_full_queue_drops_its_oldest_heavy_entry_and_keeps_the_light_ones():
+def test_a_full_queue_drops_its_oldest_heavy_entry():
     queue = LiveQueue(capacity=3)
     for frame in range(3):
         queue.put(moment(frame), [item("light", span=Span.MOMENT), item("image", Weight.HEAVY, Span.MOMENT)])
@@ -213,7 +199,7 @@ def test_a_full_queue_drops_its_oldest_heavy_entry_and_keeps_the_light_ones():
     assert queue.dropped() == {"light": 0, "heavy": 3}
 
 
-def test_a_lasting_item_that_was_dropped_comes_when_the_queue_is_empty_and_only_in_its_last_form():
+def test_a_dropped_lasting_item_comes_later_in_its_last_form():
     queue = LiveQueue(capacity=2)
     queue.put(moment(0), [item("cloud", Weight.HEAVY)])
     queue.put(moment(1), [item("cloud", Weight.HEAVY)])

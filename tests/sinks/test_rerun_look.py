@@ -3,14 +3,12 @@
 import subprocess
 import sys
 from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
-from report_fixtures import reports
-
 from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.sink import RerunSink, parse_viewer
+from tests.sinks.report_fixtures import reports
 
 LOOK = Path(__file__).resolve().parents[2] / "tools" / "look"
 
@@ -19,7 +17,7 @@ def look(*arguments):
     return subprocess.run([sys.executable, LOOK, *arguments], capture_output=True, text=True, check=False)
 
 
-def test_the_default_arrangement_is_drawn_without_a_complaint_and_shows_something(tmp_path):
+def test_the_default_arrangement_is_drawn_without_complaint(tmp_path):
     sink = RerunSink(RerunConfig(), tmp_path, tmp_path / "run.rrd", parse_viewer("none"))
     for report in reports(17, tmp_path):
         sink.show(report)

@@ -1,22 +1,16 @@
 from dataclasses import replace
-
 import numpy as np
-
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.records import FrameReport, RejectedMask
 from hickory_stream.sinks.rerun.frame import FeatureColors, rejected_items
 
 REPORT = FrameReport(
-    index=0,
-    stamp_ns=0,
-    keyframe_index=0,
-    camera=Camera(width=40, height=30, fx=30.0, fy=30.0, cx=20.0, cy=15.0),
-    world_from_camera=np.eye(4),
-    color_bytes=None,
-)
+    index=0, stamp_ns=0, keyframe_index=0, camera=Camera(width=40, height=30, fx=30.0, fy=30.0, cx=20.0, cy=15.0),
+    world_from_camera=np.eye(4), color_bytes=None,
+)  # fmt: skip
 
 
-def test_rejected_masks_are_shown_where_they_are_and_their_boxes_say_why():
+def test_rejected_masks_are_shown_in_place_with_reasons():
     masked = RejectedMask(box_px=(2, 3, 6, 5), reason="too small", mask=np.array([[1, 0, 0, 1], [0, 0, 0, 1]], bool))
     boxed = RejectedMask(box_px=(10, 10, 20, 20), reason="3.2 m long: structure")
     image, boxes = rejected_items(replace(REPORT, rejected=(masked, boxed)))
@@ -25,12 +19,12 @@ def test_rejected_masks_are_shown_where_they_are_and_their_boxes_say_why():
     assert boxes.archetypes[0].labels.as_arrow_array().to_pylist() == ["too small", "3.2 m long: structure"]
 
 
-def test_a_keyframe_without_rejected_masks_empties_those_of_the_one_before():
+def test_a_keyframe_without_rejected_masks_empties_the_last_ones():
     _, boxes = rejected_items(REPORT)
     assert len(boxes.archetypes[0].centers.as_arrow_array()) == 0
 
 
-def test_features_are_shown_only_where_they_were_computed_and_keep_their_colors():
+def test_features_show_only_where_computed_and_keep_colors():
     colors, rng = FeatureColors(), np.random.default_rng(0)
     patches = rng.normal(0, 1, (3, 4, 8)).astype(np.float32)
     assert colors.items(REPORT) == []

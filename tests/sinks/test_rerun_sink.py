@@ -5,14 +5,11 @@ import subprocess
 import sys
 from collections import Counter
 from dataclasses import replace
-
 import numpy as np
 import pyarrow as pa
 import pytest
 import rerun as rr
-from report_fixtures import KEYFRAME_EVERY, PERIOD_NS, SHAPE_FRAME, START_NS, reports
 from rerun.chunk import RrdReader
-
 from hickory_stream.errors import ConfigError, ViewerError
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.geometry.superquadric import Superquadrics
@@ -20,6 +17,7 @@ from hickory_stream.mapping.entities.rigid_motion import moved_object
 from hickory_stream.records import Decision
 from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.sink import RerunSink, ViewerChoice, ViewerKind
+from tests.sinks.report_fixtures import KEYFRAME_EVERY, PERIOD_NS, SHAPE_FRAME, START_NS, reports
 
 NO_VIEWER = ViewerChoice(kind=ViewerKind.NONE)
 NUM_FRAMES, MERGE_AT = 24, 16
@@ -63,7 +61,7 @@ def test_only_keyframes_have_depth_masks_and_boxes(rows):
         assert [row["keyframe"] for row in rows[f"/world/camera/{name}"]] == list(range(num_keyframes))
 
 
-def test_the_three_timelines_hold_the_exact_stamps_and_nothing_of_the_wall_clock(rows):
+def test_the_three_timelines_hold_exact_stamps(rows):
     for row in rows["/world/camera"]:
         assert row["log_time"] == START_NS + row["frame"] * PERIOD_NS
     timelines = {name for chunk in rows.values() for row in chunk for name in row if ":" not in name}
@@ -105,7 +103,7 @@ def test_a_mesh_lies_on_the_box_that_it_was_made_of(tmp_path, rows):
     np.testing.assert_allclose(vertices, box.corners_world(), atol=1e-5)
 
 
-def test_a_cloud_is_logged_again_only_when_it_grew_and_at_last_as_it_is_at_the_end(tmp_path, rows):
+def test_a_cloud_is_logged_again_only_when_it_grew(tmp_path, rows):
     *_, last = (r for r in reports(NUM_FRAMES, tmp_path, width=160) if r.snapshot is not None)
     clouds = rows["/world/layer1/1/points"]
     # 24 frames at 15 Hz are 1.6 s: the first cloud, one a second later, one at the end.
@@ -125,7 +123,7 @@ def test_an_object_that_is_gone_is_cleared_in_all_layers(rows):
     assert not any(row.get("Clear:is_recursive") for row in rows["/world/layer2/1"])
 
 
-def test_a_map_that_is_moved_is_logged_again_with_all_its_layers_and_its_walls(tmp_path):
+def test_a_moved_map_is_logged_again_with_layers_and_walls(tmp_path):
     move = from_rotation_translation(yaw_rotation(0.5), np.array([3.0, -1.0, 0.0]))
     first_moved = 2 * KEYFRAME_EVERY + SHAPE_FRAME // KEYFRAME_EVERY * KEYFRAME_EVERY
 
@@ -148,19 +146,19 @@ def test_a_map_that_is_moved_is_logged_again_with_all_its_layers_and_its_walls(t
         assert [row["frame"] for row in rows[f"/world/layer{layer}/1"]][-1] == first_moved
 
 
-def test_every_object_has_a_thumbnail_from_the_frame_of_its_best_view(tmp_path, rows):
+def test_every_object_has_a_thumbnail_of_its_best_view(tmp_path, rows):
     *_, last = (r for r in reports(NUM_FRAMES, tmp_path, width=160, merge_at=MERGE_AT) if r.snapshot is not None)
     for seen in last.snapshot.objects:
         assert rows[f"/views/{seen.id}/image"][-1]["frame"] == seen.best_view.frame_index
 
 
-def test_a_replay_has_the_same_best_views_from_the_compressed_colour_alone(tmp_path, rows):
+def test_a_replay_has_the_same_best_views_from_compressed_colour(tmp_path, rows):
     again = rows_of(play(tmp_path, change=lambda report: replace(report, frame=None)))
     for path in (path for path in rows if path.startswith("/views/") and path.endswith("/image")):
         assert [row["frame"] for row in again[path]] == [row["frame"] for row in rows[path]]
 
 
-def test_at_the_end_the_thumbnails_stand_in_the_order_of_their_ids_without_gaps(rows):
+def test_at_the_end_the_thumbnails_are_in_id_order(rows):
     places = {}
     for path, found in rows.items():
         if re.fullmatch(r"/views/\d+", path) and not found[-1].get("Clear:is_recursive"):
@@ -178,7 +176,7 @@ def test_every_decision_is_a_line_of_text_under_its_kind(tmp_path, rows):
     assert rows["/decisions/reject"][0]["TextLog:text"][0].startswith("reject: mask (3, 5, 9, 12)")
 
 
-def test_the_decisions_about_an_object_are_an_entity_of_their_own_beside_the_common_one(tmp_path, rows):
+def test_decisions_of_an_object_are_an_entity_of_their_own(tmp_path, rows):
     expected = Counter(d.object_id for r in reports(NUM_FRAMES, tmp_path, width=160) for d in r.decisions)
     del expected[None]
     assert {i: len(rows[f"/decisions_of/{i}"]) for i in expected} == expected
@@ -197,7 +195,7 @@ def test_what_is_routine_is_no_warning_and_a_jump_is_one(tmp_path):
     assert [levels[text] for text in sorted(levels)] == ["INFO", "WARN", "DEBUG"]
 
 
-def test_a_list_of_candidates_is_told_to_its_end_in_rows_that_fit_the_view(tmp_path):
+def test_a_list_of_candidates_is_complete_in_rows_that_fit(tmp_path):
     candidates = ", ".join(f"#{i} 0.{i:02d}" for i in range(99, 10, -1))
     told = (Decision(kind="create", object_id=7, text=f"mask (1, 2, 3, 4): new; candidates by IoU: {candidates}"),)
     rows = rows_of(play(tmp_path, num_frames=1, change=lambda report: replace(report, decisions=told)))
@@ -207,7 +205,7 @@ def test_a_list_of_candidates_is_told_to_its_end_in_rows_that_fit_the_view(tmp_p
         assert " ".join(line.strip() for line in lines).endswith(candidates)
 
 
-def test_the_report_after_the_last_frame_leaves_the_last_masks_in_view(tmp_path):
+def test_the_last_report_leaves_the_last_masks_in_view(tmp_path):
     """Only the map of it is new: no image, no masks."""
 
     def change(report):
@@ -231,7 +229,7 @@ def test_boxes_are_lines_and_their_fillings_entities_apart(rows):
         assert [row["Boxes3D:half_sizes"] for row in lines] == [row["Boxes3D:half_sizes"] for row in filled]
 
 
-def test_a_mask_is_numbered_once_for_each_object_within_its_largest_part(tmp_path, rows):
+def test_a_mask_is_numbered_once_per_object_in_its_largest_part(tmp_path, rows):
     first = next(iter(reports(1, tmp_path, width=160)))
     row = rows["/world/camera/labels"][0]
     assert row["Points2D:labels"] == [str(i) for i in sorted(set(first.object_ids))]
@@ -245,7 +243,7 @@ def test_every_metric_and_the_objects_per_phase_are_plotted(tmp_path, rows):
     assert rows["/plots/objects/tentative"][0]["Scalars:scalars"] == [1.0]
 
 
-def test_the_trajectory_grows_linearly_in_the_file_and_keeps_every_place(tmp_path):
+def test_the_trajectory_grows_linearly_and_keeps_every_place(tmp_path):
     rows = rows_of(play(tmp_path, num_frames=200, width=32))
     pieces = {path: r for path, r in rows.items() if path.startswith("/world/trajectory/")}
     assert len(pieces) == 4
@@ -258,7 +256,7 @@ def test_the_arrangement_is_stored_in_the_file(tmp_path):
     assert len(RrdReader(play(tmp_path, num_frames=2)).blueprints()) >= 1
 
 
-def test_a_file_at_its_cap_gets_no_heavy_data_but_all_the_light_one_and_says_so_once(tmp_path, caplog):
+def test_a_file_at_its_cap_gets_light_data_only(tmp_path, caplog):
     rows = rows_of(play(tmp_path, RerunConfig(rrd_cap_mb=0.001), num_frames=40))
     assert len(rows["/world/camera"]) == 40
     assert len(rows["/plots/time/segment"]) == 40 // KEYFRAME_EVERY
@@ -271,12 +269,12 @@ def test_every_nth_colour_frame_is_kept_and_every_keyframe(tmp_path):
     assert [row["frame"] for row in rows["/world/camera/color"]] == [0, 3, 4, 6, 8]
 
 
-def test_keyframes_of_a_log_without_compressed_colour_are_encoded(tmp_path):
+def test_keyframes_without_compressed_colour_are_encoded(tmp_path):
     rows = rows_of(play(tmp_path, num_frames=8, change=lambda report: replace(report, color_bytes=None)))
     assert [row["frame"] for row in rows["/world/camera/color"]] == [0, 4]
 
 
-def test_a_missing_mesh_is_a_warning_and_the_other_layers_are_shown(tmp_path, caplog):
+def test_a_missing_mesh_is_a_warning_and_other_layers_show(tmp_path, caplog):
     def lose_mesh(report):
         (tmp_path / "shapes" / "3.glb").unlink(missing_ok=True)
         return report
@@ -304,7 +302,7 @@ def test_a_sink_without_file_and_viewer_does_nothing(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["map"]
 
 
-def test_a_file_that_cannot_be_written_is_refused_before_anything_runs(tmp_path):
+def test_an_unwritable_file_is_refused_before_anything_runs(tmp_path):
     with pytest.raises(ViewerError, match="missing"):
         RerunSink(RerunConfig(), tmp_path, tmp_path / "missing" / "run.rrd", NO_VIEWER)
 
@@ -338,7 +336,7 @@ def test_what_was_merged_says_under_its_own_name_what_it_became(tmp_path):
         assert [row["TextLog:text"][0] for row in rows[path]] == ["merge 7: #9 is the same: seen as one"]
 
 
-def test_how_the_robots_topics_are_is_shown_in_a_live_run_and_only_there(tmp_path):
+def test_the_state_of_robot_topics_shows_in_a_live_run_only(tmp_path):
     told = iter(f"zenoh://robot: connected, {i}" for i in range(100))
     path = tmp_path / "live.rrd"
     sink = RerunSink(RerunConfig(), tmp_path, path, NO_VIEWER, lambda: next(told))
@@ -350,7 +348,7 @@ def test_how_the_robots_topics_are_is_shown_in_a_live_run_and_only_there(tmp_pat
     assert "/robot" not in rows_of(play(tmp_path, num_frames=3))
 
 
-def test_a_selected_shape_says_who_made_it_and_of_what_layer_three_is(rows):
+def test_a_selected_shape_says_who_made_it(rows):
     shapes = [row for path, found in rows.items() if path.startswith("/world/layer3/") for row in found]
     facts = [row for row in shapes if "hickory_stream.Shape:layer_3_of" in row]
     assert facts

@@ -3,7 +3,6 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from hickory_stream.errors import ViewerError
 from hickory_stream.geometry.display import color_of_id
 from hickory_stream.sinks.rerun.viewer import (
@@ -22,7 +21,7 @@ def test_a_viewer_is_chosen_by_its_name(kind):
 
 
 @pytest.mark.parametrize("text", ["rerun+http://10.0.0.7:9001/proxy", "10.0.0.7:9001"])
-def test_a_running_viewer_is_named_by_its_url_or_by_host_and_port(text):
+def test_a_running_viewer_is_named_by_url_or_host_and_port(text):
     choice = parse_viewer(f"connect={text}")
     assert choice.kind is ViewerKind.CONNECT
     assert host_and_port(choice.url) == ("10.0.0.7", 9001)
@@ -50,7 +49,7 @@ def test_auto_opens_a_window_only_where_there_is_a_screen(monkeypatch):
     assert parse_viewer("auto").kind is ViewerKind.SPAWN
 
 
-def test_a_window_without_a_screen_is_refused_with_what_to_do_instead(monkeypatch):
+def test_a_window_without_a_screen_is_refused_with_advice(monkeypatch):
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.delenv("DISPLAY", raising=False)

@@ -1,11 +1,6 @@
-"""Atlases: every face has its own texels, whatever the surface folds over."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
-
 from hickory_stream.textures.atlas import atlas_of
 
 
@@ -24,7 +19,7 @@ def coil() -> trimesh.Trimesh:
     [coil(), trimesh.creation.torus(0.5, 0.2), trimesh.creation.box((1, 0.6, 0.3)), trimesh.creation.icosphere(3)],
     ids=["coil", "torus", "box", "ball"],
 )
-def test_every_face_has_the_texels_that_its_size_is_worth(shape: trimesh.Trimesh) -> None:
+def test_every_face_has_the_texels_that_its_size_is_worth(shape):
     texel = 0.005
     atlas = atlas_of(shape.vertices, shape.faces, texel, 4096)
     a, b, c = (atlas.corners_px[:, i] for i in range(3))
@@ -38,7 +33,7 @@ def test_every_face_has_the_texels_that_its_size_is_worth(shape: trimesh.Trimesh
     assert (in_image * texel * texel / shape.area_faces).min() > 0.3
 
 
-def test_an_atlas_stays_within_its_side_and_the_faces_within_the_atlas() -> None:
+def test_an_atlas_stays_within_its_side_and_holds_its_faces():
     ball = trimesh.creation.icosphere(3)
     atlas = atlas_of(ball.vertices, ball.faces, 0.0005, 128)
     assert atlas.owner.shape == (128, 128)
@@ -46,7 +41,7 @@ def test_an_atlas_stays_within_its_side_and_the_faces_within_the_atlas() -> None
     assert atlas.corners_px.max() <= 128
 
 
-def test_more_charts_than_the_side_has_room_for_get_a_larger_one() -> None:
+def test_more_charts_than_the_side_has_room_for_get_a_larger_one():
     cloud = np.random.default_rng(1).random((400, 3, 3))
     apart = trimesh.Trimesh(cloud.reshape(-1, 3), np.arange(1200).reshape(-1, 3), process=False)
     atlas = atlas_of(apart.vertices, apart.faces, 0.01, 32)
@@ -54,12 +49,12 @@ def test_more_charts_than_the_side_has_room_for_get_a_larger_one() -> None:
     assert atlas.corners_px.min() >= 0
 
 
-def test_what_views_do_not_show_finely_gets_a_small_atlas() -> None:
+def test_what_views_do_not_show_finely_gets_a_small_atlas():
     box = trimesh.creation.box((1, 1, 1))
     assert atlas_of(box.vertices, box.faces, 0.1, 1024).side_px <= 64
 
 
-def test_charts_are_not_mirrored() -> None:
+def test_charts_are_not_mirrored():
     box = trimesh.creation.box((1, 0.6, 0.3))
     corners = atlas_of(box.vertices, box.faces, 0.01, 1024).corners_px
     edges = corners[:, 1:] - corners[:, :1]

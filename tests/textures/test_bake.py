@@ -1,27 +1,16 @@
-"""Textures baked from views: true colours, even exposure, plain where nothing was seen, always the same bytes."""
-
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 import trimesh
-
+from numpy.typing import NDArray
 from hickory_stream.geometry.camera import backproject
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.pictures.raycast import image_colors
+from hickory_stream.ports import Crop
 from hickory_stream.textures.bake import TextureConfig, textured
-from hickory_stream.textures.textured_mesh import jpeg_bytes
+from hickory_stream.textures.textured_mesh import TexturedMesh, jpeg_bytes
 from tests.shapes.shape_fixtures import shape_inputs
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.ports import Crop
-    from hickory_stream.textures.textured_mesh import TexturedMesh
 
 _SIZE = (0.8, 0.6, 0.5)
 _GREY = 77
@@ -79,7 +68,7 @@ def colors_on(baked: TexturedMesh, side: NDArray[np.float64]) -> tuple[NDArray[n
 
 
 @pytest.mark.parametrize("side", [(1, 0, 0), (0, 0, 1)], ids=["front", "top"])
-def test_a_side_that_was_seen_has_the_colours_of_the_object(baked: TexturedMesh, side: tuple[int, ...]) -> None:
+def test_a_side_that_was_seen_has_the_colours_of_the_object(baked, side):
     places, colors = colors_on(baked, np.array(side, float))
     wrong = np.abs(colors - pattern(places)).max(axis=1) > 40
     # Edges of squares are between two colours.
@@ -88,7 +77,7 @@ def test_a_side_that_was_seen_has_the_colours_of_the_object(baked: TexturedMesh,
     assert (colors[:, 1] < 180).all()
 
 
-def test_what_no_view_shows_is_plain_and_of_the_colours_around_it(baked: TexturedMesh) -> None:
+def test_unseen_texture_is_plain_in_the_colours_around_it(baked):
     _, colors = colors_on(baked, np.array([0, 0, -1.0]))
     assert np.ptp(colors, axis=0).max() < 150
     steps = np.abs(np.diff(colors, axis=0)).max(axis=1)
@@ -96,7 +85,7 @@ def test_what_no_view_shows_is_plain_and_of_the_colours_around_it(baked: Texture
     assert (np.abs(colors - (130, 100, 110)).max(axis=1) < 80).all()
 
 
-def test_exposures_are_evened(crops: list[Crop]) -> None:
+def test_exposures_are_evened(crops):
     gains = (0.7, 1.15, 0.85, 1.2)
     uneven = [painted_crop(crop, gain) for crop, gain in zip(crops, gains, strict=True)]
     baked = textured(box_mesh(crops), np.eye(4), uneven, TextureConfig(most_px=512))
@@ -109,18 +98,18 @@ def test_exposures_are_evened(crops: list[Crop]) -> None:
     assert high / low < 1.15
 
 
-def test_the_same_inputs_give_the_same_bytes(crops: list[Crop], baked: TexturedMesh) -> None:
+def test_the_same_inputs_give_the_same_bytes(crops, baked):
     again = textured(box_mesh(crops), np.eye(4), crops, TextureConfig(most_px=512))
     assert jpeg_bytes(again) == jpeg_bytes(baked)
     assert again.uv.tobytes() == baked.uv.tobytes()
 
 
-def test_an_object_without_views_keeps_the_colours_of_its_vertices(crops: list[Crop]) -> None:
+def test_an_object_without_views_keeps_its_vertex_colours(crops):
     baked = textured(box_mesh(crops), np.eye(4), [], TextureConfig(most_px=64))
     assert (np.abs(baked.image.astype(int) - _GREY) <= 1).all()
 
 
-def test_seen_and_generated_stay_marked(crops: list[Crop], baked: TexturedMesh) -> None:
+def test_seen_and_generated_stay_marked(crops, baked):
     mesh = box_mesh(crops)
     assert (baked.mesh.is_seen == mesh.is_seen[baked.source]).all()
     assert (baked.mesh.vertices == mesh.vertices[baked.source]).all()

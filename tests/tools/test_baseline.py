@@ -1,20 +1,10 @@
-"""Committed baselines: what falls back is a regression, and what a whole run leaves out is one, too."""
-
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING, Any
-
+from typing import Any, Literal
 import pytest
-
 from tools.benchmarks.__main__ import main
 from tools.benchmarks.common.baseline import FOLDER, baseline_file, check, compare, read_baseline, set_baseline
 from tools.benchmarks.common.figures import Figure, print_table, write_json
 from tools.benchmarks.table import BENCHMARKS
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from typing import Literal
 
 
 def figure(name: str, value: float | str, better: Literal["higher", "lower", "same"] = "higher") -> Figure:
@@ -37,30 +27,26 @@ def entry(value: float | str | None, better: str = "higher", goal: float | None 
         (None, "higher", 0.0, False),
     ],
 )
-def test_a_figure_may_fall_back_by_its_tolerance(
-    before: float | str | None, better: Literal["higher", "lower", "same"], value: float | str, *, is_regression: bool
-) -> None:
+def test_a_figure_may_fall_back_by_its_tolerance(before, better, value, *, is_regression):
     found = compare([figure("a", value, better)], {"figures": {"a": entry(before, better)}})
     assert bool(found.regressions) is is_regression
 
 
 @pytest.mark.parametrize(("value", "is_regression"), [("5e1f", False), ("b0c4", True)])
-def test_a_digest_must_stay_as_it_is(value: str, *, is_regression: bool) -> None:
+def test_a_digest_must_stay_as_it_is(value, *, is_regression):
     kept = {**entry("5e1f", "same"), "tolerance": 0}
     found = compare([figure("digest", value, "same")], {"figures": {"digest": kept}})
     assert bool(found.regressions) is is_regression
 
 
-def test_goals_are_told_apart_from_what_was_before() -> None:
+def test_goals_are_told_apart_from_what_was_before():
     baseline = {"figures": {"a": entry(0.6, goal=0.7), "b": entry(9.0, "lower", goal=8.0)}}
     found = compare([figure("a", 0.69), figure("b", 8.0, "lower")], baseline)
     assert (found.regressions, found.goals_open) == ([], ["a is 0.69, goal 0.7"])
     assert found.goals_met == ["b is 8, goal 8"]
 
 
-def test_a_whole_run_must_have_every_figure_and_a_part_of_it_need_not(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_whole_run_needs_every_figure_and_a_part_does_not(tmp_path, capsys):
     file = tmp_path / "some.json"
     file.write_text(json.dumps({"about": "", "figures": {"a": entry(0.6), "b": entry(0.6), "c": entry(None)}}))
     assert check(file, [figure("a", 0.6)], is_partial=True) == 0
@@ -69,14 +55,14 @@ def test_a_whole_run_must_have_every_figure_and_a_part_of_it_need_not(
     assert check(file, [figure("a", 0.6), figure("b", 0.5)], is_partial=True) == 1
 
 
-def test_figures_of_a_quick_run_are_judged_where_they_are_measured_and_missed_nowhere(tmp_path: Path) -> None:
+def test_quick_figures_are_judged_only_where_measured(tmp_path):
     file = tmp_path / "some.json"
     file.write_text(json.dumps({"about": "", "figures": {"a": entry(0.6), "quick_a": entry(0.5)}}))
     assert check(file, [figure("a", 0.6)], is_partial=False) == 0
     assert check(file, [figure("quick_a", 0.4)], is_partial=True) == 1
 
 
-def test_a_baseline_is_set_without_its_goals_and_what_was_not_measured(tmp_path: Path) -> None:
+def test_a_baseline_is_set_without_goals_and_missing_figures(tmp_path):
     file = tmp_path / "some.json"
     file.write_text(json.dumps({"about": "", "figures": {"a": entry(0.6, goal=0.7), "b": entry(0.5)}}))
     set_baseline(file, [figure("a", 0.65)], "after a change")
@@ -86,15 +72,13 @@ def test_a_baseline_is_set_without_its_goals_and_what_was_not_measured(tmp_path:
     assert found["figures"]["b"]["value"] == 0.5
 
 
-def test_a_name_without_a_baseline_cannot_be_checked(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_name_without_a_baseline_cannot_be_checked(monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["bench", "main", "--check"])
     assert main() == 2
     assert "has no baseline" in capsys.readouterr().err
 
 
-def test_every_committed_baseline_can_be_read_and_has_a_benchmark() -> None:
+def test_every_committed_baseline_is_readable_with_a_benchmark():
     files = sorted(FOLDER.glob("*.json"))
     assert baseline_file("foreign") in files
     for file in files:
@@ -102,20 +86,11 @@ def test_every_committed_baseline_can_be_read_and_has_a_benchmark() -> None:
         read_baseline(file)
 
 
-def test_what_is_said_of_a_figure_is_in_the_table_and_in_the_json(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_note_of_a_figure_is_in_the_table_and_in_the_json(tmp_path, capsys):
     told = Figure(
-        name="a",
-        value=0.5,
-        unit="",
-        better="higher",
-        of="1 of 2 things",
-        left_out="3 that were hidden",
-        interval=(0.1, 0.9),
-        interval_by="Wilson",
-        role="reported",
-    )
+        name="a", value=0.5, unit="", better="higher", of="1 of 2 things", left_out="3 that were hidden",
+        interval=(0.1, 0.9), interval_by="Wilson", role="reported",
+    )  # fmt: skip
     print_table([told, figure("segmenter", "geometric", "same")])
     line, second = capsys.readouterr().out.splitlines()
     assert "[0.100, 0.900] Wilson; 1 of 2 things; reported; left out: 3 that were hidden" in line
@@ -126,7 +101,7 @@ def test_what_is_said_of_a_figure_is_in_the_table_and_in_the_json(
     assert plain == {"name": "b", "value": 1.0, "unit": "", "better": "higher"}
 
 
-def test_a_quick_run_of_quality_is_compared_with_quick_figures_alone() -> None:
+def test_a_quick_run_is_compared_with_quick_figures_alone():
     figures = read_baseline(baseline_file("quality"))["figures"]
     assert figures["apartments_recall_25"]["tolerance"] < 0.05, "a whole run is compared"
     quick = [figure(name, entry["value"]) for name, entry in figures.items() if name.startswith("quick_")]

@@ -1,23 +1,20 @@
 """Every benchmark of the table can be run, and its row says which code its figures depend on."""
 
-from __future__ import annotations
-
 import pytest
-
 from tools.benchmarks.headline import ROWS
 from tools.benchmarks.table import BENCHMARKS, code_of
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
-def test_every_benchmark_of_the_table_is_a_function_with_a_description(name: str) -> None:
+def test_every_benchmark_is_a_function_with_a_description(name):
     assert callable(BENCHMARKS[name].measure)
     assert BENCHMARKS[name].about
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
-def test_the_code_of_every_benchmark_exists(name: str) -> None:
+def test_the_code_of_every_benchmark_exists(name):
     assert len(code_of(name)) == 64
 
 
-def test_the_rows_of_the_headline_are_benchmarks() -> None:
+def test_the_rows_of_the_headline_are_benchmarks():
     assert {name for name, *_ in ROWS} <= BENCHMARKS.keys() - {"headline"}

@@ -1,12 +1,6 @@
-"""How changes within a run are counted against truth, and what of a map is made of a person who walked by."""
-
-from __future__ import annotations
-
 from pathlib import Path
-
 import numpy as np
 import pytest
-
 from hickory_stream.changes.records import Evidence, ObjectChange, Verdict
 from hickory_stream.evaluation.truth import Truth, TruthChange, TruthFrame, TruthObject
 from hickory_stream.geometry.camera import Camera
@@ -48,15 +42,13 @@ HELD = ({1: 11, 2: 12, 3: 13}, {1: 11, 2: 22, 4: 24})
         ({13}, {11: 22}, set(), {"held_found": 1, "moved_as_moved": 0, "false_changes": 1}),
     ],
 )
-def test_what_is_said_is_held_against_what_changed(
-    gone: set[int], moved: dict[int, int], new: set[int], expected: dict[str, int]
-) -> None:
+def test_what_is_said_is_held_against_what_changed(gone, moved, new, expected):
     counts = counted(TRUTH, HELD, gone, moved, new)
     assert (counts.changes, counts.held, counts.moved_held, counts.objects) == (3, 3, 1, 1)
     assert {name: getattr(counts, name) for name in expected} == expected
 
 
-def test_probabilities_are_held_against_how_often_verdicts_are_right() -> None:
+def test_probabilities_are_compared_with_the_rate_of_success():
     nothing = Evidence(free=0.0, structure=0.0, objects=0.0, unseen=0.0, num_clear=0)
     told = [
         ObjectChange(verdict=verdict, id_a=a, id_b=b, probability=probability, evidence=nothing)
@@ -84,7 +76,7 @@ def test_probabilities_are_held_against_how_often_verdicts_are_right() -> None:
     assert calibration_figures(PairCounts()) == []
 
 
-def test_what_the_map_does_not_hold_is_printed_beside_what_it_does() -> None:
+def test_what_the_map_lacks_is_printed_beside_what_it_has():
     counts = counted(TRUTH, ({1: 11, 2: 12, 3: None}, {1: 11, 2: None, 4: None}), set(), {}, set())
     assert (counts.changes, counts.held, counts.found, counts.moved_as_moved) == (3, 0, 0, 0)
     both = sum_of([counts, PairCounts(held=4, held_found=3, changes=5, found=3)])
@@ -93,7 +85,7 @@ def test_what_the_map_does_not_hold_is_printed_beside_what_it_does() -> None:
     assert figures["run_changes_found_of_all"].of.startswith("3 of 8 changes")
 
 
-def test_an_object_of_the_person_is_off_all_surfaces_where_the_person_was() -> None:
+def test_an_object_of_the_person_is_off_all_surfaces():
     mesh = box_mesh((1.0, 1.0, 1.0), (9, 9, 9))
     scene = Scene([Surface(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, owner=1)])
     figure = np.random.default_rng(0).normal([3.0, 0.0, 1.0], [0.1, 0.1, 0.4], (500, 3)).astype(np.float32)

@@ -1,7 +1,3 @@
-"""Numbers set by hand are counted once each, and every reason to leave one out applies to some number."""
-
-from __future__ import annotations
-
 from hickory_stream.config import MapperConfig
 from hickory_stream.mapping.rules import merging
 from tests.conftest import ROOT
@@ -10,7 +6,7 @@ from tools.benchmarks.perception.constants import NOT_DECIDING, Constant, consta
 PRODUCT = ROOT / "hickory_stream"
 
 
-def test_numbers_of_configuration_and_modules_are_found_once_each() -> None:
+def test_numbers_of_configuration_and_modules_are_found_once():
     found = {constant.name: constant.value for constant in constants()}
     assert len(found) == len(constants())
     assert found["mapping.merge.min_votes"] == MapperConfig().mapping.merge.min_votes
@@ -18,7 +14,7 @@ def test_numbers_of_configuration_and_modules_are_found_once_each() -> None:
     assert not any(isinstance(value, bool) for value in found.values())
 
 
-def test_every_reason_to_leave_a_number_out_applies_to_some_number() -> None:
+def test_every_reason_to_leave_a_number_out_applies():
     names = [constant.name for constant in constants()]
     names += [
         f"{package}/{path.name}" for package in ("mapping", "perception") for path in (PRODUCT / package).rglob("*.py")
@@ -26,7 +22,7 @@ def test_every_reason_to_leave_a_number_out_applies_to_some_number() -> None:
     assert [prefix for prefix in NOT_DECIDING if not any(name.startswith(prefix) for name in names)] == []
 
 
-def test_numbers_of_masks_decide_and_those_of_networks_do_not() -> None:
+def test_numbers_of_masks_decide_and_those_of_networks_do_not():
     assert Constant(name="perception.masks.min_iou", value=0.5).decides
     assert not Constant(name="perception.fastsam.min_iou", value=0.5).decides
     assert any(text.startswith("perception/masks.py:") for text in inline_numbers())

@@ -1,15 +1,11 @@
 """The fake robot: what its link does to messages, and what it says of them."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections import Counter
+from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING
-
 import pytest
-
 from players.messages.header_stamp import serialized_stamp_ns
 from players.opening import open_container, open_source
 from tests.player_scenes import (
@@ -26,9 +22,6 @@ from tools.robot.command import main
 from tools.robot.link import Faults, plan
 from tools.robot.prepared import prepared
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -37,7 +30,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_mcap(path, m, scene_messages(m, make_scene(), png_images))
 
 
-def test_without_faults_everything_is_sent_as_it_was_recorded(log: Path) -> None:
+def test_without_faults_everything_is_sent_as_it_was_recorded(log):
     messages = prepared([log])
     made = plan(messages, Faults())
     assert [sending.data for sending in made.sendings] == [message.data for message in messages]
@@ -46,7 +39,7 @@ def test_without_faults_everything_is_sent_as_it_was_recorded(log: Path) -> None
     assert [sending.at_ns for sending in made.sendings] == sorted(message.due_ns for message in messages)
 
 
-def test_loss_and_disconnection_take_what_they_say_from_a_seed(log: Path) -> None:
+def test_loss_and_disconnection_take_what_they_say_from_a_seed(log):
     messages = prepared([log], loops=20)
     made = plan(messages, Faults(loss=0.1, disconnects=((1.0, 2.0),), seed=1))
     reasons = Counter(reason for _, reason in made.lost.elements())
@@ -58,7 +51,7 @@ def test_loss_and_disconnection_take_what_they_say_from_a_seed(log: Path) -> Non
     assert plan(messages, Faults(loss=0.1, disconnects=((1.0, 2.0),), seed=2)).lost != made.lost
 
 
-def test_jitter_lets_messages_overtake_and_a_narrow_link_queues_and_drops(log: Path) -> None:
+def test_jitter_reorders_and_a_narrow_link_queues_and_drops(log):
     messages = prepared([log], loops=5)
     late = plan(messages, Faults(delay_s=0.05, jitter_s=0.2))
     numbers = [sending.sequence for sending in late.sendings if sending.due.topic.name == "/odom"]
@@ -70,7 +63,7 @@ def test_jitter_lets_messages_overtake_and_a_narrow_link_queues_and_drops(log: P
     assert carried * 8 / 0.1e6 <= max(sending.at_ns for sending in narrow.sendings) / 1e9 + 0.01
 
 
-def test_a_restart_begins_all_stamps_at_zero_and_an_offset_moves_them(log: Path) -> None:
+def test_a_restart_zeroes_all_stamps_and_an_offset_moves_them(log):
     made = plan(prepared([log], loops=2), Faults(restart_s=0.8, clock_offset_s=-120.0))
     for sending in made.sendings:
         stamp_ns = serialized_stamp_ns(sending.due.topic, sending.data)
@@ -81,7 +74,7 @@ def test_a_restart_begins_all_stamps_at_zero_and_an_offset_moves_them(log: Path)
             assert abs(stamp_ns - START_NS + 120e9) < 2e9
 
 
-def test_a_bag_of_ros_1_is_published_as_ros_2(tmp_path: Path) -> None:
+def test_a_bag_of_ros_1_is_published_as_ros_2(tmp_path):
     m = Messages(1)
     messages = prepared([write_ros1(tmp_path / "scene.bag", m, scene_messages(m, make_scene(), png_images))])
     assert {message.topic.wire for message in messages} == {"cdr"}
@@ -89,9 +82,7 @@ def test_a_bag_of_ros_1_is_published_as_ros_2(tmp_path: Path) -> None:
     assert serialized_stamp_ns(image.topic, image.data) == START_NS
 
 
-def test_the_command_writes_a_stream_and_says_what_it_sent(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_writes_a_stream_and_says_what_it_sent(log, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("signal.signal", lambda *_: None)
     pipe, copy = tmp_path / "pipe", tmp_path / "copy.mcap"
     os.mkfifo(pipe)

@@ -1,25 +1,18 @@
 """The gate: what is chosen, what is kept, and that its figures say what they are of."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
-
+from pathlib import Path
+from typing import Any
 import numpy as np
 import pytest
-
 from hickory_stream.errors import InputError, RecordingError
 from tools.benchmarks.common.cached_runs import cached
+from tools.benchmarks.common.figures import Figure
 from tools.benchmarks.common.intervals import bootstrap, wilson
 from tools.benchmarks.foreign.figures import figures_of, of_map, reasons
 from tools.benchmarks.foreign.gate import own_seeds
 from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
 from tools.benchmarks.foreign.parts import OUTDOORS, OWN, WORLDS, Part, all_parts, chosen_parts
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tools.benchmarks.common.figures import Figure
-    from tools.evaluation.oracle_ablation import Rung
+from tools.evaluation.oracle_ablation import Rung
 
 
 def record(found: list[bool], objects: list[tuple[bool, bool]], sizes: list[float] | None = None) -> dict[str, Any]:
@@ -57,7 +50,7 @@ def by_hand(world: str, rung: Rung = "ours", walk: str = "A", camera: str = "han
     return Part(world=world, walk=walk, camera=camera, rung=rung)
 
 
-def test_a_figure_tells_its_denominator_its_interval_what_is_left_out_and_whether_it_was_tuned_on() -> None:
+def test_a_figure_has_denominator_interval_and_exclusions():
     found = by_name(figures_of({by_hand("home"): record([True, True, False, False], [(True, False)] * 2)}))
     recall = found["home_recall_25"]
     assert (recall.value, recall.of, recall.role) == (0.5, "2 of 4 true objects", "tuned on")
@@ -68,7 +61,7 @@ def test_a_figure_tells_its_denominator_its_interval_what_is_left_out_and_whethe
     assert office["office_recall_25"].role == "reported"
 
 
-def test_what_was_made_of_little_seen_truth_counts_only_where_it_is_right() -> None:
+def test_a_shape_of_little_seen_truth_counts_where_right():
     # Right, right although of ignored truth, wrong, ignored.
     objects = [(True, False), (True, True), (False, False), (False, True)]
     precision = by_name(of_map("home", record([True, True], objects), ""))["home_precision_25"]
@@ -76,7 +69,7 @@ def test_what_was_made_of_little_seen_truth_counts_only_where_it_is_right() -> N
     assert precision.left_out.startswith("1 objects")
 
 
-def test_small_and_large_things_are_told_apart() -> None:
+def test_small_and_large_things_are_told_apart():
     found = by_name(of_map("home", record([True, True, False], [], [0.1, 0.5, 0.6]), ""))
     assert (found["home_small_recall_25"].of, found["home_large_recall_25"].of) == (
         "1 of 1 true objects",
@@ -85,7 +78,7 @@ def test_small_and_large_things_are_told_apart() -> None:
     assert "home_precision_25" not in found, "a map without objects has no precision"
 
 
-def test_the_ladder_is_the_mean_of_all_worlds_or_absent() -> None:
+def test_the_ladder_is_the_mean_of_all_worlds_or_absent():
     measured = {by_hand(world): record([True, False], []) for world in WORLDS}
     measured |= {by_hand(world, "masks"): record([True, world == "home"], []) for world in WORLDS}
     found = by_name(figures_of(measured))
@@ -96,13 +89,13 @@ def test_the_ladder_is_the_mean_of_all_worlds_or_absent() -> None:
     assert "ladder_gap_masks" not in by_name(figures_of(measured))
 
 
-def test_what_a_robot_loses_is_the_mean_of_its_walks() -> None:
+def test_what_a_robot_loses_is_the_mean_of_its_walks():
     measured = {by_hand(world): record([True, True], []) for world in WORLDS}
     measured |= {by_hand(world, camera="robot"): record([True, False, True, True], []) for world in WORLDS}
     assert by_name(figures_of(measured))["robot_recall_25_loss"].value == pytest.approx(0.25)
 
 
-def test_figures_of_surfaces_are_of_all_four_worlds_and_a_missed_object_has_none() -> None:
+def test_figures_of_surfaces_are_of_all_four_worlds():
     measured = {by_hand(world): record([True, False], []) for world in WORLDS}
     found = by_name(figures_of(measured))
     assert found["foreign_f1_5pct"].value == pytest.approx(0.4)
@@ -112,12 +105,12 @@ def test_figures_of_surfaces_are_of_all_four_worlds_and_a_missed_object_has_none
     assert "foreign_f1_5pct" not in by_name(figures_of(measured))
 
 
-def test_own_worlds_are_pooled() -> None:
+def test_own_worlds_are_pooled():
     measured = {Part(world=name): record([True, i > 0], []) for i, name in enumerate(OWN)}
     assert by_name(figures_of(measured))["own_recall_25"].of == "5 of 6 true objects"
 
 
-def test_streets_are_pooled_and_their_pieces_of_ground_are_counted() -> None:
+def test_streets_are_pooled_and_their_ground_is_counted():
     measured = {
         Part(world=name): record([True, i > 0], [(True, False), (False, False)]) for i, name in enumerate(OUTDOORS)
     }
@@ -128,7 +121,7 @@ def test_streets_are_pooled_and_their_pieces_of_ground_are_counted() -> None:
     assert "outdoor_ground_objects" not in by_name(figures_of({by_hand("home"): record([True], [])}))
 
 
-def test_masks_of_clouds_are_counted_over_all_of_them() -> None:
+def test_masks_of_clouds_are_counted_over_all_of_them():
     clouds = [
         {"name": "a", "small": 1, "labelled": 4, "things": 3, "masks": 3, "right": 3},
         {"name": "b", "small": 0, "labelled": 3, "things": 3, "masks": 1, "right": 1},
@@ -138,7 +131,7 @@ def test_masks_of_clouds_are_counted_over_all_of_them() -> None:
     assert (found.role, found.left_out) == ("reported", "1 things under 0.2 % of their image")
 
 
-def test_the_segmenter_is_a_name_among_the_numbers() -> None:
+def test_the_segmenter_is_a_name_among_the_numbers():
     speed = {"segmenter": "geometric", "segmenter_ms": 30.0, "keyframe_ms": 70.0, "keyframes": 20, "weights_mb": 0.1}
     found = by_name(figures_of({Part(world="speed"): speed}))
     assert (found["segmenter"].value, found["keyframe_ms"].value, found["weights_mb"].value) == ("geometric", 70.0, 0.1)
@@ -160,7 +153,7 @@ def test_the_segmenter_is_a_name_among_the_numbers() -> None:
         ("home:C", 0),
     ],
 )
-def test_parts_are_named_by_world_walk_camera_and_rung(only: str, count: int) -> None:
+def test_parts_are_named_by_world_walk_camera_and_rung(only, count):
     if count:
         assert len(chosen_parts([only])) == count
     else:
@@ -168,13 +161,13 @@ def test_parts_are_named_by_world_walk_camera_and_rung(only: str, count: int) ->
             chosen_parts([only])
 
 
-def test_without_a_name_everything_is_measured_once() -> None:
+def test_without_a_name_everything_is_measured_once():
     parts = chosen_parts([])
     assert parts == all_parts()
     assert len(parts) == len({part.name for part in parts}) == 4 * 8 + 9
 
 
-def test_a_cached_part_is_measured_once_and_again_where_its_file_is_damaged(tmp_path: Path) -> None:
+def test_a_cached_part_is_measured_again_only_when_damaged(tmp_path):
     file, runs = tmp_path / "foreign" / "home.json", iter(range(3))
     assert [cached(file, lambda: {"run": next(runs)}) for _ in range(2)] == [{"run": 0}] * 2
     file.write_text('{"run"')
@@ -183,14 +176,14 @@ def test_a_cached_part_is_measured_once_and_again_where_its_file_is_damaged(tmp_
     assert {path.name for path in tmp_path.rglob("*.*")} == {"home.json", "office.json"}
 
 
-def test_own_seeds_are_fresh_for_every_code_and_can_be_given() -> None:
+def test_own_seeds_are_fresh_for_every_code_and_can_be_given():
     seeds = own_seeds(0, "0" * 63 + "1"), own_seeds(0, "ff" * 32), own_seeds(2, "0" * 64)
     assert len({seed for three in seeds for seed in three}) == 9
     assert own_seeds(2, "f" * 64) == seeds[2]
     assert min(seed for three in seeds for seed in three) >= 100_000
 
 
-def test_a_folder_without_worlds_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_without_worlds_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv("HICKORY_WORLDS", str(tmp_path))
     with pytest.raises(RecordingError, match="--worlds or HICKORY_WORLDS"):
         worlds_folder(None)
@@ -221,7 +214,7 @@ def worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_a_log_is_rendered_once_and_again_when_its_world_changes(worlds: Path) -> None:
+def test_a_log_is_rendered_once_and_again_when_its_world_changes(worlds):
     first = foreign_log(worlds, "office", "B", "robot")
     assert first.log.read_text() == "--trajectory B --seconds 60 --hz 5 --camera-height 0.45"
     assert foreign_log(worlds, "office", "B", "robot") == first
@@ -231,7 +224,7 @@ def test_a_log_is_rendered_once_and_again_when_its_world_changes(worlds: Path) -
     assert (worlds / "service-office" / "runs").read_text() == "11"
 
 
-def test_a_world_that_cannot_be_rendered_is_named_and_nothing_of_it_is_kept(worlds: Path, tmp_path: Path) -> None:
+def test_a_world_that_fails_to_render_is_named_and_not_kept(worlds, tmp_path):
     (worlds / "home" / "broken").touch()
     with pytest.raises(RecordingError, match="too close to something"):
         foreign_log(worlds, "home", "A", "hand")
@@ -240,13 +233,13 @@ def test_a_world_that_cannot_be_rendered_is_named_and_nothing_of_it_is_kept(worl
         foreign_log(worlds, "bookstore", "A", "hand")
 
 
-def test_wilsons_interval_is_that_of_the_textbook() -> None:
+def test_wilsons_interval_is_that_of_the_textbook():
     # Newcombe (1998), table I: 81 of 263, and 0 of 20.
     assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=5e-5)
     assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=5e-5)
 
 
-def test_a_bootstrap_covers_the_mean_and_is_the_same_each_time() -> None:
+def test_a_bootstrap_covers_the_mean_and_is_the_same_each_time():
     rows = np.random.default_rng(1).normal(3.0, 1.0, 400)
     low, high = bootstrap([rows], lambda groups: float(groups[0].mean()))
     # The standard error of the mean of 400 is a twentieth of sigma.
@@ -255,7 +248,7 @@ def test_a_bootstrap_covers_the_mean_and_is_the_same_each_time() -> None:
     assert (low, high) == bootstrap([rows], lambda groups: float(groups[0].mean()))
 
 
-def test_what_is_lost_to_structure_and_made_of_it_is_counted_over_all_worlds() -> None:
+def test_losses_to_structure_are_counted_over_all_worlds():
     one, other = record([True, False], [(True, False), (False, False)]), record([True], [(True, False), (False, True)])
     other["truth"].append(other["truth"][0] | {"found_25": False, "missed_because": "in pieces"})
     found = by_name(figures_of({by_hand(world): one if world == "home" else other for world in WORLDS}))

@@ -1,14 +1,9 @@
 """The adapters of generators, against fakes of their packages: one wrong axis fails."""
 
-from __future__ import annotations
-
 import subprocess
 import tomllib
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.engine.shape_jobs.generators.exchange import read_answer, write_question
 from hickory_stream.engine.shape_jobs.generators.spec import missing_of, read_spec
 from hickory_stream.geometry.boxes import gravity_aligned_box
@@ -30,12 +25,9 @@ from tools.generators.fakes.packages import (
     shown_view,
 )
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 @pytest.mark.parametrize("name", ADAPTERS)
-def test_the_known_object_comes_out_where_and_as_it_is(name: str) -> None:
+def test_the_known_object_comes_out_where_and_as_it_is(name):
     assert adapter_fault(name) == ""
 
 
@@ -43,7 +35,7 @@ def test_the_known_object_comes_out_where_and_as_it_is(name: str) -> None:
     ("name", "constant", "axis"),
     [("triposr", "CAMERA_FROM_MESH", 0), ("sam3d", "_OPENCV_FROM_PYTORCH3D", 1), ("sam3d", "_Z_UP_FROM_Y_UP", 2)],
 )
-def test_one_wrong_axis_is_found(name: str, constant: str, axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_wrong_axis_is_found(name, constant, axis, monkeypatch):
     real = adapter_fakes.faked
 
     def altered(which: str):  # type: ignore[no-untyped-def]
@@ -75,13 +67,13 @@ def _needs_of(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", REFINERS)
-def test_a_refiner_says_where_the_known_object_lies(name: str) -> None:
+def test_a_refiner_says_where_the_known_object_lies(name):
     _needs_of(name)
     assert refiner_fault(name) == ""
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_one_wrong_axis_of_a_refiner_is_found(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_wrong_axis_of_a_refiner_is_found(axis, monkeypatch):
     real = adapter_fakes.faked
 
     def altered(which: str):  # type: ignore[no-untyped-def]
@@ -94,7 +86,7 @@ def test_one_wrong_axis_of_a_refiner_is_found(axis: int, monkeypatch: pytest.Mon
     assert "off its place" in refiner_fault("foundationpose")
 
 
-def test_foundation_pose_is_not_believed_where_it_had_too_little_depth() -> None:
+def test_foundation_pose_is_refused_with_too_little_depth():
     with faked("foundationpose") as module:
         place, _ = module.load()
         view = shown_view(module)
@@ -108,7 +100,7 @@ def test_foundation_pose_is_not_believed_where_it_had_too_little_depth() -> None
 
 
 @pytest.mark.parametrize("exchanged", ["INPUTS", "MOVES", "TURN", "blue first", "y up"])
-def test_crops_and_answers_of_the_onnx_files_that_are_exchanged_lead_elsewhere(exchanged: str) -> None:
+def test_exchanged_onnx_crops_and_answers_give_other_results(exchanged):
     _needs_of("foundationpose_onnx")
     with faked("foundationpose_onnx") as module:
         crop = module.six_channels
@@ -123,7 +115,7 @@ def test_crops_and_answers_of_the_onnx_files_that_are_exchanged_lead_elsewhere(e
         assert "off its place" in graph_fault(module)
 
 
-def test_the_first_poses_of_the_onnx_files_look_from_everywhere() -> None:
+def test_the_first_poses_of_the_onnx_files_look_from_everywhere():
     with faked("foundationpose_onnx") as module:
         turns = module.rotations()
         view = shown_view(module)
@@ -140,7 +132,7 @@ def test_the_first_poses_of_the_onnx_files_look_from_everywhere() -> None:
     assert np.allclose(poses[:, :3, 3], [(59.5 - 40) / 100, (34.5 - 30) / 100, 2])
 
 
-def test_a_crop_is_rendered_as_it_is_observed_but_for_half_a_pixel() -> None:
+def test_a_crop_renders_as_observed_up_to_half_a_pixel():
     _needs_of("foundationpose_onnx")
     with faked("foundationpose_onnx") as module:
         # A wall of one colour, 2 m away; a radius of it is 1 m.
@@ -168,7 +160,7 @@ def test_a_crop_is_rendered_as_it_is_observed_but_for_half_a_pixel() -> None:
 
 
 @pytest.mark.parametrize("name", [*ADAPTERS, *REFINERS])
-def test_its_toml_describes_a_generator_and_says_what_is_missing_here(name: str) -> None:
+def test_its_toml_describes_a_generator_and_what_is_missing(name):
     spec = read_spec(FOLDER / f"{name}.toml")
     assert spec.name == name
     assert "licence" in tomllib.loads((FOLDER / f"{name}.toml").read_text())
@@ -176,7 +168,7 @@ def test_its_toml_describes_a_generator_and_says_what_is_missing_here(name: str)
     assert any("weights" in missing for missing in missing_of(spec))
 
 
-def test_a_job_goes_through_an_adapter_and_back(tmp_path: Path) -> None:
+def test_a_job_goes_through_an_adapter_and_back(tmp_path):
     camera = Camera(width=80, height=60, fx=200.0, fy=200.0, cx=40.0, cy=30.0)
     mask = np.zeros((60, 80), bool)
     mask[25:45, 45:75] = True
@@ -184,12 +176,9 @@ def test_a_job_goes_through_an_adapter_and_back(tmp_path: Path) -> None:
     rgb = np.full((60, 80, 3), 40, np.uint8)
     crop = Crop(rgb=rgb, depth_m=depth, mask=mask, camera=camera, world_from_camera=np.eye(4))
     inputs = ShapeInputs(
-        crops=(crop,),
-        points_world=POINTS.astype(np.float32),
-        colors=COLORS,
-        box=gravity_aligned_box(POINTS, 0.01),
+        crops=(crop,), points_world=POINTS.astype(np.float32), colors=COLORS, box=gravity_aligned_box(POINTS, 0.01),
         support_z_m=None,
-    )
+    )  # fmt: skip
     job = write_question(tmp_path, inputs, 1)
     with faked("sam3d") as module:
         make, _ = module.load()
@@ -197,29 +186,22 @@ def test_a_job_goes_through_an_adapter_and_back(tmp_path: Path) -> None:
         module.answer(tmp_path, make)
     found = read_answer(tmp_path, job, 1)
     assert isinstance(found, GeneratedMesh)
-    assert found.camera_from_mesh is not None
     placed = found.mesh.vertices @ found.camera_from_mesh[:3, :3].T + found.camera_from_mesh[:3, 3]
     assert np.allclose(placed, POINTS, atol=1e-5)
     assert np.array_equal(found.mesh.colors, COLORS)
 
 
-def test_a_view_without_depth_is_no_shape_with_a_reason(tmp_path: Path) -> None:
+def test_a_view_without_depth_is_no_shape_with_a_reason(tmp_path):
     camera = Camera(width=80, height=60, fx=200.0, fy=200.0, cx=40.0, cy=30.0)
     nothing = np.full((60, 80), np.nan, np.float32)
     crop = Crop(
-        rgb=np.zeros((60, 80, 3), np.uint8),
-        depth_m=nothing,
-        mask=np.ones((60, 80), bool),
-        camera=camera,
+        rgb=np.zeros((60, 80, 3), np.uint8), depth_m=nothing, mask=np.ones((60, 80), bool), camera=camera,
         world_from_camera=np.eye(4),
-    )
+    )  # fmt: skip
     inputs = ShapeInputs(
-        crops=(crop,),
-        points_world=np.zeros((0, 3), np.float32),
-        colors=np.zeros((0, 3), np.uint8),
-        box=gravity_aligned_box(POINTS, 0.01),
-        support_z_m=None,
-    )
+        crops=(crop,), points_world=np.zeros((0, 3), np.float32), colors=np.zeros((0, 3), np.uint8),
+        box=gravity_aligned_box(POINTS, 0.01), support_z_m=None,
+    )  # fmt: skip
     job = write_question(tmp_path, inputs, 1)
     with faked("triposr") as module:
         make, _ = module.load()
@@ -228,7 +210,7 @@ def test_a_view_without_depth_is_no_shape_with_a_reason(tmp_path: Path) -> None:
     assert found == NoShape(reason="no depth within the mask")
 
 
-def test_the_installation_of_each_adapter_is_a_script_that_says_what_it_knows() -> None:
+def test_the_installation_of_each_adapter_is_a_script():
     script = FOLDER / "install"
     assert subprocess.run(["bash", "-n", script], check=False).returncode == 0
     said = subprocess.run(["bash", script, "another"], capture_output=True, text=True, check=False)

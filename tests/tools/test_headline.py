@@ -1,37 +1,24 @@
-"""The headline measures the rows that are older than their code, and no others."""
-
-from __future__ import annotations
-
 import subprocess
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
-
+from typing import Any
 import pytest
-
 from tools.benchmarks import headline
 from tools.benchmarks.common.documents import keep
 from tools.benchmarks.common.figures import Options, figure
 from tools.benchmarks.table import BENCHMARKS, code_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.mark.parametrize(
     ("options", "code", "is_current"),
     [(" --quick", None, True), (" --quick", "of another commit", False), ("", None, False)],
 )
-def test_a_row_is_current_with_its_options_and_code(
-    tmp_path: Path, options: str, code: str | None, *, is_current: bool
-) -> None:
+def test_a_row_is_current_with_its_options_and_code(tmp_path, options, code, *, is_current):
     keep("main", [figure("a", 1)], options=options, code=code or code_of("main", options), folder=tmp_path)
     assert headline.is_current("main", ["--quick"], tmp_path) is is_current
     assert not headline.is_current("align", ["--quick"], tmp_path)
 
 
-def test_a_stopped_call_continues_with_the_next_row(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stopped_call_continues_with_the_next_row(monkeypatch, capsys):
     measured: list[str] = []
 
     def run(command: list[str], **_: Any) -> Any:
@@ -52,6 +39,6 @@ def test_a_stopped_call_continues_with_the_next_row(
     assert "tools/bench damage: not measured for want of time" in capsys.readouterr().out
 
 
-def test_figures_of_alignment_do_not_depend_on_the_code_of_maps_when_quick() -> None:
+def test_quick_alignment_does_not_depend_on_the_code_of_maps():
     assert code_of("align", " --quick") != code_of("align") != code_of("main")
     assert BENCHMARKS["align"].whole

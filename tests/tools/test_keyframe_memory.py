@@ -1,20 +1,8 @@
-"""The memory of layer 1 is measured in a child process."""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import pytest
-
 from tools.benchmarks.perception.keyframe_memory import keyframe_memory
 
-if TYPE_CHECKING:
-    from pathlib import Path
 
-pytestmark = pytest.mark.timeout(120)
-
-
-def test_what_is_counted_is_more_than_the_weights_and_does_not_grow_by_a_map_in_each_round(demo_log: Path) -> None:
+def test_the_count_exceeds_the_weights_and_does_not_grow(demo_log):
     memory = keyframe_memory(demo_log, keyframes=8, rounds=3)
     assert memory.keyframes == 8
     assert 10 < memory.layer1_mb < 1000
@@ -23,6 +11,6 @@ def test_what_is_counted_is_more_than_the_weights_and_does_not_grow_by_a_map_in_
     assert 0 <= memory.rounds_mb < 20
 
 
-def test_a_child_that_fails_says_why(tmp_path: Path) -> None:
+def test_a_child_that_fails_says_why(tmp_path):
     with pytest.raises(RuntimeError, match=r"ended with 1: .*no such file or folder: .*absent\.mcap"):
         keyframe_memory(tmp_path / "absent.mcap", keyframes=1, rounds=1)

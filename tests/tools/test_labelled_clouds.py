@@ -1,8 +1,5 @@
-"""Labelled clouds: what is written in any of the two binary forms is read, and what is none is said to be none."""
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import RecordingError
 from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud
 

@@ -1,20 +1,12 @@
 """What `tools/bench live` sends: a log with four times the pixels and 30 images a second; and how it counts."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
-
 from players.opening import open_source
 from tools.benchmarks.live.camera_log import write_720p
 from tools.benchmarks.live.robots import _unaccounted
 
-if TYPE_CHECKING:
-    from pathlib import Path
 
-
-def test_the_log_for_transport_is_of_720p_at_30_hz_and_shows_the_same(demo_log: Path, tmp_path: Path) -> None:
+def test_the_log_for_transport_is_720p_at_30_hz(demo_log, tmp_path):
     large = open_source(write_720p(demo_log, tmp_path / "720p.mcap", seconds=0.3))
     small = open_source(demo_log)
     frames = list(large.frames())
@@ -30,7 +22,7 @@ def test_the_log_for_transport_is_of_720p_at_30_hz_and_shows_the_same(demo_log: 
         assert focal == 2.0
 
 
-def test_what_is_in_no_bucket_is_counted_whichever_side_it_is_on() -> None:
+def test_what_is_in_no_bucket_is_counted_whichever_side_it_is_on():
     sent = {"sent": {"/a": 10, "/b": 5}}
     assert _unaccounted(sent, {"totals": {"/a": 10, "/b": 5, "/c": 3}, "difference": 0}) == 0
     assert _unaccounted(sent, {"totals": {"/a": 9}, "difference": 0}) == 6

@@ -1,21 +1,15 @@
 """The benchmark that alters maps: a sample of its cases finds nothing, and what it looks for it would find."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
-
 import numpy as np
 import pytest
-
 from tools.benchmarks.logs.small_maps import write_small_map
 from tools.damage.map_changes import TARGETS, change_map, change_text
-
-pytestmark = pytest.mark.timeout(300)
 
 ROOT = Path(__file__).resolve().parents[2]
 # Two of each kind of file.
@@ -46,9 +40,7 @@ def files_of(folder: Path) -> dict[str, tuple[bool, bytes]]:
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_a_change_changes_the_copy_alone_and_is_the_same_for_the_same_seed(
-    sound: Path, tmp_path: Path, target: str
-) -> None:
+def test_a_change_affects_the_copy_alone_and_follows_its_seed(sound, tmp_path, target):
     before = files_of(sound)
     told, found = [], []
     for name in ("first", "second"):
@@ -63,7 +55,7 @@ def test_a_change_changes_the_copy_alone_and_is_the_same_for_the_same_seed(
     assert files_of(sound) == before
 
 
-def test_a_changed_text_differs_and_is_the_same_for_the_same_seed() -> None:
+def test_a_changed_text_differs_and_follows_its_seed():
     text = 'name = "b2"\nlow_m = 0.1\n'
     changed = {change_text(text, np.random.default_rng(seed)) for seed in range(20)}
     assert text not in changed
@@ -71,7 +63,7 @@ def test_a_changed_text_differs_and_is_the_same_for_the_same_seed() -> None:
     assert change_text(text, np.random.default_rng(1)) == change_text(text, np.random.default_rng(1))
 
 
-def test_a_sample_of_altered_maps_crashes_nothing_writes_nowhere_else_and_takes_bounded_memory(sound: Path) -> None:
+def test_altered_maps_crash_nothing_and_take_bounded_memory(sound):
     tally = in_a_process_of_its_own(
         "import json, dataclasses\n"
         "from pathlib import Path\n"
@@ -86,7 +78,7 @@ def test_a_sample_of_altered_maps_crashes_nothing_writes_nowhere_else_and_takes_
     assert tally["peak_mb"] < 1000
 
 
-def test_what_a_command_writes_elsewhere_and_what_it_does_not_catch_is_told(sound: Path, tmp_path: Path) -> None:
+def test_foreign_writes_and_uncaught_errors_are_reported(sound, tmp_path):
     shutil.copytree(sound, tmp_path / "a/b/c/map")
     commands = [["export", str(tmp_path / "a/b/c/map"), "--format", "ply", "-o", str(tmp_path / "elsewhere.ply")]]
     told = in_a_process_of_its_own(

@@ -1,12 +1,8 @@
 """Parts of whole maps are aligned, and their errors are taken against where the camera truly was around them."""
 
-from __future__ import annotations
-
 from functools import cache
-
 import numpy as np
 import pytest
-
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, yaw_rotation
 from tools.benchmarks.alignment.covariance import WalkMap, squares_of
 from tools.evaluation.simulated_maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
@@ -33,16 +29,14 @@ def walks(off_m: float) -> tuple[WalkMap, WalkMap]:
 
 
 @pytest.mark.parametrize(("off_m", "least", "most"), [(0.0, 0.0, 20.0), (0.3, 20.0, 1e4)])
-def test_squares_are_small_where_truth_agrees_and_large_where_a_map_lies_elsewhere(
-    off_m: float, least: float, most: float
-) -> None:
+def test_squares_are_small_where_truth_agrees(off_m, least, most):
     found = squares_of(*walks(off_m), seed=1, trials=4)
     assert len(found.squares) >= 2
     assert len(found.squares) + found.refused + found.wrong == 4
     assert least < min(found.squares) <= max(found.squares) < most
 
 
-def test_where_a_map_that_bends_lies_is_what_the_poses_around_say() -> None:
+def test_a_bent_map_lies_where_the_poses_around_say():
     true = poses()
     found = true.copy()
     found[true[:, 0, 3] > 0, 0, 3] += 0.1

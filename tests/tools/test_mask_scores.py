@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from tools.evaluation.masks.scores import UNKNOWN, MaskScore, score_masks, total
 
 
@@ -13,7 +12,7 @@ def image(*rows):
 TRUTH = image([0, 1, 1, 0], [0, 2, 2, 0])
 
 
-def test_masks_that_are_the_truth_under_other_names_are_all_right():
+def test_true_masks_under_other_names_are_all_right():
     score = score_masks(image([0, 7, 7, 0], [0, 3, 3, 0]), TRUTH, 50)
     assert (score.f1, score.best_iou, score.found_fraction) == (1.0, 1.0, 1.0)
     # Labels without a pixel are no masks.
@@ -26,7 +25,7 @@ def test_one_mask_over_two_things_is_right_for_neither():
     assert score.best_iou == pytest.approx(0.5)
 
 
-def test_a_mask_on_no_thing_counts_against_and_one_where_nobody_knows_does_not():
+def test_a_mask_on_no_thing_counts_and_on_unknown_does_not():
     masks = image([1, 2, 2, 0], [0, 3, 3, 0])
     assert score_masks(masks, TRUTH, 50).f1 == pytest.approx(2 * 2 / (2 + 3))
     unknown = np.where(image([1, 0, 0, 0], [0, 0, 0, 0]) > 0, UNKNOWN, TRUTH)

@@ -1,7 +1,5 @@
 import dataclasses
-
 import numpy as np
-
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.perception.affinity.pixel_inputs import CHANNELS, NUM_INPUTS, ZERO
 from tools.network_training.compare import Shown, painted, picture, scored
@@ -21,12 +19,7 @@ def true_frame() -> TrueFrame:
     rgb = np.full((HEIGHT_PX, WIDTH_PX, 3), 90, np.uint8)
     rgb[instances > 0] = (200, 60, 30)
     return TrueFrame(
-        rgb=rgb,
-        depth_m=depth,
-        cosine=np.ones_like(depth),
-        instances=instances,
-        camera=camera,
-        world_from_camera=pose,
+        rgb=rgb, depth_m=depth, cosine=np.ones_like(depth), instances=instances, camera=camera, world_from_camera=pose
     )
 
 
@@ -40,7 +33,7 @@ def test_the_same_draw_gives_the_same_lesson():
     np.testing.assert_array_equal(one.labels, other.labels)
 
 
-def test_what_is_to_be_said_lies_where_it_is_seen_mirrored_or_not():
+def test_labels_of_a_lesson_stay_on_the_image_when_mirrored():
     near = CHANNELS.index("valid")
     sides = set()
     for lesson in lessons():
@@ -54,7 +47,7 @@ def test_what_is_to_be_said_lies_where_it_is_seen_mirrored_or_not():
     assert sides == {False, True}
 
 
-def test_some_lessons_have_no_colour_and_some_no_height_and_no_scale():
+def test_some_lessons_lack_colour_and_some_height_and_scale():
     drawn = lessons()
     for name in ("light", "height", "scale"):
         absent = [bool((lesson.inputs[CHANNELS.index(name)] == ZERO).all()) for lesson in drawn]
@@ -94,7 +87,7 @@ def test_masks_are_scored_against_what_pixels_show():
     assert scored(np.zeros_like(frame.instances), shown).num_right == 0
 
 
-def test_a_picture_shows_the_frame_the_truth_and_every_way_beside_each_other():
+def test_a_picture_shows_frame_truth_and_every_method():
     frame = true_frame()
     shown = Shown(name="panel", frame=_as_seen(frame), prior=None, truth=frame.instances)
     image = picture(shown, {"one": frame.instances, "other": frame.instances}, width_px=160)
@@ -106,10 +99,6 @@ def _as_seen(frame: TrueFrame):
     from hickory_stream.records import Frame
 
     return Frame(
-        index=0,
-        stamp_ns=0,
-        rgb=frame.rgb,
-        depth_m=frame.depth_m,
-        camera=frame.camera,
+        index=0, stamp_ns=0, rgb=frame.rgb, depth_m=frame.depth_m, camera=frame.camera,
         world_from_camera=frame.world_from_camera,
-    )
+    )  # fmt: skip

@@ -5,14 +5,12 @@ Needs the extra `train` (torch); skipped without. Run: pytest -m reference tests
 
 import dataclasses
 from pathlib import Path
-
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`: pip install -e '.[train]'")
 
 from test_network_lessons import true_frame  # noqa: E402 -- after what is skipped without torch
-
 from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, OFFSETS, THING, PixelNetwork  # noqa: E402
 from hickory_stream.perception.models.network import Network, NetworkConfig  # noqa: E402
 from tools.network_training.batches import batches  # noqa: E402
@@ -64,7 +62,7 @@ def test_other_processes_make_the_same_lessons():
             torch.testing.assert_close(getattr(one, name), getattr(other, name), rtol=0, atol=0)
 
 
-def test_the_exported_network_is_exact_and_close_to_the_trained_one(trained, tmp_path, monkeypatch):
+def test_the_exported_network_is_close_to_the_trained_one(trained, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "perception"))
     from integer_graph import run_in_integers
 

@@ -1,16 +1,12 @@
 """The paper's tables: the data sets' layouts are read as their documentation says, and tables say what was measured."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
-
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import load_truth, mesh_of
 from hickory_stream.geometry.rigid import apply, invert
@@ -30,11 +26,6 @@ from tools.paper_tables.write_replica_cad import write_replica_cad
 from tools.worlds.recording_config import RecordingConfig, drawn_frame
 from tools.worlds.routes import clearance_of_surfaces
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-# ---- HOPE-Video -----------------------------------------------------------------------------------------------------
-
 
 @pytest.fixture(scope="module")
 def hope_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -46,7 +37,7 @@ def hope_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_a_scene_of_hope_has_the_true_objects(hope_root: Path, tmp_path: Path) -> None:
+def test_a_scene_of_hope_has_the_true_objects(hope_root, tmp_path):
     scene = hope.scene_folders(hope_root)[0]
     found = hope.write_truth(scene, hope_root / "meshes" / "eval", tmp_path / "truth")
     expected = load_truth(hope_root.parent / "table.truth")
@@ -65,7 +56,7 @@ def test_a_scene_of_hope_has_the_true_objects(hope_root: Path, tmp_path: Path) -
     np.testing.assert_allclose(shares[:, 0], shares[:, 1], atol=0.12)
 
 
-def test_other_units_are_refused(hope_root: Path, tmp_path: Path) -> None:
+def test_other_units_are_refused(hope_root, tmp_path):
     scene = tmp_path / "scene_0000"
     scene.mkdir()
     source = hope.scene_folders(hope_root)[0]
@@ -81,15 +72,12 @@ def test_other_units_are_refused(hope_root: Path, tmp_path: Path) -> None:
         hope.write_truth(scene, hope_root / "meshes" / "eval", tmp_path / "truth")
 
 
-def test_a_missing_mesh_is_named(hope_root: Path, tmp_path: Path) -> None:
+def test_a_missing_mesh_is_named(hope_root, tmp_path):
     with pytest.raises(RecordingError, match=r"scene_0000_01_.*\.obj is missing: the mesh of"):
         hope.write_truth(hope.scene_folders(hope_root)[0], tmp_path, tmp_path / "truth")
 
 
-# ---- ReplicaCAD -----------------------------------------------------------------------------------------------------
-
-
-def test_an_apartment_that_was_written_is_read_as_it_was(tmp_path: Path) -> None:
+def test_an_apartment_that_was_written_is_read_as_it_was(tmp_path):
     world = furnished_room(5)
     write_replica_cad(world, tmp_path, "apt_0")
     assert scene_names(tmp_path) == ["apt_0"]
@@ -144,13 +132,7 @@ QUARTER = [float(np.sqrt(0.5)), 0.0, float(np.sqrt(0.5)), 0.0]
         ({"translation_origin": "asset_local", "uniform_scale": 2.0}, {}, (0.0, -1.2, 0.0), (0.4, 0.0, 0.8)),
     ],
 )
-def test_objects_stand_where_habitat_puts_them(
-    tmp_path: Path,
-    instance: dict[str, object],
-    config: dict[str, object],
-    low: tuple[float, ...],
-    high: tuple[float, ...],
-) -> None:
+def test_objects_stand_where_habitat_puts_them(tmp_path, instance, config, low, high):
     _apartment(tmp_path, {"translation": [1.0, 1.5, 0.5], **instance}, config)
     (item,) = read_apartment(tmp_path, "apt_0").objects
     corners = apply(item.world_from_object, item.model.bounds_m())
@@ -160,7 +142,7 @@ def test_objects_stand_where_habitat_puts_them(
     assert red > 3 * green
 
 
-def test_an_articulated_thing_stands_as_at_joint_zero(tmp_path: Path) -> None:
+def test_an_articulated_thing_stands_as_at_joint_zero(tmp_path):
     _apartment(tmp_path, {"translation": [0.0, 2.0, 0.0]}, {})
     folder = tmp_path / "urdf" / "drawer"
     folder.mkdir(parents=True)
@@ -182,17 +164,14 @@ def test_an_articulated_thing_stands_as_at_joint_zero(tmp_path: Path) -> None:
     np.testing.assert_allclose(middle, (0.0, -1.0, 0.5), atol=1e-6)
 
 
-def test_a_missing_file_of_an_apartment_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_of_an_apartment_is_named(tmp_path):
     _apartment(tmp_path, {}, {})
     (tmp_path / "objects" / "brick.glb").unlink()
     with pytest.raises(RecordingError, match=r"brick\.glb is missing: the mesh of brick"):
         read_apartment(tmp_path, "apt_0")
 
 
-# ---- Data folders ----------------------------------------------------------------------------------------------------
-
-
-def test_what_is_missing_is_named_with_where_to_get_it(tmp_path: Path) -> None:
+def test_what_is_missing_is_named_with_where_to_get_it(tmp_path):
     for data_set in DATA_SETS:
         assert data_set.missing(tmp_path)[0].startswith(f"{data_set.title}: no folder")
         assert data_set.licence in data_set.how_to_get()
@@ -202,7 +181,7 @@ def test_what_is_missing_is_named_with_where_to_get_it(tmp_path: Path) -> None:
     assert "meshes/eval/*.obj is missing" in missing
 
 
-def test_bags_of_robots_are_paired_with_odometry_and_truth(tmp_path: Path) -> None:
+def test_bags_of_robots_are_paired_with_odometry_and_truth(tmp_path):
     folder = tmp_path / "kimera_multi" / "campus_outdoor"
     folder.mkdir(parents=True)
     for name in ("acl_jackal", "acl_jackal2", "hathor"):
@@ -219,8 +198,6 @@ def test_bags_of_robots_are_paired_with_odometry_and_truth(tmp_path: Path) -> No
     assert not KIMERA_MULTI.missing(tmp_path)
 
 
-# ---- Tables ----------------------------------------------------------------------------------------------------------
-
 TABLE = Table(
     name="t",
     caption="Two",
@@ -233,7 +210,7 @@ TABLE = Table(
 )
 
 
-def test_a_table_says_ours_the_interval_how_many_and_the_papers() -> None:
+def test_a_table_says_ours_the_interval_how_many_and_the_papers():
     lines = markdown(TABLE).splitlines()
     assert "| first | 0.500 [0.400, 0.600] (7) / 0.900 | 0.200 |" in lines
     assert "| second | **0.750** | refused / 0.100 |" in lines
@@ -244,7 +221,7 @@ def test_a_table_says_ours_the_interval_how_many_and_the_papers() -> None:
         replace(TABLE, rows=(("short", (Cell(value=1.0),)),))
 
 
-def test_only_rows_of_one_scene_are_compared() -> None:
+def test_only_rows_of_one_scene_are_compared():
     rows = tuple((f"{i}", (Cell(value=float(i)), Cell(value=float(i)))) for i in (1, 2, 3, 4))
     lines = markdown(replace(TABLE, rows=rows, groups=(2, 2))).splitlines()
     assert "| 2 | **2.000** | 2.000 |" in lines
@@ -254,14 +231,14 @@ def test_only_rows_of_one_scene_are_compared() -> None:
         replace(TABLE, rows=rows, groups=(2, 1))
 
 
-def test_the_papers_own_means_are_those_of_its_table() -> None:
+def test_the_papers_own_means_are_those_of_its_table():
     ours = ALIGNMENT["sq"]
     assert np.mean([one.translation_m for one in ours["replica_cad"]]) == pytest.approx(0.0394, abs=1e-4)
     assert np.mean([one.translation_m for one in ours["kimera_multi"]]) == pytest.approx(0.2448, abs=1e-4)
     assert max(VIEWS, key=lambda name: VIEWS[name].hope_f1) == "s_score"
 
 
-def test_a_step_is_measured_once_for_each_input(tmp_path: Path) -> None:
+def test_a_step_is_measured_once_for_each_input(tmp_path):
     told: list[str] = []
     calls = []
 
@@ -276,7 +253,7 @@ def test_a_step_is_measured_once_for_each_input(tmp_path: Path) -> None:
     assert told == ["step", "step"]
 
 
-def test_robots_in_a_street_have_frames_of_their_own() -> None:
+def test_robots_in_a_street_have_frames_of_their_own():
     base = RecordingConfig(scene="outdoor", seed=4, robots=2)
     frames = [drawn_frame(replace(base, walk_index=i)) for i in (0, 1)]
     assert frames[0] is not None

@@ -1,21 +1,11 @@
-"""Measurements that are broken off and go on."""
-
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
-
 import pytest
-
 from tools.benchmarks.common.code_hashes import code_hash, definitions_of
 from tools.benchmarks.common.repetitions import CODE, Repetitions, measurement_folder
 from tools.benchmarks.logs.damaged_logs import run_cases
 
-if TYPE_CHECKING:
-    from pathlib import Path
 
-
-def test_what_was_added_is_there_for_the_next_process(tmp_path: Path) -> None:
+def test_what_was_added_is_there_for_the_next_process(tmp_path):
     kept = Repetitions(tmp_path / "part.jsonl")
     for i in kept.missing(3):
         kept.add(index=i)
@@ -26,7 +16,7 @@ def test_what_was_added_is_there_for_the_next_process(tmp_path: Path) -> None:
     assert again.records == [{"index": 0}, {"index": 1}, {"index": 2}]
 
 
-def test_a_record_that_was_cut_off_is_made_again(tmp_path: Path) -> None:
+def test_a_record_that_was_cut_off_is_made_again(tmp_path):
     file = tmp_path / "part.jsonl"
     file.write_text('{"index": 0}\n{"ind')
     kept = Repetitions(file)
@@ -36,7 +26,7 @@ def test_a_record_that_was_cut_off_is_made_again(tmp_path: Path) -> None:
     assert [json.loads(line) for line in file.read_text().splitlines()] == [{"index": 0}, {"index": 1}]
 
 
-def test_two_processes_are_never_at_one_part(tmp_path: Path) -> None:
+def test_two_processes_are_never_at_one_part(tmp_path):
     first = Repetitions(tmp_path / "part.jsonl")
     with pytest.raises(RuntimeError, match="another process"):
         Repetitions(tmp_path / "part.jsonl")
@@ -44,11 +34,11 @@ def test_two_processes_are_never_at_one_part(tmp_path: Path) -> None:
     Repetitions(tmp_path / "part.jsonl").close()
 
 
-def test_no_repetition_is_begun_when_the_time_is_up() -> None:
+def test_no_repetition_is_begun_when_the_time_is_up():
     assert list(Repetitions(until=0.0).missing(5)) == []
 
 
-def test_other_code_has_another_folder_and_fresh_forgets(tmp_path: Path) -> None:
+def test_other_code_has_another_folder_and_fresh_forgets(tmp_path):
     folder = measurement_folder(tmp_path, "damage", seed=0, fresh=False)
     assert code_hash(*CODE)[:12] in folder.name
     assert measurement_folder(tmp_path, "damage", seed=1, fresh=False) != folder
@@ -59,7 +49,7 @@ def test_other_code_has_another_folder_and_fresh_forgets(tmp_path: Path) -> None
     assert not (folder / "logs.jsonl").exists()
 
 
-def test_damage_broken_off_and_continued_gives_the_figures_of_one_go(tmp_path: Path) -> None:
+def test_interrupted_damage_gives_the_figures_of_one_run(tmp_path):
     file = tmp_path / "logs.jsonl"
     first = Repetitions(file)
     run_cases(5, 3, first)
@@ -75,18 +65,18 @@ _HALF = 'import math\n\n\ndef half(x: float) -> float:\n    """Return half."""\n
 _PART = 'PART = "hickory_stream.engine.shape_jobs.worker"\n"""How a worker is started."""\n'
 
 
-def test_a_rewritten_docstring_comment_or_import_is_the_same_code() -> None:
+def test_a_new_docstring_comment_or_import_is_the_same_code():
     rewritten = _HALF.replace("Return half", "Half").replace("x / 2", "x / 2  # exactly").replace("math", "cmath")
     assert definitions_of(_HALF) == definitions_of(rewritten)
     assert definitions_of(_HALF) != definitions_of(_HALF.replace("2", "3"))
 
 
-def test_a_module_that_is_named_as_text_may_move() -> None:
+def test_a_module_that_is_named_as_text_may_move():
     moved = _PART.replace("engine", "engine.shape_jobs").replace("How", "The way in which")
     assert definitions_of(_PART) == definitions_of(moved) != definitions_of(_PART.replace("worker", "pool"))
 
 
-def test_a_definition_may_move_to_another_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_definition_may_move_to_another_file(tmp_path, monkeypatch):
     monkeypatch.setattr("tools.benchmarks.common.code_hashes.ROOT", tmp_path)
     hashes = []
     for name, files in (("a", {"one.py": _HALF + _PART}), ("b", {"x/one.py": _HALF, "two.py": _PART + "import os\n"})):

@@ -1,12 +1,8 @@
-"""What lessons keep of images is enough to score every way of joining their fragments."""
-
 from dataclasses import replace
 from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
-
 from tests.strategies import seeds
 from tools.evaluation.masks.scores import score_masks
 from tools.segmenter_lessons import Lesson, lessons_of_rooms, score_groups, true_groups
@@ -28,7 +24,7 @@ def lesson_of(labels, truth):
 
 @settings(deadline=None, max_examples=30)
 @given(seeds)
-def test_groups_are_scored_from_counts_as_their_masks_are_from_pixels(seed):
+def test_group_scores_from_counts_equal_those_from_pixels(seed):
     rng = np.random.default_rng(seed)
     labels = np.repeat(np.repeat(rng.integers(0, 9, (6, 8)), 10, axis=0), 10, axis=1).astype(np.int32)
     truth = np.repeat(np.repeat(rng.integers(-1, 5, (6, 8)), 10, axis=0), 10, axis=1).astype(np.int32)

@@ -1,5 +1,3 @@
-"""The trees of the default segmenter are grown as documented: here few, on few images, and tried on others."""
-
 import numpy as np
 import pytest
 
@@ -53,7 +51,7 @@ def test_a_forest_of_shapes_asks_for_no_sizes_and_joins_too(lessons):
     assert right_share(lessons[1], last.numbers) > right_share(lessons[1], first.numbers)
 
 
-def test_a_forest_of_odds_asks_the_network_and_joins_without_it_too(lessons):
+def test_a_forest_of_odds_joins_with_or_without_the_network(lessons):
     trees, _ = train([lessons[::2], lessons[1:4]], Growth(num_trees=12, with_odds=True), shares=[1.0, 0.5])
     assert set(ODDS_FEATURES) < set(trees.features)
     asked = {trees.features[i] for i in trees.feature if i >= 0}
@@ -63,7 +61,7 @@ def test_a_forest_of_odds_asks_the_network_and_joins_without_it_too(lessons):
         assert right_share(lessons[5], last.numbers) > right_share(lessons[5], first.numbers)
 
 
-def test_what_the_network_says_of_a_pair_is_held_to_what_it_means(lessons):
+def test_the_networks_answer_for_a_pair_is_calibrated(lessons):
     trees, _ = train([lessons[::2]], Growth(num_trees=12, with_odds=True))
     step = next(rounds(lessons[1].measures, trees.probabilities, JoinConfig(), lessons[1].odds))
     before = trees.probabilities(step.features)

@@ -1,22 +1,12 @@
-"""Questions from truth: clear ones alone, the same for the same seed, and what they say is so."""
-
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
-
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.query.grammar import question_of
 from tools.benchmarks.maps.true_questions import TrueThing, relations, true_questions
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
-
-def test_questions_are_understood_and_a_tenth_has_no_answer(demo_truth: Path) -> None:
+def test_questions_are_understood_and_a_tenth_has_no_answer(demo_truth):
     truth = load_truth(demo_truth)
     questions, again = (true_questions(truth, 40, np.random.default_rng(3)) for _ in range(2))
     assert questions == again
@@ -30,7 +20,7 @@ def test_questions_are_understood_and_a_tenth_has_no_answer(demo_truth: Path) ->
     assert {kinds[i] for one in seats for i in one.answers} <= {"chair", "sofa"}
 
 
-def test_a_map_that_lacks_what_an_answer_holds_by_cannot_answer(demo_truth: Path) -> None:
+def test_a_map_that_lacks_what_an_answer_holds_by_cannot_answer(demo_truth):
     questions = true_questions(load_truth(demo_truth), 200, np.random.default_rng(3))
     plain = {f"thing carrying something {name}" for name in ("red", "green", "blue", "yellow", "purple")}
     carrying = next(one for one in questions if one.text in plain and len(one.answers) == 1)
@@ -44,7 +34,7 @@ def test_a_map_that_lacks_what_an_answer_holds_by_cannot_answer(demo_truth: Path
     assert next(one for one in questions if not one.answers).is_held(())
 
 
-def test_what_carries_something_of_an_unclear_colour_is_not_asked_about() -> None:
+def test_a_carrier_of_unclear_colour_is_not_asked_about():
     things = [thing("table", 0.0, (0.5, 0.5, 0.5)), thing("box", 0.5, (0.8, 0.1, 0.1))]
     maroon = replace(things[1], color=np.array([0.35, 0.25, 0.25]))
     assert [carries_red(things)(one) for one in things] == [True, False]

@@ -1,14 +1,11 @@
 """What wrong shapes cost a map that keeps them, as `tools/bench layer2` counts it."""
 
-from __future__ import annotations
-
 import pytest
-
 from tools.benchmarks.shapes.generated import kept_figures
 from tools.benchmarks.shapes.outcomes import Outcome
 
 
-def test_what_is_kept_costs_what_the_fused_shape_was_better() -> None:
+def test_what_is_kept_costs_what_the_fused_shape_was_better():
     outcomes = [
         Outcome(blended=0.7, fused=0.9, is_kept=True),
         Outcome(blended=0.95, fused=0.85, is_kept=True),
@@ -25,7 +22,7 @@ def test_what_is_kept_costs_what_the_fused_shape_was_better() -> None:
     assert "mean over 10 objects; 1 lose more than 0.02" in less.of
 
 
-def test_nothing_accepted_costs_nothing() -> None:
+def test_nothing_accepted_costs_nothing():
     share, less = kept_figures("stranger", [], 5, "objects")
 
     assert share.value == 0

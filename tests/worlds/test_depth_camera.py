@@ -1,8 +1,5 @@
-"""The depth camera's defects have the size and the form that a stereo camera gives them."""
-
 import numpy as np
 import pytest
-
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 
 FOCAL_PX = 381.0
@@ -47,7 +44,7 @@ def test_nothing_is_reported_out_of_range_or_at_a_grazing_angle():
     assert np.isfinite(sensed[:, 205:]).all()
 
 
-def test_what_is_near_throws_a_stereo_shadow_to_its_left_as_wide_as_the_step_in_disparity():
+def test_a_near_thing_throws_a_stereo_shadow_to_its_left():
     depth, cosine = plane(4.0)
     depth[:, 150:] = 1.0
     config = DepthCameraConfig(dropout_share=0.0, disparity_sigma_px=0.0, edge_loss=0.0, flying_share=0.0)
@@ -76,7 +73,7 @@ def test_the_generator_alone_decides():
 
 
 @pytest.mark.parametrize("depth_m", [1.0, 2.5, 5.0])
-def test_the_sensor_that_the_camera_states_has_the_noise_the_steps_and_the_range_of_its_depth(depth_m):
+def test_the_stated_sensor_has_its_noise_steps_and_range(depth_m):
     config = DepthCameraConfig(dropout_share=0.0)
     sensor = config.sensor(FOCAL_PX)
     sensed = sensed_depth(*plane(depth_m), FOCAL_PX, config, np.random.default_rng(0))

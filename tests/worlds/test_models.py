@@ -1,10 +1,7 @@
-"""Kinds, rooms and textures: what is made from a seed is solid, in its place, and the same every time."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from hickory_stream.geometry.mesh import Mesh, is_closed, sha256_of, volume_m3
 from hickory_stream.worlds import furniture, small_things
 from hickory_stream.worlds.object_models import Part, ellipsoid, lathe, model_mesh, rounded_box, tube
@@ -14,23 +11,10 @@ from hickory_stream.worlds.textures import Texture, colors_at
 
 GREY = Texture(pattern="plain", first=(0.5, 0.5, 0.5), second=(0.5, 0.5, 0.5), grain=0.0)
 MAKERS = [
-    furniture.table,
-    furniture.desk,
-    furniture.chair,
-    furniture.sofa,
-    furniture.shelf,
-    furniture.lamp,
-    furniture.plant,
-    furniture.bin_,
-    small_things.monitor,
-    small_things.box,
-    small_things.small_box,
-    small_things.mug,
-    small_things.bottle,
-    small_things.bowl,
-    small_things.book_stack,
-    small_things.book_row,
-]
+    furniture.table, furniture.desk, furniture.chair, furniture.sofa, furniture.shelf, furniture.lamp, furniture.plant,
+    furniture.bin_, small_things.monitor, small_things.box, small_things.small_box, small_things.mug,
+    small_things.bottle, small_things.bowl, small_things.book_stack, small_things.book_row,
+]  # fmt: skip
 
 
 def as_mesh(part: Part) -> Mesh:
@@ -45,7 +29,7 @@ def as_mesh(part: Part) -> Mesh:
 
 @pytest.mark.parametrize("maker", MAKERS)
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_every_part_of_every_kind_is_a_closed_solid_that_stands_on_its_base(maker, seed):
+def test_every_part_of_every_kind_is_a_closed_solid_on_its_base(maker, seed):
     model = maker(np.random.default_rng(seed))
     for part in model.parts:
         assert is_closed(as_mesh(part))
@@ -54,7 +38,7 @@ def test_every_part_of_every_kind_is_a_closed_solid_that_stands_on_its_base(make
 
 
 @pytest.mark.parametrize("maker", MAKERS)
-def test_the_same_generator_makes_the_same_model_and_another_one_another(maker):
+def test_equal_generators_make_equal_models_and_others_differ(maker):
     first, same, other = (sha256_of(model_mesh(maker(np.random.default_rng(seed)))) for seed in (3, 3, 4))
     assert first == same != other
 
@@ -82,7 +66,7 @@ def test_no_two_objects_of_a_room_cut_into_one_another(seed):
 
 @settings(max_examples=6)
 @given(st.integers(0, 10_000))
-def test_a_room_has_enough_objects_of_enough_kinds_and_none_of_them_floats(seed):
+def test_a_room_has_objects_of_enough_kinds_and_none_floats(seed):
     world = furnished_room(seed)
     assert [item.id for item in world.objects] == list(range(1, len(world.objects) + 1))
     assert 17 <= len(world.objects) <= 22
@@ -105,7 +89,7 @@ def test_objects_are_inside_the_walls():
         assert (points[:, :2] < (x1, y1)).all()
 
 
-def test_stripes_change_colour_at_half_their_period_along_their_axis_only():
+def test_stripes_change_colour_at_half_their_period():
     texture = Texture(pattern="stripes", first=(1, 0, 0), second=(0, 0, 1), period_m=0.2, axis=0, grain=0.0)
     points = np.array([[0.05, 0.0, 0.0], [0.05, 0.3, 0.7], [0.15, 0.0, 0.0], [0.25, 0.0, 0.0]])
     # The first half of a period shows the second colour.

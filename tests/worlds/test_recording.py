@@ -1,17 +1,13 @@
-"""A short recording, read back with other software, agrees with its truth."""
-
 import struct
 import subprocess
 import sys
 from itertools import pairwise
 from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
-
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import instances_of, load_truth, mesh_of, structure_meshes
 from hickory_stream.geometry.camera import backproject, project
@@ -72,12 +68,7 @@ def test_each_image_has_its_stamp_its_size_and_its_camera(recording, messages):
     truth = load_truth(recording / "short.truth")
     stamps = [frame.stamp_ns for frame in truth.frames]
     assert len(stamps) == 6
-    for topic in (
-        zed_log.COLOR_TOPIC,
-        zed_log.DEPTH_TOPIC,
-        zed_log.COLOR_INFO_TOPIC,
-        zed_log.DEPTH_INFO_TOPIC,
-    ):
+    for topic in (zed_log.COLOR_TOPIC, zed_log.DEPTH_TOPIC, zed_log.COLOR_INFO_TOPIC, zed_log.DEPTH_INFO_TOPIC):
         assert [stamp_ns(message) for message in messages[topic]] == stamps
         assert {message.header.frame_id for message in messages[topic]} == {"zed_left_camera_frame_optical"}
     info = messages[zed_log.DEPTH_INFO_TOPIC][0]
@@ -130,7 +121,7 @@ def test_sensed_depth_lies_on_the_true_objects(recording, messages):
             assert inside.mean() > 0.7, item.kind
 
 
-def test_frames_lists_exactly_the_images_that_show_an_object_and_what_is_seen_is_shown(recording):
+def test_frames_lists_exactly_the_images_of_an_object(recording):
     truth = load_truth(recording / "short.truth")
     shown: dict[int, list[int]] = {item.id: [] for item in truth.objects}
     for frame in truth.frames:

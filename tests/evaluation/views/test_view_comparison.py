@@ -1,10 +1,7 @@
 """Strategies compared: means over all true objects, paired differences, and what is said of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-
 from hickory_stream.evaluation.surface_score import SurfaceScore
 from tools.evaluation.views.comparison import compare, format_comparison, paired_difference, verdict
 from tools.evaluation.views.trials import BEST, OURS, STRATEGIES, ViewTrial
@@ -23,7 +20,7 @@ def trial(truth_id: int, s: float | None, others: float | None, best: float | No
 MISSED = ViewTrial(truth_id=9, kind="box", diameter_m=1.0, scores={})
 
 
-def test_a_missed_object_and_one_without_a_shape_count_as_nothing() -> None:
+def test_a_missed_object_and_one_without_shape_count_as_nothing():
     scores = {score.strategy: score for score in compare([[trial(1, 0.9, 0.5), trial(2, None, 0.5), MISSED]])}
     ours, initial = scores[OURS], scores["initial"]
     assert (ours.f1_5pct, initial.f1_5pct) == (pytest.approx(0.3), pytest.approx(1 / 3))
@@ -33,15 +30,14 @@ def test_a_missed_object_and_one_without_a_shape_count_as_nothing() -> None:
     assert scores[BEST].f1_5pct == pytest.approx((0.9 + 0.5) / 3)
 
 
-def test_the_difference_is_that_of_the_same_objects() -> None:
+def test_the_difference_is_that_of_the_same_objects():
     paired = compare([[trial(i, 0.1 * i + 0.02, 0.1 * i) for i in range(1, 9)]])[-1].s_minus_this
-    assert paired is not None
     # The objects differ by far more than the strategies do: unpaired, nothing could be said.
     assert (paired.low, paired.mean, paired.high) == pytest.approx((0.02, 0.02, 0.02))
     assert paired.p_value == pytest.approx(1e-4)
 
 
-def test_objects_of_a_room_that_err_together_are_no_independent_witnesses() -> None:
+def test_common_errors_of_a_room_are_not_independent():
     rooms = [np.full(40, shift) for shift in np.random.default_rng(0).normal(0.0, 0.05, 12)]
     apart = [np.array([value]) for room in rooms for value in room]
     by_room, by_object, few = (paired_difference(each) for each in (rooms, apart, rooms[:9]))
@@ -50,14 +46,14 @@ def test_objects_of_a_room_that_err_together_are_no_independent_witnesses() -> N
     assert few == paired_difference(apart[: 9 * 40])
 
 
-def test_chance_is_told_from_a_difference() -> None:
+def test_chance_is_told_from_a_difference():
     rng = np.random.default_rng(1)
     noise = [rng.normal(0.0, 0.1, 30) for _ in range(20)]
     assert paired_difference(noise).p_value > 0.05
     assert paired_difference([each + 0.03 for each in noise]).p_value < 0.01
 
 
-def test_it_is_said_how_certain_the_best_choice_is() -> None:
+def test_it_is_said_how_certain_the_best_choice_is():
     rooms = [[trial(i, 0.8, 0.7), trial(i + 50, 0.6, 0.5)] for i in range(12)]
     assert verdict(compare(rooms)).startswith("S is 0.1000 better than initial, the next best: a difference that")
     mixed = [[trial(i, 0.5 + 0.1 * (i % 2), 0.56)] for i in range(12)]
@@ -65,6 +61,6 @@ def test_it_is_said_how_certain_the_best_choice_is() -> None:
     assert "24 true objects of 12 logs, 24 of them in the maps; intervals" in format_comparison(compare(rooms))
 
 
-def test_nothing_to_compare_is_refused() -> None:
+def test_nothing_to_compare_is_refused():
     with pytest.raises(ValueError, match="no true object"):
         compare([[]])

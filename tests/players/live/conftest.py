@@ -1,7 +1,5 @@
 """What waits for others to be done waits less here, where they are in the same process."""
 
-from __future__ import annotations
-
 import pytest
 
 

@@ -4,14 +4,10 @@
 their parameters.
 """
 
-from __future__ import annotations
-
 import enum
 from types import SimpleNamespace
 from typing import Any
-
 import numpy as np
-
 from tests.player_scenes import CAMERA, OPTICAL_FROM_FLU, SceneFrame, make_scene
 
 PUBLISHED: dict[str, dict[str, tuple[str, ...] | None]] = {

@@ -1,20 +1,13 @@
 """A live route that a test writes itself: announces topics, and sends what it is told to."""
 
-from __future__ import annotations
-
 from collections import Counter
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING
-
+from players.live.inbox import Inbox
 from players.live.transport import Health
 from players.logs.containers import Topic
 from tests.player_scenes import Messages, make_scene, png_images, scene_messages
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
-
-    from players.live.inbox import Inbox
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +66,6 @@ class ScriptedRoute:
             self.sent[packet.topic.name] += 1
 
     def end(self) -> None:
-        assert self.inbox is not None
         self.inbox.close()
 
     def subscribe(self, names: Collection[str]) -> None:

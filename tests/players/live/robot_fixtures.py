@@ -1,29 +1,20 @@
 """A fake robot in a thread, and the frames that a live source makes of it."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Any
-
-from players.live import open_live
+from typing import Any
+from hickory_stream.records import RawFrame
+from players.live import LiveMapSource, open_live
 from tests.player_scenes import Messages, make_scene, png_images, scene_messages, write_mcap
-from tools.robot.drive import drive
-from tools.robot.link import Faults, plan
+from tools.robot.drive import Report, drive
+from tools.robot.link import Faults, Plan, plan
 from tools.robot.prepared import prepared
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from hickory_stream.records import RawFrame
-    from players.live import LiveMapSource
-    from tools.robot.drive import Report
-    from tools.robot.link import Plan
-    from tools.robot.publishers import Publisher
+from tools.robot.publishers import Publisher
 
 
 def free_port() -> int:

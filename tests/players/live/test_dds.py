@@ -1,20 +1,16 @@
 """ROS 2 over DDS: frames of a robot in another process, through Cyclone itself, on the loopback address."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 import sys
 from importlib.util import find_spec
 from threading import Thread
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import RecordingError
 from hickory_stream.navigation.robot import load_robot
+from hickory_stream.records import RawFrame
 from hickory_stream.sinks.publish_sink import PublishSink
 from players.live import open_live
 from players.live.dds_domain import dds_type, ros_type, settings
@@ -24,23 +20,18 @@ from tests.player_scenes import make_scene
 from tests.players.live.robot_fixtures import eventually, scene_log
 from tests.sinks.test_publish_sink import report
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.records import RawFrame
-
 cyclone = pytest.mark.skipif(find_spec("cyclonedds") is None, reason="needs the extra [dds]")
 DOMAIN = 20 + os.getpid() % 150
 
 
-def test_types_have_their_names_on_the_wire() -> None:
+def test_types_have_their_names_on_the_wire():
     assert dds_type("sensor_msgs/msg/Image") == "sensor_msgs::msg::dds_::Image_"
     assert ros_type("sensor_msgs::msg::dds_::Image_") == "sensor_msgs/msg/Image"
     for other in ("std_srvs::srv::dds_::Empty_Request_", "ParticipantEntitiesInfo_", "a::msg::dds_::B"):
         assert ros_type(other) is None
 
 
-def test_only_the_named_interface_and_peers_are_spoken_to() -> None:
+def test_only_the_named_interface_and_peers_are_spoken_to():
     made = settings("eth0", ("192.168.123.161",))
     assert '<NetworkInterface name="eth0" multicast="false"/>' in made
     assert "<AllowMulticast>false</AllowMulticast>" in made
@@ -58,25 +49,25 @@ def test_only_the_named_interface_and_peers_are_spoken_to() -> None:
         ("dds://0?interface=eth0", "names an interface and no peer: name the robot"),
     ],
 )
-def test_an_address_that_is_none_is_refused(uri: str, text: str) -> None:
+def test_an_address_that_is_none_is_refused(uri, text):
     with pytest.raises(RecordingError, match=text):
         route_of(uri)
 
 
-def test_without_cyclone_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_cyclone_it_is_said_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "cyclonedds.core", None)
     with pytest.raises(RecordingError, match=r"dds:// needs Cyclone DDS: pip install 'hickory-stream\[dds\]'"):
         route_of("dds://")
 
 
 @cyclone
-def test_an_interface_that_is_not_there_is_named() -> None:
+def test_an_interface_that_is_not_there_is_named():
     with pytest.raises(RecordingError, match="Cyclone DDS cannot use the interface none0"):
         open_live(f"dds://{DOMAIN + 2}?interface=none0&peer=10.255.255.1", attempt_s=0.1, patience_s=0.5)
 
 
 @cyclone
-def test_a_robot_in_another_process_is_mapped_told_and_counted(tmp_path: Path) -> None:
+def test_a_robot_in_another_process_is_mapped_told_and_counted(tmp_path):
     log = scene_log(tmp_path / "log.mcap", num_frames=20)
     goal = ("--goal", "1:5.5,3.0")
     robot = [sys.executable, "-m", "tools.robot.command", str(log), "--via", "dds", "--domain", str(DOMAIN)]

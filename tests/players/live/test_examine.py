@@ -1,10 +1,4 @@
-"""`doctor` of a live route: what came in some seconds is examined as a log is."""
-
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
-
 from hickory_stream.cli import main
 from players.doctor.report import diagnosis_text
 from players.live.examine import examine_live
@@ -12,13 +6,8 @@ from players.live.transport import Health
 from players.options import SourceOptions
 from tests.players.live.live_fixtures import ScriptedRoute, scene_packets
 
-if TYPE_CHECKING:
-    from pathlib import Path
 
-    import pytest
-
-
-def test_what_would_be_mapped_is_said_with_the_table_of_topics() -> None:
+def test_what_would_be_mapped_is_said_with_the_table_of_topics():
     route = ScriptedRoute(at_start=scene_packets(12))
     found = examine_live(route.uri, SourceOptions(), seconds=1.0, route=route)
     assert found.refusal is None
@@ -30,7 +19,7 @@ def test_what_would_be_mapped_is_said_with_the_table_of_topics() -> None:
     assert {topic["topic"]: topic["received"] for topic in found.live["topics"]} == route.sent
 
 
-def test_why_nothing_would_be_mapped_is_said() -> None:
+def test_why_nothing_would_be_mapped_is_said():
     packets = [packet for packet in scene_packets() if "depth" not in packet.topic.name]
     found = examine_live("script://robot", SourceOptions(), seconds=0.8, route=ScriptedRoute(at_start=packets))
     assert found.status == 2
@@ -43,7 +32,7 @@ def test_why_nothing_would_be_mapped_is_said() -> None:
     assert found.refusal == "script://robot has sent nothing"
 
 
-def test_the_command_examines_an_address(short_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_examines_an_address(short_log, capsys):
     # The end of the stream ends the examination early.
     status = main(["doctor", str(short_log), "--json"])
     logged = json.loads(capsys.readouterr().out)

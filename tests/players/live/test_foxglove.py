@@ -1,17 +1,13 @@
-"""Foxglove's WebSocket, through a real connection on the loopback address."""
-
-from __future__ import annotations
-
 import base64
 import json
 import socket
 import threading
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from typing import TYPE_CHECKING, Any
-
+from pathlib import Path
+from typing import Any
 import numpy as np
 import pytest
-
 from hickory_stream.errors import RecordingError
 from players.live import open_live
 from players.live.foxglove_route import FoxgloveRoute
@@ -20,10 +16,6 @@ from players.opening import open_source
 from tests.players.live.robot_fixtures import eventually, free_port, mapped, scene_log
 from tools.robot.foxglove_publisher import FoxglovePublisher
 from tools.robot.link import Faults
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +44,7 @@ def serving(handler: Any, **options: Any) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("protocols", [("foxglove.sdk.v1", "foxglove.websocket.v1"), ("foxglove.websocket.v1",)])
-def test_a_robot_is_mapped_and_nothing_is_unaccounted(log: Path, address: str, protocols: tuple[str, ...]) -> None:
+def test_a_robot_is_mapped_and_nothing_is_unaccounted(log, address, protocols):
     found = mapped(log, FoxglovePublisher(address, protocols=protocols), f"foxglove://{address}", rate=2.0)
     expected = list(open_source(log).frames())
     assert [frame.stamp_ns for frame in found.frames] == [frame.stamp_ns for frame in expected]
@@ -61,7 +53,7 @@ def test_a_robot_is_mapped_and_nothing_is_unaccounted(log: Path, address: str, p
     assert sum(found.report.sent.values()) == sum(topic.num_messages or 0 for topic in open_source(log)._log.topics)
 
 
-def test_a_robot_that_was_away_is_mapped_on(tmp_path: Path, address: str) -> None:
+def test_a_robot_that_was_away_is_mapped_on(tmp_path, address):
     log = scene_log(tmp_path / "scene.mcap", num_frames=30)
     found = mapped(log, FoxglovePublisher(address), f"foxglove://{address}", Faults(disconnects=((0.8, 0.4),)))
     gaps_ns = np.diff([frame.stamp_ns for frame in found.frames])
@@ -70,7 +62,7 @@ def test_a_robot_that_was_away_is_mapped_on(tmp_path: Path, address: str) -> Non
     assert found.source.account().as_dict()["difference"] == 0
 
 
-def test_definitions_come_with_the_channel_and_odd_ones_do_no_harm() -> None:
+def test_odd_definitions_of_a_channel_do_no_harm():
     cdr = {"encoding": "cdr", "schema": "float64 x", "schemaName": "acme_msgs/msg/Thing"}
     channels = [
         {**cdr, "id": 1, "topic": "/thing"},
@@ -105,12 +97,11 @@ def test_definitions_come_with_the_channel_and_odd_ones_do_no_harm() -> None:
         assert topics["/image"].definition == "\n\0"
         assert route.health().problem == "/thing is published as acme_msgs/msg/Other, too; the server says: too slow"
         taken = inbox.take(2.0)
-        assert taken is not None
         assert bytes(taken.data) == b"payload"
         route.stop()
 
 
-def test_who_does_not_answer_or_speaks_something_else_is_said(address: str) -> None:
+def test_who_does_not_answer_or_speaks_something_else_is_said(address):
     with pytest.raises(RecordingError, match=f"{address} does not answer .*waited 0.3 s"):
         open_live(f"foxglove://{address}", patience_s=0.3)
     with (
@@ -138,6 +129,6 @@ def test_who_does_not_answer_or_speaks_something_else_is_said(address: str) -> N
 
 
 @pytest.mark.parametrize("uri", ["foxglove://robot:0", "foxglove://robot:port", "foxglove://robot/x"])
-def test_an_address_that_is_none_is_refused(uri: str) -> None:
+def test_an_address_that_is_none_is_refused(uri):
     with pytest.raises(RecordingError, match="expected foxglove://HOST"):
         open_live(uri, patience_s=0.1)

@@ -1,10 +1,5 @@
-"""What has arrived is bounded, and everything that is left out is counted."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 from threading import Thread
-
 from players.live.inbox import MAX_TOPICS, Inbox
 from players.live.live_log import LiveLog
 from players.live.status import status_of, status_table
@@ -21,7 +16,7 @@ class Clock:
         return self.now_ns
 
 
-def test_a_flood_of_images_drops_the_oldest_images_and_no_pose() -> None:
+def test_a_flood_of_images_drops_the_oldest_images_and_no_pose():
     inbox = Inbox(large_bytes=1000)
     inbox.announce(IMAGE_TOPIC)
     inbox.announce(POSE_TOPIC)
@@ -36,7 +31,7 @@ def test_a_flood_of_images_drops_the_oldest_images_and_no_pose() -> None:
     assert inbox.arrivals[IMAGE_TOPIC.name].num_received == 50
 
 
-def test_messages_come_out_in_the_order_in_which_they_came() -> None:
+def test_messages_come_out_in_the_order_in_which_they_came():
     inbox = Inbox()
     for packet in scene_packets():
         inbox.announce(packet.topic)
@@ -48,7 +43,7 @@ def test_messages_come_out_in_the_order_in_which_they_came() -> None:
     assert taken == [packet.data for packet in scene_packets()]
 
 
-def test_a_route_that_can_wait_loses_nothing() -> None:
+def test_a_route_that_can_wait_loses_nothing():
     inbox = Inbox(large_bytes=300)
     inbox.announce(IMAGE_TOPIC)
 
@@ -67,7 +62,7 @@ def test_a_route_that_can_wait_loses_nothing() -> None:
     assert not inbox.arrivals[IMAGE_TOPIC.name].fates
 
 
-def test_a_hostile_publisher_is_held_within_limits() -> None:
+def test_a_hostile_publisher_is_held_within_limits():
     inbox = Inbox(max_message_bytes=1000)
     for i in range(MAX_TOPICS + 7):
         inbox.announce(replace(IMAGE_TOPIC, name=f"/topic{i}"))
@@ -79,7 +74,7 @@ def test_a_hostile_publisher_is_held_within_limits() -> None:
     assert inbox.take(0) is None
 
 
-def test_the_status_says_rates_ages_and_what_is_wrong() -> None:
+def test_the_status_says_rates_ages_and_what_is_wrong():
     clock = Clock()
     inbox = Inbox(clock)
     route = ScriptedRoute()

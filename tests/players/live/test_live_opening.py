@@ -1,24 +1,17 @@
 """A live route is opened when all that mapping needs has come, and says what it waits for until then."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import CalibrationError, RecordingError
 from players.live import open_live
+from players.live.inbox import Inbox
 from players.live.transport import Health
 from players.opening import open_source
 from players.poses.camera_poses import PoseReader
 from tests.player_scenes import OPTICAL, Messages, make_scene, png_bytes, png_images, scene_messages, write_mcap
 from tests.players.live.live_fixtures import Packet, ScriptedRoute, scene_packets
 from tools.robot.stamps import restamped
-
-if TYPE_CHECKING:
-    from players.live.inbox import Inbox
 
 INFOS = "camera_info"
 
@@ -33,7 +26,7 @@ def unaccounted(source, route: ScriptedRoute) -> dict[str, int]:
     return {name: number - entries[name].total for name, number in route.sent.items() if number != entries[name].total}
 
 
-def test_what_arrives_gives_the_frames_that_the_same_log_gives(tmp_path) -> None:
+def test_what_arrives_gives_the_frames_that_the_same_log_gives(tmp_path):
     m = Messages(2)
     path = write_mcap(tmp_path / "scene.mcap", m, scene_messages(m, make_scene(), png_images))
     route = ScriptedRoute(at_start=scene_packets())
@@ -49,7 +42,7 @@ def test_what_arrives_gives_the_frames_that_the_same_log_gives(tmp_path) -> None
     assert source.info.uri == route.uri
 
 
-def test_only_what_mapping_needs_is_asked_for() -> None:
+def test_only_what_mapping_needs_is_asked_for():
     beside = replace(scene_packets()[0].topic, name="/other/image", type_name="sensor_msgs/msg/Imu")
     route = ScriptedRoute(at_start=scene_packets(), announced=[beside])
     source = opened(route)
@@ -58,7 +51,7 @@ def test_only_what_mapping_needs_is_asked_for() -> None:
     source.close()
 
 
-def test_calibration_that_comes_late_is_waited_for_by_name() -> None:
+def test_calibration_that_comes_late_is_waited_for_by_name():
     late = [packet for packet in scene_packets() if INFOS in packet.topic.name]
     route = ScriptedRoute(at_start=[packet for packet in scene_packets() if INFOS not in packet.topic.name])
     told: list[str] = []
@@ -75,7 +68,7 @@ def test_calibration_that_comes_late_is_waited_for_by_name() -> None:
     assert unaccounted(source, route) == {}
 
 
-def test_topics_that_appear_one_after_the_other_are_told_one_after_the_other() -> None:
+def test_topics_are_reported_as_they_appear():
     packets = scene_packets()
     parts = [
         [packet for packet in packets if word in packet.topic.name] for word in ("tf_static", "odom", "color", "depth")
@@ -95,7 +88,7 @@ def test_topics_that_appear_one_after_the_other_are_told_one_after_the_other() -
     assert len(list(source.frames())) == 6
 
 
-def test_a_route_that_gives_nothing_says_what_is_missing() -> None:
+def test_a_route_that_gives_nothing_says_what_is_missing():
     topics = [packet.topic for packet in scene_packets()]
     route = ScriptedRoute(announced=topics)
     with pytest.raises(RecordingError, match=r"image_rect.* holds no image.*waited 0\.2 s for script://robot"):
@@ -106,13 +99,13 @@ def test_a_route_that_gives_nothing_says_what_is_missing() -> None:
         opened(down, patience_s=0.2)
 
 
-def test_a_link_that_nobody_publishes_is_named() -> None:
+def test_a_link_that_nobody_publishes_is_named():
     route = ScriptedRoute(at_start=[packet for packet in scene_packets() if "tf_static" not in packet.topic.name])
     with pytest.raises(CalibrationError, match=r"base_link.*cam_optical"):
         opened(route, patience_s=0.3)
 
 
-def test_a_robot_that_restarts_with_its_clock_at_zero_is_mapped_on() -> None:
+def test_a_robot_restarted_at_clock_zero_is_still_mapped():
     packets = scene_packets()
     first_ns = packets[0].stamp_ns
     again = [replace(packet, data=restamped(packet.topic, packet.data, 5_000_000_000 - first_ns)) for packet in packets]
@@ -126,7 +119,7 @@ def test_a_robot_that_restarts_with_its_clock_at_zero_is_mapped_on() -> None:
     assert unaccounted(source, route) == {}
 
 
-def test_doubled_and_reordered_messages_are_counted_and_do_no_harm() -> None:
+def test_doubled_and_reordered_messages_are_counted():
     packets = scene_packets(12)
     swapped = [packets[i ^ 1] if (i ^ 1) < len(packets) else packets[i] for i in range(len(packets))]
     doubled = [packet for i, packet in enumerate(swapped) for _ in range(1 + (i % 5 == 0))]
@@ -140,7 +133,7 @@ def test_doubled_and_reordered_messages_are_counted_and_do_no_harm() -> None:
     assert unaccounted(source, route) == {}
 
 
-def test_frames_end_when_the_run_is_to_end_and_the_rest_is_counted() -> None:
+def test_frames_end_with_the_run_and_the_rest_is_counted():
     route = ScriptedRoute(at_start=scene_packets(12))
     source = opened(route)
     frames = source.frames()
@@ -153,7 +146,7 @@ def test_frames_end_when_the_run_is_to_end_and_the_rest_is_counted() -> None:
     assert unaccounted(source, route) == {}
 
 
-def test_a_frame_is_there_as_soon_as_its_images_and_its_pose_are() -> None:
+def test_a_frame_is_there_as_soon_as_its_images_and_its_pose_are():
     # Images of one stamp, with poses on both sides of it: nothing else is waited for.
     packets = [packet for packet in scene_packets() if not packet.topic.name.endswith("compressedDepth")]
     m, frames = Messages(2), make_scene()
@@ -183,7 +176,7 @@ def test_a_frame_is_there_as_soon_as_its_images_and_its_pose_are() -> None:
     source.close()
 
 
-def test_poses_without_images_do_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_poses_without_images_do_not_fill_the_memory(monkeypatch):
     monkeypatch.setattr("players.logs.log_source._FORGET_EVERY", 50)
     odometry = next(packet for packet in scene_packets() if packet.topic.name == "/odom")
     route = ScriptedRoute(at_start=scene_packets())
@@ -202,7 +195,7 @@ def test_poses_without_images_do_not_fill_the_memory(monkeypatch: pytest.MonkeyP
     assert len(track._stamps_ns) < 60 * 50 + 2200
 
 
-def test_images_whose_size_changes_in_mid_stream_are_refused_and_counted() -> None:
+def test_images_that_change_size_in_mid_stream_are_counted():
     packets = scene_packets(12)
     m, store = Messages(2), Messages(2).store
     color = next(packet.topic for packet in packets if packet.topic.name.endswith("image_rect/compressed"))
@@ -224,7 +217,7 @@ def test_images_whose_size_changes_in_mid_stream_are_refused_and_counted() -> No
     assert unaccounted(source, route) == {}
 
 
-def test_of_two_robots_with_frames_of_one_name_the_camera_decides_whose_poses_count() -> None:
+def test_the_camera_decides_between_robots_with_equal_frames():
     def of(robot: str, shift_m: float) -> list[Packet]:
         store, moved = Messages(2).store, []
         for packet in scene_packets(12):

@@ -1,22 +1,13 @@
-"""An MCAP stream that is being written: a pipe, a file that grows, standard input, and what is none of them."""
-
-from __future__ import annotations
-
 import os
 import sys
+from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING
-
 import pytest
-
 from hickory_stream.errors import RecordingError
 from players.live import open_live
 from players.live.routes import is_live
 from players.opening import open_source
 from tests.player_scenes import NUM_FRAMES, Messages, make_scene, png_images, scene_messages, write_mcap
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +29,7 @@ def write_in_thread(path: Path, data: bytes) -> Thread:
     return thread
 
 
-def test_a_pipe_is_mapped_until_its_writer_ends(scene_log: Path, tmp_path: Path) -> None:
+def test_a_pipe_is_mapped_until_its_writer_ends(scene_log, tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     writer = write_in_thread(pipe, scene_log.read_bytes())
@@ -53,7 +44,7 @@ def test_a_pipe_is_mapped_until_its_writer_ends(scene_log: Path, tmp_path: Path)
     source.close()
 
 
-def test_a_file_that_grows_is_followed_beyond_its_end(scene_log: Path, tmp_path: Path) -> None:
+def test_a_file_that_grows_is_followed_beyond_its_end(scene_log, tmp_path):
     data = scene_log.read_bytes()
     path = tmp_path / "growing.mcap"
     path.write_bytes(data[: len(data) // 2])
@@ -67,7 +58,7 @@ def test_a_file_that_grows_is_followed_beyond_its_end(scene_log: Path, tmp_path:
     source.close()
 
 
-def test_standard_input_is_read(scene_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_standard_input_is_read(scene_log, monkeypatch):
     with scene_log.open("rb") as stream:
         monkeypatch.setattr(sys, "stdin", stream)
         source = open_live("-", attempt_s=0.3)
@@ -79,14 +70,11 @@ def test_standard_input_is_read(scene_log: Path, monkeypatch: pytest.MonkeyPatch
     ("content", "told"),
     [
         (b"GET / HTTP/1.1\r\n\r\n", "begins with 47 45 54 20 .* expected an MCAP stream"),
-        (
-            b"\x89MCAP0\r\n" + b"\x05" + (1 << 40).to_bytes(8, "little") + bytes(100),
-            "holds no record .*1099511627776",
-        ),
+        (b"\x89MCAP0\r\n" + b"\x05" + (1 << 40).to_bytes(8, "little") + bytes(100), "holds no record .*1099511627776"),
         (b"\x89MCAP0\r\n", "announced no topics; the stream has ended"),
     ],
 )
-def test_what_is_no_mcap_ends_in_one_line(content: bytes, told: str, tmp_path: Path) -> None:
+def test_what_is_no_mcap_ends_in_one_line(content, told, tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     write_in_thread(pipe, content)
@@ -94,7 +82,7 @@ def test_what_is_no_mcap_ends_in_one_line(content: bytes, told: str, tmp_path: P
         open_live(f"mcap:{pipe}", attempt_s=0.3)
 
 
-def test_an_address_that_names_nothing_is_refused(tmp_path: Path) -> None:
+def test_an_address_that_names_nothing_is_refused(tmp_path):
     with pytest.raises(RecordingError, match="no such file or pipe, expected a pipe"):
         open_live(f"mcap:{tmp_path / 'none'}")
     with pytest.raises(RecordingError, match="a folder, expected"):

@@ -1,18 +1,16 @@
 """The way back: what is published over a link arrives at the robot, again when that comes back, and its goals here."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any
-
+from typing import Any
 import numpy as np
 import pytest
-
 from hickory_stream.navigation.robot import load_robot
 from hickory_stream.sinks.publish_sink import MAP_TOPIC, MARKERS_TOPIC, OBJECTS_TOPIC, PLAN_TOPIC, TF_TOPIC, PublishSink
 from hickory_stream.sinks.ros_messages import PATH, TRANSFORMS, goal_message, store
-from players.live import open_live
+from players.live import LiveMapSource, open_live
 from players.live.zenoh_keys import publication_of_key, publication_of_token
 from players.logs.containers import Topic
 from tests.navigation.rooms import snapshot
@@ -22,14 +20,8 @@ from tools.robot.drive import drive
 from tools.robot.foxglove_publisher import FoxglovePublisher
 from tools.robot.link import Faults, plan
 from tools.robot.prepared import prepared
+from tools.robot.publishers import Publisher
 from tools.robot.zenoh_publishers import RmwZenoh, ZenohBridge
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from players.live import LiveMapSource
-    from tools.robot.publishers import Publisher
 
 LATCHED = (MAP_TOPIC, MARKERS_TOPIC)
 WHOLE = (MAP_TOPIC, OBJECTS_TOPIC, MARKERS_TOPIC, TF_TOPIC)
@@ -65,7 +57,7 @@ def listening(uri: str, robot: Publisher, log: Path) -> Iterator[tuple[LiveMapSo
 
 
 @pytest.mark.parametrize("route", ROUTES)
-def test_all_that_is_published_arrives_and_a_goal_is_answered(route: str, tmp_path: Path) -> None:
+def test_all_that_is_published_arrives_and_a_goal_is_answered(route, tmp_path):
     uri, robot = publisher_of(route, f"127.0.0.1:{free_port()}")
     with listening(uri, robot, scene_log(tmp_path / "log.mcap")) as (source, _):
         assert source.return_link is not None
@@ -85,7 +77,7 @@ def test_all_that_is_published_arrives_and_a_goal_is_answered(route: str, tmp_pa
 
 
 @pytest.mark.parametrize("route", ROUTES)
-def test_a_robot_that_was_away_is_told_what_is_latched_when_it_comes_back(route: str, tmp_path: Path) -> None:
+def test_a_returned_robot_gets_what_is_latched(route, tmp_path):
     place = f"127.0.0.1:{free_port()}"
     uri, robot = publisher_of(route, place)
     log = scene_log(tmp_path / "log.mcap")
@@ -102,7 +94,7 @@ def test_a_robot_that_was_away_is_told_what_is_latched_when_it_comes_back(route:
         returned.disconnect()
 
 
-def test_a_server_that_takes_nothing_is_named(tmp_path: Path) -> None:
+def test_a_server_that_takes_nothing_is_named(tmp_path):
     place = f"127.0.0.1:{free_port()}"
     robot = FoxglovePublisher(place, takes=False)
     with listening(f"foxglove://{place}", robot, scene_log(tmp_path / "log.mcap")) as (source, _):
@@ -114,7 +106,7 @@ def test_a_server_that_takes_nothing_is_named(tmp_path: Path) -> None:
     assert sink.counts()["topics"] == {TF_TOPIC: {"unheard": 1}}
 
 
-def test_to_nodes_of_rmw_zenoh_our_topics_are_publishers_of_their_domain(tmp_path: Path) -> None:
+def test_our_topics_are_publishers_to_nodes_of_rmw_zenoh(tmp_path):
     import zenoh
 
     place = f"127.0.0.1:{free_port()}"
@@ -135,7 +127,6 @@ def test_to_nodes_of_rmw_zenoh_our_topics_are_publishers_of_their_domain(tmp_pat
         status = source.status()
     (ours,) = {token for token in tokens if "hickory_stream/%map/" in token}
     found = publication_of_token(ours)
-    assert found is not None
     assert (found.name, found.type_name, found.domain, found.is_latched) == (
         "/map",
         "nav_msgs/msg/OccupancyGrid",
@@ -147,7 +138,7 @@ def test_to_nodes_of_rmw_zenoh_our_topics_are_publishers_of_their_domain(tmp_pat
 
 
 @pytest.mark.parametrize("route", ["zenoh-bridge", "rmw-zenoh"])
-def test_a_robot_that_listens_to_a_topic_of_its_own_is_not_heard_by_that(route: str) -> None:
+def test_a_robot_does_not_hear_us_on_its_own_topic(route):
     _, robot = publisher_of(route, f"127.0.0.1:{free_port()}")
     tf = Topic(name="/tf", type_name=TRANSFORMS, num_messages=None, wire="cdr", definition_format="none", definition="")
     robot.connect([tf])

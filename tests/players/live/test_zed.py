@@ -1,14 +1,10 @@
 """ZED cameras by the SDK: the same frames as the scene that the fake SDK plays; what is missing is said in a line."""
 
-from __future__ import annotations
-
 import inspect
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import RecordingError
 from players.doctor.diagnosis import examine
 from players.live import open_live
@@ -20,9 +16,6 @@ from players.options import SourceOptions
 from tests.player_scenes import make_scene
 from tests.players.live.fake_zed import PUBLISHED, fake_sl
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 @pytest.fixture
 def svo(tmp_path: Path) -> str:
@@ -31,7 +24,7 @@ def svo(tmp_path: Path) -> str:
     return f"zed:{path}"
 
 
-def test_the_fake_module_has_no_name_and_no_parameter_that_the_sdk_lacks() -> None:
+def test_the_fake_module_has_only_names_of_the_sdk():
     sl = fake_sl()
     for owner, made in vars(sl).items():
         if owner == "opened":
@@ -46,13 +39,13 @@ def test_the_fake_module_has_no_name_and_no_parameter_that_the_sdk_lacks() -> No
                 assert tuple(found) == wanted, f"{owner}.{name}"
 
 
-def test_all_that_is_used_of_the_sdk_is_published_by_it() -> None:
+def test_all_that_is_used_of_the_sdk_is_published_by_it():
     assert {owner: set(names) - set(PUBLISHED[owner]) for owner, names in USED.items() if owner in PUBLISHED} == {
         owner: set() for owner in USED
     }
 
 
-def test_every_frame_of_a_recording_is_that_of_the_scene_with_z_up(svo: str) -> None:
+def test_every_frame_of_a_recording_is_the_scene_with_z_up(svo):
     sl, scene = fake_sl(), make_scene(num_frames=6)
     source = open_live(svo, route=ZedRoute(svo, sl), attempt_s=0.3, patience_s=20.0)
     frames = list(source.frames())
@@ -72,7 +65,7 @@ def test_every_frame_of_a_recording_is_that_of_the_scene_with_z_up(svo: str) -> 
     source.close()
 
 
-def test_only_frames_that_are_tracked_are_mapped_and_a_torn_one_is_counted(svo: str) -> None:
+def test_only_tracked_frames_are_mapped_and_corrupt_ones_counted(svo):
     sl = fake_sl(lost_at=(9, 10, 11, 12, 13, 14, 15), corrupted_at=2, num_frames=16)
     source = open_live(svo, route=ZedRoute(svo, sl), attempt_s=0.3, patience_s=20.0)
     stamps = [frame.stamp_ns for frame in source.frames()]
@@ -93,9 +86,7 @@ def test_only_frames_that_are_tracked_are_mapped_and_a_torn_one_is_counted(svo: 
         ("zed://jetson", ("stream", "jetson", 30000)),
     ],
 )
-def test_a_camera_is_opened_as_it_was_named_and_tried_again_until_it_is_there(
-    uri: str, asked: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_camera_is_opened_by_its_name_and_tried_again(uri, asked, monkeypatch):
     monkeypatch.setattr("players.live.zed_route._AGAIN_S", 0.01)
     sl = fake_sl(open_fails=2)
     told: list[str] = []
@@ -104,13 +95,13 @@ def test_a_camera_is_opened_as_it_was_named_and_tried_again_until_it_is_there(
     source.close()
 
 
-def test_a_camera_that_is_not_there_is_named_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_that_is_not_there_is_named_with_the_reason(monkeypatch):
     sl = fake_sl(open_fails=1000)
     with pytest.raises(RecordingError, match=r"the ZED SDK cannot open it \(CAMERA_NOT_DETECTED\)"):
         open_live("zed://", route=ZedRoute("zed://", sl), attempt_s=0.1, patience_s=0.3)
 
 
-def test_a_missing_sdk_is_one_line_that_says_how_to_get_it(svo: str) -> None:
+def test_a_missing_sdk_is_one_line_that_says_how_to_get_it(svo):
     with pytest.raises(RecordingError, match="the ZED SDK is missing") as caught:
         route_of(svo)
     assert "stereolabs.com/developers" in str(caught.value)
@@ -119,7 +110,7 @@ def test_a_missing_sdk_is_one_line_that_says_how_to_get_it(svo: str) -> None:
         load_sdk()
 
 
-def test_an_sdk_of_another_version_is_told_by_what_it_lacks() -> None:
+def test_an_sdk_of_another_version_is_told_by_what_it_lacks():
     sl = fake_sl()
     del sl.Transform
     with pytest.raises(RecordingError, match="lacks Transform, expected version 5"):
@@ -139,19 +130,19 @@ def test_an_sdk_of_another_version_is_told_by_what_it_lacks() -> None:
         ("zed://host/path", "expected zed://"),
     ],
 )
-def test_an_address_that_names_no_camera_is_refused(uri: str, text: str) -> None:
+def test_an_address_that_names_no_camera_is_refused(uri, text):
     with pytest.raises(RecordingError, match=text):
         ZedRoute(uri, fake_sl())
 
 
-def test_only_a_file_is_a_recording(svo: str) -> None:
+def test_only_a_file_is_a_recording(svo):
     assert is_live("zed://")
     assert is_live("zed://31234567")
     assert not is_recording("zed://")
     assert is_recording(svo)
 
 
-def test_a_recording_that_is_read_without_the_sdk_is_named(tmp_path: Path) -> None:
+def test_a_recording_that_is_read_without_the_sdk_is_named(tmp_path):
     from mcap.writer import Writer
 
     path = tmp_path / "desk.svo2"

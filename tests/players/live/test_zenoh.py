@@ -1,16 +1,12 @@
 """ROS 2 over Zenoh, in the layouts of the bridge and of rmw_zenoh, through a real router on the loopback address."""
 
-from __future__ import annotations
-
 import socket
 from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import RecordingError
 from players.live import open_live
 from players.live.inbox import Inbox
@@ -22,9 +18,6 @@ from tools.robot.drive import drive
 from tools.robot.link import Faults, plan
 from tools.robot.prepared import prepared
 from tools.robot.zenoh_publishers import RmwZenoh, ZenohBridge
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 
@@ -76,11 +69,8 @@ def address() -> str:
         ),
     ],
 )
-def test_tokens_say_name_type_and_durability(
-    token: str, name: str, type_name: str, layout: str, is_latched: bool
-) -> None:
+def test_tokens_say_name_type_and_durability(token, name, type_name, layout, is_latched):
     found = publication_of_token(token)
-    assert found is not None
     assert (found.name, found.type_name, found.layout, found.is_latched) == (name, type_name, layout, is_latched)
 
 
@@ -94,13 +84,12 @@ def test_tokens_say_name_type_and_durability(
         "@",
     ],
 )
-def test_what_announces_no_publisher_is_left_alone(token: str) -> None:
+def test_what_announces_no_publisher_is_left_alone(token):
     assert publication_of_token(token) is None
 
 
-def test_keys_of_rmw_zenoh_say_their_type_and_those_of_the_bridge_do_not() -> None:
+def test_keys_of_rmw_zenoh_tell_their_type_and_others_do_not():
     found = publication_of_key(f"0/cam/image/sensor_msgs::msg::dds_::Image_/{HASH}")
-    assert found is not None
     assert (found.name, found.type_name, found.key) == ("/cam/image", "sensor_msgs/msg/Image", "*/cam/image/*/*")
     assert publication_of_key("cam/image") is None
     assert within(found, "cam") == "/image"
@@ -113,13 +102,8 @@ def test_keys_of_rmw_zenoh_say_their_type_and_those_of_the_bridge_do_not() -> No
     assert publication_of_token(token) is None
 
 
-# ---- robots ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("kind", ["bridge", "old bridge", "rmw"])
-def test_a_robot_is_mapped_with_what_it_sent_before_we_came_and_nothing_is_unaccounted(
-    kind: str, log: Path, address: str
-) -> None:
+def test_a_robot_is_mapped_with_what_it_sent_before_we_came(kind, log, address):
     publisher = RmwZenoh(address, domain=7) if kind == "rmw" else ZenohBridge(address, is_old=kind == "old bridge")
     found = mapped(log, publisher, f"zenoh://{address}")
     expected = list(open_source(log).frames())
@@ -131,7 +115,7 @@ def test_a_robot_is_mapped_with_what_it_sent_before_we_came_and_nothing_is_unacc
     assert _callback_threads() == []
 
 
-def test_losses_are_counted_by_their_sequence_numbers_and_the_rest_is_mapped(tmp_path: Path, address: str) -> None:
+def test_losses_are_counted_by_sequence_numbers(tmp_path, address):
     log = scene_log(tmp_path / "scene.mcap", num_frames=20)
     found = mapped(log, RmwZenoh(address), f"zenoh://{address}", Faults(loss=0.2, seed=3), rate=2.0)
     assert sum(found.plan.lost.values()) > 20
@@ -145,7 +129,7 @@ def test_losses_are_counted_by_their_sequence_numbers_and_the_rest_is_mapped(tmp
     assert 8 <= len(found.frames) < 20
 
 
-def test_a_robot_that_was_away_is_mapped_on(tmp_path: Path, address: str) -> None:
+def test_a_robot_that_was_away_is_mapped_on(tmp_path, address):
     log = scene_log(tmp_path / "scene.mcap", num_frames=35)
     found = mapped(log, ZenohBridge(address), f"zenoh://{address}", Faults(disconnects=((0.8, 0.7),)))
     gaps_ns = np.diff([frame.stamp_ns for frame in found.frames])
@@ -154,7 +138,7 @@ def test_a_robot_that_was_away_is_mapped_on(tmp_path: Path, address: str) -> Non
     assert found.source.account().as_dict()["difference"] == 0
 
 
-def test_of_two_robots_the_one_is_mapped_whose_namespace_is_named(log: Path, address: str) -> None:
+def test_of_two_robots_the_named_namespace_is_mapped(log, address):
     publisher = ZenohBridge(address, namespace="b2")
     found = mapped(log, publisher, f"zenoh://{address}/b2")
     assert len(found.frames) == 6
@@ -170,7 +154,7 @@ def test_of_two_robots_the_one_is_mapped_whose_namespace_is_named(log: Path, add
     robot.join(10.0)
 
 
-def test_another_type_under_the_same_topic_is_refused_and_named(log: Path, address: str) -> None:
+def test_another_type_under_the_same_topic_is_refused_and_named(log, address):
     made = plan(prepared([log]), Faults())
     odd = replace(made.sendings[0].due.topic, name="/odom", type_name="geometry_msgs/msg/PoseStamped")
     publisher = RmwZenoh(address)
@@ -192,9 +176,7 @@ def test_another_type_under_the_same_topic_is_refused_and_named(log: Path, addre
     publisher.disconnect()
 
 
-def test_where_no_token_is_seen_the_types_are_learnt_from_the_keys_of_messages(
-    log: Path, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_tokens_types_come_from_the_keys_of_messages(log, address, monkeypatch):
     monkeypatch.setattr("players.live.zenoh_route._TOKENLESS_S", 0.1)
     monkeypatch.setattr(RmwZenoh, "token", lambda self, topic, number, is_latched: f"@elsewhere/{number}")
     publisher = RmwZenoh(address)
@@ -210,12 +192,7 @@ def test_where_no_token_is_seen_the_types_are_learnt_from_the_keys_of_messages(
     robot.join(10.0)
 
 
-# ---- bad input ------------------------------------------------------------------------------------------------------
-
-
-def test_a_host_that_does_not_answer_and_a_port_that_speaks_something_else_are_said(
-    address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_silent_host_and_a_foreign_port_are_reported(address, monkeypatch):
     with pytest.raises(RecordingError, match=f"{address} does not answer as a Zenoh router.*waited 0.7 s"):
         open_live(f"zenoh://{address}", patience_s=0.7)
     monkeypatch.setattr("players.live.zenoh_route._OPEN_MS", 300)
@@ -226,11 +203,11 @@ def test_a_host_that_does_not_answer_and_a_port_that_speaks_something_else_are_s
 
 
 @pytest.mark.parametrize("uri", ["zenoh://robot:0", "zenoh://robot:port", "zenoh://robot:99999"])
-def test_an_address_that_is_none_is_refused(uri: str) -> None:
+def test_an_address_that_is_none_is_refused(uri):
     with pytest.raises(RecordingError, match=r"expected zenoh://HOST"):
         open_live(uri, patience_s=0.1)
 
 
-def test_without_a_host_this_machine_is_asked() -> None:
+def test_without_a_host_this_machine_is_asked():
     assert ZenohRoute("zenoh://")._peer == "127.0.0.1:7447"
     assert ZenohRoute("zenoh://b2.local/b2")._peer == "b2.local:7447"

@@ -1,12 +1,6 @@
-"""Buildings: one can walk through all rooms of all floors, and the number of processes changes no byte."""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from pathlib import Path
 import numpy as np
 import pytest
-
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import instances_of, load_truth
 from hickory_stream.worlds.recording import make_recording
@@ -17,9 +11,6 @@ from tools.worlds.building.building import Building, BuildingSize, building
 from tools.worlds.building.route import building_walk, route_through
 from tools.worlds.building.stairwell import STOREY_M
 from tools.worlds.recording_config import RecordingConfig
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SIZE = BuildingSize(floors=2, rooms=4)
 FLAT = BuildingSize(floors=1, rooms=2)
@@ -38,7 +29,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_every_floor_has_its_rooms_and_its_things_stand_between_its_floor_and_ceiling(house: Building) -> None:
+def test_every_floor_has_its_rooms_with_things_inside(house):
     assert [len(storey.plan.rooms_m) for storey in house.storeys] == [2, 2]
     assert [item.id for item in house.world.objects] == list(range(1, len(house.world.objects) + 1))
     assert len(house.world.objects) == sum(len(storey.world.objects) for storey in house.storeys) >= 60
@@ -50,7 +41,7 @@ def test_every_floor_has_its_rooms_and_its_things_stand_between_its_floor_and_ce
         assert item.world_from_object[2, 3] + upper[2] < floor_m + 2.6
 
 
-def test_a_walk_enters_all_rooms_of_all_floors_climbs_the_stairs_and_comes_back(house: Building) -> None:
+def test_a_walk_enters_all_rooms_and_returns(house):
     walk = building_walk(house, None, WalkConfig(), 1, np.random.default_rng(1))
     assert isinstance(walk, Trajectory)
     places = walk.world_from_camera[:, :3, 3]
@@ -66,9 +57,8 @@ def test_a_walk_enters_all_rooms_of_all_floors_climbs_the_stairs_and_comes_back(
     assert turned.max() < 80.0
 
 
-def test_on_the_stairs_the_steps_are_beneath_the_walk_and_nothing_is_in_its_way(house: Building) -> None:
+def test_the_stairs_are_beneath_the_walk_and_free(house):
     route = route_through(house, None, 0, np.random.default_rng(1))
-    assert route is not None
     stairs = route.line_m[route.storeys == -1]
     caster = Renderer(house.world)._scene
     eyes = np.add(stairs, (0.0, 0.0, 1.4)).astype(np.float32)
@@ -79,7 +69,7 @@ def test_on_the_stairs_the_steps_are_beneath_the_walk_and_nothing_is_in_its_way(
     assert not caster.is_occluded(np.hstack([eyes[:-1], ways]).astype(np.float32), 1.0).any()
 
 
-def test_several_processes_make_the_same_frames() -> None:
+def test_several_processes_make_the_same_frames():
     filming = Filming(sensors=SHORT.sensors(), stage=SHORT.stage(), caster=None)
     times_s = [0.0, 4.0, 8.0]
     ours, theirs = list(shots_of(filming, times_s)), list(shots_of(filming, times_s, processes=2))
@@ -90,7 +80,7 @@ def test_several_processes_make_the_same_frames() -> None:
     assert ours[0].rgb.tobytes() != ours[1].rgb.tobytes()
 
 
-def test_the_truth_says_what_each_frame_shows(recorded: Path) -> None:
+def test_the_truth_says_what_each_frame_shows(recorded):
     truth = load_truth(recorded / "house.truth")
     assert len(truth.frames) == 2
     for frame in truth.frames:
@@ -100,11 +90,11 @@ def test_the_truth_says_what_each_frame_shows(recorded: Path) -> None:
 
 
 @pytest.mark.parametrize(("floors", "rooms"), [(0, 10), (9, 40), (3, 5), (2, 41)])
-def test_a_size_that_is_no_building_is_refused(floors: int, rooms: int) -> None:
+def test_a_size_that_is_no_building_is_refused(floors, rooms):
     with pytest.raises(ConfigError, match=f"{floors} floors and {rooms} rooms; expected 1 to 8 floors"):
         BuildingSize(floors=floors, rooms=rooms)
 
 
-def test_other_scenes_are_made_by_one_process(tmp_path: Path) -> None:
+def test_other_scenes_are_made_by_one_process(tmp_path):
     with pytest.raises(ConfigError, match="2 processes for the scene room; expected 1"):
         make_recording(RecordingConfig(seconds=1.0), tmp_path, "room", processes=2)

@@ -1,14 +1,9 @@
 """Random rooms: families that share nothing, solid shapes, frames whose labels, depth and colour belong together."""
 
-from __future__ import annotations
-
 import dataclasses
 from itertools import combinations
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import instances_of
 from hickory_stream.geometry.camera import backproject
@@ -17,7 +12,7 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.pictures.ray_caster import ray_caster
 from hickory_stream.worlds.clearance import clearance_among
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
-from hickory_stream.worlds.object_models import model_triangles
+from hickory_stream.worlds.object_models import Part, model_triangles
 from hickory_stream.worlds.scene import part_boxes
 from hickory_stream.worlds.trajectory import Trajectory, WalkConfig
 from tools.worlds.cache import cached_recording, recording_name
@@ -36,11 +31,6 @@ from tools.worlds.clutter.walk import wander
 from tools.worlds.drift import DriftConfig
 from tools.worlds.recording_config import RecordingConfig
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.worlds.object_models import Part
-
 SHAPE_FIELDS = ("small", "supports", "seats", "bodies", "units")
 
 
@@ -49,7 +39,7 @@ def names_of(recipes: Recipes) -> list[str]:
     return [name for field in fields for name in getattr(recipes, field)]
 
 
-def test_no_recipe_belongs_to_two_families() -> None:
+def test_no_recipe_belongs_to_two_families():
     for one, other in combinations(FAMILIES, 2):
         assert set(names_of(TABLE[one])) & set(names_of(TABLE[other])) == set()
     for family in FAMILIES:
@@ -58,7 +48,7 @@ def test_no_recipe_belongs_to_two_families() -> None:
         assert set(TABLE[family].flat) <= set(TABLE[family].small)
 
 
-def test_every_recipe_is_in_the_table_and_every_name_has_a_recipe() -> None:
+def test_every_recipe_is_listed_and_every_name_has_one():
     told = {f.name: {n for r in TABLE.values() for n in getattr(r, f.name)} for f in dataclasses.fields(Recipes)}
     assert set().union(*(told[field] for field in SHAPE_FIELDS)) == set(SHAPES)
     assert told["materials"] == set(MATERIALS)
@@ -78,7 +68,7 @@ def as_mesh(part: Part) -> Mesh:
 
 
 @pytest.mark.parametrize("name", sorted(SHAPES))
-def test_every_shape_is_made_of_closed_solids_and_stands_on_its_base(name: str) -> None:
+def test_every_shape_is_closed_solids_on_its_base(name):
     for seed in range(3):
         rng = np.random.default_rng(seed)
         model = SHAPES[name](rng, lambda own: any_material(own, TABLE["training"]))
@@ -95,14 +85,14 @@ def frames() -> list[Frame]:
     return list(frames_of(3, "training", 3, width=96, height=72))
 
 
-def test_the_same_seed_gives_the_same_frames_and_a_longer_sequence_begins_alike(frames: list[Frame]) -> None:
+def test_equal_seeds_give_equal_frames_and_prefixes(frames):
     again = list(frames_of(3, "training", 2, width=96, height=72))
     for one, other in zip(frames, again, strict=False):
         for name in ("rgb", "depth_m", "instances", "is_structure", "world_from_camera"):
             assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=name == "depth_m")
 
 
-def test_families_and_seeds_give_different_rooms() -> None:
+def test_families_and_seeds_give_different_rooms():
     outlines = [
         clutter_room(seed, family, 0).plan.outline_m.tolist()
         for seed, family in ((3, "training"), (4, "training"), (3, "tuning"), (3, "reporting"))
@@ -110,7 +100,7 @@ def test_families_and_seeds_give_different_rooms() -> None:
     assert all(one != other for one, other in combinations(outlines, 2))
 
 
-def test_a_pixel_is_of_a_thing_or_of_structure_and_the_floor_lies_at_zero(frames: list[Frame]) -> None:
+def test_a_pixel_is_thing_or_structure_and_the_floor_is_at_zero(frames):
     for frame in frames:
         assert not (frame.is_structure & (frame.instances > 0)).any()
         assert (frame.instances > 0).any()
@@ -121,7 +111,7 @@ def test_a_pixel_is_of_a_thing_or_of_structure_and_the_floor_lies_at_zero(frames
         assert 0.29 < frame.world_from_camera[2, 3] < 1.81
 
 
-def test_sensed_depth_has_holes_and_noise_about_the_exact_one(frames: list[Frame]) -> None:
+def test_sensed_depth_has_holes_and_noise_about_the_exact_one(frames):
     for frame in frames:
         both = np.isfinite(frame.depth_m) & np.isfinite(frame.exact_depth_m)
         error = np.abs(frame.depth_m - frame.exact_depth_m)[both]
@@ -129,12 +119,12 @@ def test_sensed_depth_has_holes_and_noise_about_the_exact_one(frames: list[Frame
         assert 0 < np.median(error / frame.exact_depth_m[both]) < 0.03
 
 
-def test_an_unknown_family_is_refused_with_the_known_ones() -> None:
+def test_an_unknown_family_is_refused_with_the_known_ones():
     with pytest.raises(ConfigError, match="training, tuning, reporting"):
         next(frames_of(1, "test", 1))
 
 
-def test_a_log_of_a_random_room_shows_what_its_truth_says(tmp_path: Path) -> None:
+def test_a_log_of_a_random_room_shows_what_its_truth_says(tmp_path):
     config = RecordingConfig(
         scene="clutter", seed=7, seconds=1.0, rate_hz=2.0, width=96, height=72, walk=WalkConfig(clearance_m=0.22)
     )
@@ -148,7 +138,7 @@ def test_a_log_of_a_random_room_shows_what_its_truth_says(tmp_path: Path) -> Non
     assert all(1.3 < frame.world_from_camera[2, 3] < 1.5 for frame in truth.frames)
 
 
-def test_a_walk_keeps_its_distance_from_everything() -> None:
+def test_a_walk_keeps_its_distance_from_everything():
     room = next(room for i in range(20) if len((room := clutter_room(2, "training", i)).world.objects) >= 6)
     walk = wander(room, 20.0, WalkConfig(clearance_m=0.22), np.random.default_rng(0))
     assert isinstance(walk, Trajectory)
@@ -157,7 +147,7 @@ def test_a_walk_keeps_its_distance_from_everything() -> None:
     assert clearance.at(walk.world_from_camera[::30, :2, 3]).min() > 0.1
 
 
-def test_names_of_recordings_from_before_there_were_families_stay() -> None:
+def test_recordings_keep_the_names_from_before_families():
     assert recording_name(RecordingConfig()) == "room-7-walk0-5cedfbc5c1"
     drifting = RecordingConfig(scene="apartment", seed=3, drift=DriftConfig())
     assert recording_name(drifting) == "apartment-3-walk0-a6543e6655"
@@ -166,7 +156,7 @@ def test_names_of_recordings_from_before_there_were_families_stay() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_cloth_is_a_closed_sheet(seed: int) -> None:
+def test_cloth_is_a_closed_sheet(seed):
     rng = np.random.default_rng(seed)
     grey = MATERIALS["uniform_paint"](rng)
     cloths = (
@@ -180,7 +170,7 @@ def test_cloth_is_a_closed_sheet(seed: int) -> None:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_nothing_stands_within_another_thing(family: str) -> None:
+def test_nothing_stands_within_another_thing(family):
     world = clutter_room(5, family, 1).world
     assert len(world.objects) > 5
     caster, tops = ray_caster(), []
@@ -197,7 +187,7 @@ def test_nothing_stands_within_another_thing(family: str) -> None:
         assert (hit.normals[other, 2] < -0.2).sum() < 0.2 * len(lowest)
 
 
-def test_a_thing_comes_to_rest_on_the_heap_below_it() -> None:
+def test_a_thing_comes_to_rest_on_the_heap_below_it():
     rng = np.random.default_rng(1)
     model = SHAPES["carton"](rng, MATERIALS["cardboard"])
     placed = heap(rng, [model] * 6, (0.1, 0.1))
@@ -207,7 +197,7 @@ def test_a_thing_comes_to_rest_on_the_heap_below_it() -> None:
     assert max(lows) > 0.02
 
 
-def test_glass_shows_in_colour_and_gives_no_depth() -> None:
+def test_glass_shows_in_colour_and_gives_no_depth():
     exact = np.full((40, 40), 2.0, dtype=np.float32)
     is_blind = np.zeros((40, 40), dtype=bool)
     is_blind[10:30, 10:30] = True
@@ -218,7 +208,7 @@ def test_glass_shows_in_colour_and_gives_no_depth() -> None:
     assert np.isfinite(sensed[~is_blind]).mean() > 0.9
 
 
-def test_colour_without_defects_is_unchanged_and_a_shift_moves_it() -> None:
+def test_colour_without_defects_stays_and_a_shift_moves_it():
     rgb = np.random.default_rng(0).integers(0, 255, size=(30, 40, 3)).astype(np.uint8)
     plain = ColorCameraConfig().photographed(rgb, np.random.default_rng(0))
     moved = ColorCameraConfig(shift_px=(3.0, 0.0)).photographed(rgb, np.random.default_rng(0))

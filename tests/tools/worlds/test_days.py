@@ -1,13 +1,6 @@
-"""The same room on another day: what differs is what its truth says, and no two things share a place."""
-
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import instances_of, load_truth, mesh_of
 from hickory_stream.worlds.recording import make_recording
@@ -16,11 +9,8 @@ from hickory_stream.worlds.scene import World, part_boxes, shared_volume_m3
 from tools.worlds.days import CHANGES_A_DAY, world_of_day
 from tools.worlds.recording_config import RecordingConfig
 
-if TYPE_CHECKING:
-    from pathlib import Path
 
-
-def test_a_day_moves_removes_adds_and_exchanges_and_ids_stay() -> None:
+def test_a_day_moves_removes_adds_and_exchanges_and_ids_stay():
     world = furnished_room(31, 0)
     today = world_of_day(world, 31, 1, lambda _: True)
     before, after = ({item.id: item for item in one.objects} for one in (world, today))
@@ -42,7 +32,7 @@ def test_a_day_moves_removes_adds_and_exchanges_and_ids_stay() -> None:
                 assert shared_volume_m3(mine, theirs) == 0.0, (one.model.kind, other.model.kind)
 
 
-def test_the_same_day_is_the_same_world_and_days_follow_one_another() -> None:
+def test_equal_days_are_equal_worlds_and_days_follow_each_other():
     world = furnished_room(31, 0)
 
     def places(one: World) -> dict[int, list[list[float]]]:
@@ -54,9 +44,7 @@ def test_the_same_day_is_the_same_world_and_days_follow_one_another() -> None:
     assert len([i for i in first if second.get(i) == first[i]]) > len(first) / 2
 
 
-def test_days_without_a_way_through_the_world_and_scenes_without_days_are_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_scenes_without_days_and_blocked_days_are_refused(monkeypatch):
     monkeypatch.setattr("tools.worlds.days._ATTEMPTS", 2)
     with pytest.raises(ConfigError, match="leaves room to walk"):
         world_of_day(furnished_room(31, 0), 31, 1, lambda _: False)
@@ -64,7 +52,7 @@ def test_days_without_a_way_through_the_world_and_scenes_without_days_are_refuse
         RecordingConfig(scene="outdoor", day=1)
 
 
-def test_a_world_that_changes_on_the_way_shows_it_and_its_truth_says_it(tmp_path: Path) -> None:
+def test_a_world_that_changes_on_the_way_shows_it(tmp_path):
     config = RecordingConfig(scene="room", seed=31, seconds=16.0, rate_hz=1.0, width=96, height=64)
     stayed = make_recording(config, tmp_path, "stayed", caster=None)
     truth = make_recording(replace(config, change_at_s=8.0), tmp_path, "changed", caster=None)
@@ -99,12 +87,12 @@ def test_a_world_that_changes_on_the_way_shows_it_and_its_truth_says_it(tmp_path
     ("options", "complaint"),
     [({"scene": "outdoor", "change_at_s": 3.0}, "change at 3"), ({"change_at_s": 0.0}, "a time above 0")],
 )
-def test_a_change_needs_a_room_and_a_time(options: dict, complaint: str) -> None:
+def test_a_change_needs_a_room_and_a_time(options, complaint):
     with pytest.raises(ConfigError, match=complaint):
         RecordingConfig(**options)
 
 
-def test_a_change_after_the_end_is_refused(tmp_path: Path) -> None:
+def test_a_change_after_the_end_is_refused(tmp_path):
     config = RecordingConfig(scene="room", seed=31, seconds=4.0, rate_hz=1.0, change_at_s=1e4)
     with pytest.raises(ConfigError, match="before the end"):
         make_recording(config, tmp_path, "late", caster=None)

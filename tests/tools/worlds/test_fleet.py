@@ -1,14 +1,8 @@
-"""A made fleet: one world, and of each robot a frame, a clock and a truth of its own."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import Truth, instances_of, load_truth, mesh_of, structure_meshes
 from hickory_stream.fleet.robots import read_fleet
@@ -18,8 +12,6 @@ from hickory_stream.worlds.recording import make_recording
 from players import open_source
 from tools.worlds.fleet import make_fleet
 from tools.worlds.recording_config import RecordingConfig, drawn_frame
-
-pytestmark = pytest.mark.timeout(150)
 
 SHORT = RecordingConfig(seed=3, seconds=1.5, rate_hz=2.0, width=96, height=64)
 
@@ -36,13 +28,13 @@ def truths(folder: Path) -> list[Truth]:
     return [load_truth(folder / f"set-{i}.truth") for i in (1, 2, 3)]
 
 
-def test_the_file_of_the_fleet_names_a_log_for_each_robot(folder: Path) -> None:
+def test_the_file_of_the_fleet_names_a_log_for_each_robot(folder):
     robots, _ = read_fleet(folder / "set.toml")
     assert [robot.name for robot in robots] == ["robot-1", "robot-2", "robot-3"]
     assert all(Path(uri).is_file() for robot in robots for uri in robot.uris)
 
 
-def test_every_log_has_the_frame_of_its_own_truth(folder: Path, truths: list[Truth]) -> None:
+def test_every_log_has_the_frame_of_its_own_truth(folder, truths):
     for i, truth in enumerate(truths, start=1):
         source = open_source(folder / f"set-{i}.mcap")
         poses = [frame.world_from_camera for frame in source.frames()]
@@ -52,9 +44,7 @@ def test_every_log_has_the_frame_of_its_own_truth(folder: Path, truths: list[Tru
             assert np.allclose(pose, true.world_from_camera, atol=1e-6)
 
 
-def test_the_frames_differ_by_a_turn_about_the_vertical_and_a_shift_that_all_objects_agree_on(
-    truths: list[Truth],
-) -> None:
+def test_frames_of_robots_differ_by_one_level_turn_and_shift(truths):
     for one, other in combinations(truths, 2):
         found = np.array(
             [a.world_from_object @ invert(b.world_from_object) for a, b in zip(one.objects, other.objects, strict=True)]
@@ -64,7 +54,7 @@ def test_the_frames_differ_by_a_turn_about_the_vertical_and_a_shift_that_all_obj
         assert np.linalg.norm(found[0][:3, 3]) > 0.1
 
 
-def test_what_a_frame_shows_lies_on_the_true_objects_and_structure_in_the_robots_frame(folder: Path) -> None:
+def test_what_a_frame_shows_lies_on_the_true_surfaces(folder):
     truth = load_truth(folder / "set-2.truth")
     source = open_source(folder / "set-2.mcap")
     frame = next(iter(source.frames())).decode()
@@ -85,13 +75,13 @@ def bounds_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def test_clocks_are_apart(truths: list[Truth]) -> None:
+def test_clocks_are_apart(truths):
     spans = [(truth.frames[0].stamp_ns, truth.frames[-1].stamp_ns) for truth in truths]
     for (start, end), (other_start, other_end) in combinations(spans, 2):
         assert end < other_start or other_end < start
 
 
-def test_the_truth_of_all_has_what_any_robot_has_seen(folder: Path, truths: list[Truth]) -> None:
+def test_the_truth_of_all_has_what_any_robot_has_seen(folder, truths):
     whole = load_truth(folder / "set.truth")
     assert [item.world_from_object.tolist() for item in whole.objects] == [
         item.world_from_object.tolist() for item in truths[0].objects
@@ -104,7 +94,7 @@ def test_the_truth_of_all_has_what_any_robot_has_seen(folder: Path, truths: list
     assert all(len(mesh_of(whole, item).vertices) for item in whole.objects)
 
 
-def test_a_robots_truth_is_that_of_the_same_walk_alone_in_another_frame(tmp_path: Path, truths: list[Truth]) -> None:
+def test_a_robots_truth_is_the_same_walk_in_another_frame(tmp_path, truths):
     alone = make_recording(SHORT, tmp_path, "alone", caster=None)
     robot_from_world = drawn_frame(replace(SHORT, robots=3))
     assert robot_from_world is not None
@@ -123,6 +113,6 @@ def test_a_robots_truth_is_that_of_the_same_walk_alone_in_another_frame(tmp_path
         (replace(SHORT, scene="clutter"), 2, "robot 0 of 2 in the scene clutter"),
     ],
 )
-def test_a_fleet_that_cannot_be_made_is_refused(tmp_path: Path, config: RecordingConfig, count: int, said: str) -> None:
+def test_a_fleet_that_cannot_be_made_is_refused(tmp_path, config, count, said):
     with pytest.raises(ConfigError, match=said):
         make_fleet(config, tmp_path, "no", count, caster=None)

@@ -1,13 +1,9 @@
 """A street is uneven ground with things that stand on it, a way round, and a sky without depth."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import pairwise
-
 import numpy as np
 import pytest
-
 from hickory_stream.geometry.mesh import Mesh, is_closed
 from hickory_stream.geometry.rigid import is_rigid
 from hickory_stream.worlds.clearance import clearance_of
@@ -20,19 +16,10 @@ from tools.worlds.recording_config import RecordingConfig, walkable_world
 
 SEEDS = (2, 77)
 RECIPES = [
-    street_things.car,
-    street_things.trunk,
-    street_things.park_bench,
-    street_things.bollard,
-    street_things.litter_bin,
-    street_things.wheeled_bin,
-    street_things.hydrant,
-    street_things.crate,
-    street_things.boulder,
-    street_things.planter,
-    street_things.sign_post,
-    street_things.junction_box,
-]
+    street_things.car, street_things.trunk, street_things.park_bench, street_things.bollard, street_things.litter_bin,
+    street_things.wheeled_bin, street_things.hydrant, street_things.crate, street_things.boulder, street_things.planter,
+    street_things.sign_post, street_things.junction_box,
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +28,7 @@ def streets() -> list[Street]:
 
 
 @pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.__name__)
-def test_what_stands_outdoors_is_made_of_closed_surfaces_that_face_outwards(recipe) -> None:  # type: ignore[no-untyped-def]
+def test_outdoor_things_are_closed_and_face_outwards(recipe):  # type: ignore[no-untyped-def]
     for seed in (1, 2):
         model = recipe(np.random.default_rng(seed))
         lower, upper = model.bounds_m()
@@ -59,7 +46,7 @@ def test_what_stands_outdoors_is_made_of_closed_surfaces_that_face_outwards(reci
             assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() > 0
 
 
-def test_a_street_has_trunks_cars_benches_and_bollards_on_ground_that_is_not_level(streets: list[Street]) -> None:
+def test_a_street_has_its_things_on_uneven_ground(streets):
     for found in streets:
         kinds = Counter(item.model.kind for item in found.world.objects)
         assert sum(kinds.values()) >= 22
@@ -75,7 +62,7 @@ def test_a_street_has_trunks_cars_benches_and_bollards_on_ground_that_is_not_lev
         assert {"road", "pavement", "lawn", "wall"} <= set(structure)
 
 
-def test_a_kerb_is_a_step_except_where_one_crosses(streets: list[Street]) -> None:
+def test_a_kerb_is_a_step_except_where_one_crosses(streets):
     for found in streets:
         terrain = found.terrain
         for kerb, inwards in zip(terrain.kerbs_m, (1, -1), strict=True):
@@ -84,7 +71,7 @@ def test_a_kerb_is_a_step_except_where_one_crosses(streets: list[Street]) -> Non
                 assert least <= high - low <= most
 
 
-def test_every_thing_stands_on_the_ground(streets: list[Street]) -> None:
+def test_every_thing_stands_on_the_ground(streets):
     for found in streets:
         for item in found.world.objects:
             assert is_rigid(item.world_from_object)
@@ -94,7 +81,7 @@ def test_every_thing_stands_on_the_ground(streets: list[Street]) -> None:
             assert -0.6 < above.min() < 0.03, item.model.kind
 
 
-def test_one_walks_round_over_kerbs_at_eye_height_above_the_ground(streets: list[Street]) -> None:
+def test_one_walks_over_kerbs_at_eye_height(streets):
     config = WalkConfig()
     for found in streets:
         walks = [stroll(found, 60.0, config, i) for i in (0, 1)]
@@ -109,7 +96,7 @@ def test_one_walks_round_over_kerbs_at_eye_height_above_the_ground(streets: list
         assert not np.allclose(walks[0].world_from_camera[600], walks[1].world_from_camera[600])  # type: ignore[union-attr]
 
 
-def test_a_frame_of_a_street_has_sky_in_colour_and_none_in_depth() -> None:
+def test_a_frame_of_a_street_has_sky_in_colour_and_none_in_depth():
     config = outdoors(RecordingConfig(scene="outdoor", seed=5, seconds=2.0, rate_hz=1.0, width=96, height=72))
     assert config.depth.max_depth_m < 8
     world, walk = walkable_world(config)

@@ -1,18 +1,11 @@
-"""Apartments and table-tops are what they are said to be, for any seed; one can walk through them."""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
-
 from hickory_stream.errors import ConfigError
 from hickory_stream.evaluation.truth import instances_of
 from hickory_stream.geometry.mesh import Mesh, is_closed
 from hickory_stream.geometry.rigid import is_rigid, rotation_angle_rad
 from hickory_stream.worlds.clearance import clearance_of
-from hickory_stream.worlds.scene import part_boxes, shared_volume_m3
+from hickory_stream.worlds.scene import World, part_boxes, shared_volume_m3
 from hickory_stream.worlds.shots import OCCLUDER_ID
 from hickory_stream.worlds.trajectory import Trajectory
 from tools.worlds import big_things, table_things
@@ -24,45 +17,16 @@ from tools.worlds.recording_config import RecordingConfig, walkable_world
 from tools.worlds.routes import joins_rooms
 from tools.worlds.tabletop import orbit, tabletop
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.worlds.scene import World
-
 SEEDS = (2, 5, 77)
 KINDS = [
-    big_things.armchair,
-    big_things.stool,
-    big_things.bench,
-    big_things.office_chair,
-    big_things.side_table,
-    big_things.coffee_table,
-    big_things.nightstand,
-    big_things.dresser,
-    big_things.kitchen_counter,
-    big_things.bed,
-    big_things.suitcase,
-    big_things.basket,
-    big_things.speaker,
-    table_things.television,
-    table_things.laptop,
-    table_things.kettle,
-    table_things.pot,
-    table_things.pan,
-    table_things.plate_stack,
-    table_things.vase,
-    table_things.can,
-    table_things.jar,
-    table_things.carton,
-    table_things.cereal_box,
-    table_things.packet,
-    table_things.squeeze_bottle,
-    table_things.ball,
-    table_things.toy_car,
-    table_things.cushion,
-    table_things.table_lamp,
+    big_things.armchair, big_things.stool, big_things.bench, big_things.office_chair, big_things.side_table,
+    big_things.coffee_table, big_things.nightstand, big_things.dresser, big_things.kitchen_counter, big_things.bed,
+    big_things.suitcase, big_things.basket, big_things.speaker, table_things.television, table_things.laptop,
+    table_things.kettle, table_things.pot, table_things.pan, table_things.plate_stack, table_things.vase,
+    table_things.can, table_things.jar, table_things.carton, table_things.cereal_box, table_things.packet,
+    table_things.squeeze_bottle, table_things.ball, table_things.toy_car, table_things.cushion, table_things.table_lamp,
     table_things.clock,
-]
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +35,7 @@ def apartments() -> list[World]:
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: str(kind.__name__))
-def test_every_part_of_a_model_is_closed_and_stands_on_its_base(kind) -> None:  # type: ignore[no-untyped-def]
+def test_every_part_of_a_model_is_closed_and_stands_on_its_base(kind):  # type: ignore[no-untyped-def]
     model = kind(np.random.default_rng(3))
     for part in model.parts:
         count = len(part.vertices)
@@ -85,13 +49,13 @@ def test_every_part_of_a_model_is_closed_and_stands_on_its_base(kind) -> None:  
     assert model.bounds_m()[0, 2] == pytest.approx(0.0, abs=0.006)
 
 
-def test_the_walking_figure_is_as_tall_as_a_person_in_every_phase_of_its_stride() -> None:
+def test_the_walking_figure_has_a_persons_height_in_every_phase():
     for stride in np.linspace(0, 2 * np.pi, 7):
         low, high = figure(float(stride)).bounds_m()
         assert 1.6 < high[2] - low[2] < 1.85
 
 
-def test_an_apartment_has_25_to_45_objects_of_at_least_20_kinds(apartments: list[World]) -> None:
+def test_an_apartment_has_25_to_45_objects_of_at_least_20_kinds(apartments):
     for world in apartments:
         assert 25 <= len(world.objects) <= 45
         assert len({item.model.kind for item in world.objects}) >= 20
@@ -99,7 +63,7 @@ def test_an_apartment_has_25_to_45_objects_of_at_least_20_kinds(apartments: list
         assert sum(model.kind == "door_way" for model in world.structure) in (3, 4)
 
 
-def test_a_table_top_has_10_to_20_things_on_its_table() -> None:
+def test_a_table_top_has_10_to_20_things_on_its_table():
     for seed in SEEDS:
         world = tabletop(seed)
         table, *things = world.objects
@@ -109,7 +73,7 @@ def test_a_table_top_has_10_to_20_things_on_its_table() -> None:
         assert all(item.world_from_object[2, 3] >= top for item in things)
 
 
-def test_no_two_objects_cut_into_one_another(apartments: list[World]) -> None:
+def test_no_two_objects_cut_into_one_another(apartments):
     for world in [*apartments, tabletop(5)]:
         # A ball lies within the box of its basket.
         solid = [item for item in world.objects if item.model.kind != "basket"]
@@ -118,7 +82,7 @@ def test_no_two_objects_cut_into_one_another(apartments: list[World]) -> None:
             assert all(shared_volume_m3(one, other) == 0.0 for other in boxes[:i])
 
 
-def test_the_same_seed_makes_the_same_apartment_and_another_seed_another() -> None:
+def test_equal_seeds_make_equal_apartments_and_others_differ():
     def told(world: World) -> list[tuple[str, list[float]]]:
         return [(item.model.kind, item.world_from_object.ravel().round(9).tolist()) for item in world.objects]
 
@@ -128,7 +92,7 @@ def test_the_same_seed_makes_the_same_apartment_and_another_seed_another() -> No
         RecordingConfig(scene="castle")
 
 
-def test_one_can_walk_into_every_room_and_the_two_walks_differ(apartments: list[World]) -> None:
+def test_one_can_walk_into_every_room_and_the_two_walks_differ(apartments):
     for world in apartments:
         assert joins_rooms(world, 0.3)
     configs = [RecordingConfig(scene="apartment", seed=SEEDS[0], walk_index=i, seconds=None) for i in (0, 1)]
@@ -145,16 +109,13 @@ def test_one_can_walk_into_every_room_and_the_two_walks_differ(apartments: list[
     assert not np.allclose(first.world_from_camera[0], second.world_from_camera[0])
 
 
-def test_an_orbit_looks_down_at_the_table_from_every_side() -> None:
+def test_an_orbit_looks_down_at_the_table_from_every_side():
     world = tabletop(5)
     walk = orbit(world, None, 0, np.random.default_rng(1))
     eyes, forward = walk.world_from_camera[:, :3, 3], walk.world_from_camera[:, :3, 2]
     assert (forward[:, 2] < -0.2).all()
     angles = np.unwrap(np.arctan2(eyes[:, 1], eyes[:, 0]))
     assert abs(angles[-1] - angles[0]) > 2 * np.pi
-
-
-# ---- drift ----------------------------------------------------------------------------------------------------------
 
 
 def straight_walk(length_m: float) -> Trajectory:
@@ -164,7 +125,7 @@ def straight_walk(length_m: float) -> Trajectory:
     return Trajectory(times_s=times, world_from_camera=poses)
 
 
-def test_odometry_starts_true_and_drifts_with_the_distance() -> None:
+def test_odometry_starts_true_and_drifts_with_the_distance():
     walk, config = straight_walk(30.0), DriftConfig()
     ends = []
     for seed in range(20):
@@ -177,16 +138,13 @@ def test_odometry_starts_true_and_drifts_with_the_distance() -> None:
     assert exact.world_from_camera == pytest.approx(walk.world_from_camera)
 
 
-def test_drift_keeps_gravity() -> None:
+def test_drift_keeps_gravity():
     found = drifted(straight_walk(30.0), DriftConfig(), np.random.default_rng(4)).world_from_camera[-1]
     assert rotation_angle_rad(found[:3, :3]) > 0
     assert found[2, 2] == pytest.approx(1.0)
 
 
-# ---- recordings -----------------------------------------------------------------------------------------------------
-
-
-def test_a_recording_is_made_once_and_shows_the_person_but_does_not_list_it(tmp_path: Path) -> None:
+def test_a_recording_is_made_once_and_does_not_list_the_person(tmp_path):
     config = RecordingConfig(
         scene="tabletop", seed=5, seconds=8.0, rate_hz=1.0, width=96, height=72, person=True, drift=DriftConfig()
     )

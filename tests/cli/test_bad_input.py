@@ -1,0 +1,361 @@
+"""What is wrong outside ends with exit status 2 and one line that names what was found and what is needed.
+
+The logs are of the players' synthetic scene; what each lacks was taken out of a log that plays.
+"""
+
+import json
+import os
+import socket
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+import numpy as np
+import pytest
+from hickory_stream.cli import main
+from hickory_stream.errors import CalibrationError
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.writer import create_map_folder
+from players.logs.containers import Topic
+from players.logs.log_opening import choose_profile
+from players.options import SourceOptions
+from tests import player_scenes as scenes
+
+pytestmark = pytest.mark.timeout(60)
+
+M = scenes.Messages(ros=2)
+FRAMES = scenes.make_scene(num_frames=3)
+LOG = scenes.scene_messages(M, FRAMES, scenes.png_images)
+INFOS = ("/cam/color/camera_info", "/cam/aligned_depth/camera_info")
+NOTHING = np.zeros_like(FRAMES[0].depth_mm)
+
+
+def write(path: Path, messages: list[scenes.Message]) -> Path:
+    return scenes.write_mcap(path, M, sorted(messages, key=lambda message: message.stamp_ns))
+
+
+def without(*topics: str) -> list[scenes.Message]:
+    return [message for message in LOG if message.topic not in topics]
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return write(tmp_path / "desk.mcap", LOG)
+
+
+class Ended:
+    """How a command ended: its status, its lines on standard error, and standard output."""
+
+    def __init__(self, status: int, stdout: str, stderr: str) -> None:
+        self.status = status
+        self.stdout = stdout
+        self.stderr = stderr
+        self.errors = [line for line in stderr.splitlines() if line.startswith("hickory-stream: ")]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+    def call(*arguments: object) -> Ended:
+        capsys.readouterr()
+        status = main([str(argument) for argument in arguments])
+        return Ended(status, *capsys.readouterr())
+
+    return call
+
+
+def refusal(ended: Ended, *told: str) -> str:
+    """Check that something was refused as it has to be, and return the one line."""
+    assert ended.status == 2, ended.stderr
+    assert ended.stdout == ""
+    assert len(ended.errors) == 1, ended.stderr
+    assert ended.stderr.splitlines()[-1] == ended.errors[0]
+    assert "Traceback" not in ended.stderr
+    for text in told:
+        assert text in ended.errors[0]
+    return ended.errors[0]
+
+
+def bad_logs() -> dict[str, tuple[Callable[[Path], object], tuple[str, ...]]]:
+    """Return by name how a bad log is written, and what its refusal has to tell."""
+    blind = [replace(frame, depth_mm=NOTHING) for frame in FRAMES]
+    narrow = replace(scenes.CAMERA, width=40)
+    infos = [
+        scenes.Message(
+            topic=topic, stamp_ns=frame.stamp_ns, message=M.camera_info(frame.stamp_ns, scenes.OPTICAL, narrow)
+        )
+        for frame in FRAMES
+        for topic in INFOS
+    ]
+    hour_ns = 3_600_000_000_000
+    odometry = [
+        scenes.Message(topic="/odom", stamp_ns=s, message=M.odometry(s + hour_ns, "odom", "base_link", np.eye(4)))
+        for s in range(scenes.START_NS, scenes.START_NS + 10**9, 10**8)
+    ]
+    return {
+        "not_there": (lambda path: None, ("no such file", "log.mcap")),
+        "empty": (lambda path: path.write_bytes(b""), ("is empty", "expected an MCAP file")),
+        "no_log": (lambda path: path.write_text("to do: buy milk"), ("no known kind", "expected an MCAP file")),
+        "torn": (lambda path: path.write_bytes(write(path, LOG).read_bytes()[:300]), ("log.mcap",)),
+        "empty_folder": (lambda path: path.mkdir(), ("found nothing", "expected an MCAP file")),
+        "no_depth": (
+            lambda path: write(path, without(scenes.PNG_DEPTH)),
+            ("no depth topic", scenes.PNG_COLOR, "--depth-topic"),
+        ),
+        "no_color": (
+            lambda path: write(path, without(scenes.PNG_COLOR)),
+            ("no colour topic", scenes.PNG_DEPTH, "--color-topic"),
+        ),
+        "no_intrinsics": (
+            lambda path: write(path, without(*INFOS)),
+            ("no intrinsics", scenes.PNG_COLOR, "--color-info-topic"),
+        ),
+        "poses_elsewhere": (lambda path: write(path, [*without("/odom"), *odometry]), ("no image has a pose", "/odom")),
+        "other_size": (lambda path: write(path, [*without(*INFOS), *infos]), ("40x60",)),
+        "no_returns": (
+            lambda path: write(path, scenes.scene_messages(M, blind, scenes.png_images)),
+            ("no depth in any of", "keyframes"),
+        ),
+    }
+
+
+BAD_LOGS = bad_logs()
+
+
+@pytest.mark.parametrize("name", sorted(BAD_LOGS))
+def test_an_unmappable_log_is_refused_and_leaves_no_map(tmp_path, run, name):
+    make, told = BAD_LOGS[name]
+    make(tmp_path / "log.mcap")
+    refusal(run("play", tmp_path / "log.mcap", "--out", tmp_path / "map", "--viewer", "none"), *told)
+    assert not (tmp_path / "map").exists()
+
+
+def test_a_log_without_poses_is_refused_if_they_must_be_its_own(tmp_path, run):
+    log = write(tmp_path / "log.mcap", without("/odom", "/tf", "/tf_static"))
+    refused = run("play", log, "--odometry", "topic", "--out", tmp_path / "map", "--viewer", "none")
+    refusal(refused, "no poses", "Odometry", "--odometry depth")
+    assert not (tmp_path / "map").exists()
+
+
+def test_a_file_that_may_not_be_read_is_refused(log, tmp_path, run):
+    if os.geteuid() == 0:
+        pytest.skip("root may read everything")
+    log.chmod(0)
+    refusal(run("play", log, "--out", tmp_path / "map"), "desk.mcap", "Permission denied")
+
+
+def test_one_frame_of_another_size_is_counted(tmp_path, run):
+    small = scenes.make_scene(replace(scenes.CAMERA, width=40), num_frames=3)[1]
+    frames = [FRAMES[0], small, FRAMES[2]]
+    log = write(tmp_path / "desk.mcap", scenes.scene_messages(M, frames, scenes.png_images))
+    assert run("play", log, "--out", tmp_path / "map", "--viewer", "none").status == 0
+    ledger = open_map(tmp_path / "map").ledger
+    assert ledger["source"] == {"frame_of_other_size": 1, "frames": 2}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+def test_a_folder_that_holds_a_map_is_refused_and_untouched(log, tmp_path, run):
+    create_map_folder(tmp_path / "map", config={}, source={})
+    before = contents(tmp_path / "map")
+    refusal(run("play", log, "--out", tmp_path / "map"), "holds a map already", "--out", "--overwrite")
+    assert contents(tmp_path / "map") == before
+
+
+@pytest.mark.parametrize("extra", [(), ("--overwrite",)])
+def test_a_folder_with_foreign_files_is_refused_and_untouched(log, tmp_path, run, extra):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home/thesis.tex").write_text("years of work")
+    refusal(run("play", log, "--out", tmp_path / "home", *extra), "thesis.tex", "choose another --out")
+    assert contents(tmp_path / "home") == {"thesis.tex": b"years of work"}
+
+
+def test_a_place_below_a_file_is_refused(log, run):
+    refusal(run("play", log, "--out", log / "map"), "is a file", "--out")
+
+
+def test_a_parent_that_may_not_be_written_is_refused(log, tmp_path, run):
+    if os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
+    (tmp_path / "closed").mkdir(mode=0o500)
+    refusal(run("play", log, "--out", tmp_path / "closed/map"), "no permission")
+
+
+def test_an_unwritable_recording_is_refused_and_leaves_no_map(log, tmp_path, run):
+    place = log / "run.rrd"
+    refusal(run("play", log, "--out", tmp_path / "map", "--viewer", "none", "--rrd", place), "run.rrd")
+    assert not (tmp_path / "map").exists()
+
+
+@pytest.mark.parametrize("command", ["inspect", "render"])
+@pytest.mark.parametrize("place", ["absent", "empty", "log", "damaged"])
+def test_what_is_no_map_is_refused_by_those_who_read_maps(log, tmp_path, run, command, place):
+    (tmp_path / "empty").mkdir()
+    create_map_folder(tmp_path / "damaged", config={}, source={})
+    (tmp_path / "damaged/objects.json").write_text("{")
+    refusal(run(command, log if place == "log" else tmp_path / place))
+
+
+def test_a_picture_that_cannot_be_written_is_refused(log, tmp_path, run):
+    create_map_folder(tmp_path / "map", config={}, source={})
+    refusal(run("render", tmp_path / "map", "-o", log / "map.png"), "map.png")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--rate", "fast"], ("found --rate fast", "max or a number above 0")),
+        (["--rate", "0"], ("found --rate 0", "max or a number above 0")),
+        (["--rate", "-1"], ("found --rate -1",)),
+        (["--rate", "nan"], ("found --rate nan",)),
+        (["--rate", "inf"], ("found --rate inf",)),
+        (["--loop", "0"], ("found --loop 0", "at least 1")),
+        (["--frames", "0"], ("found --frames 0", "at least 1")),
+        (["--workers", "0"], ("found --workers 0", "at least 1")),
+        (["--sync-tolerance", "-5"], ("found --sync-tolerance -5", "milliseconds")),
+        (["--viewer", "tv"], ("'tv'", "auto, none, spawn, web")),
+        (["--viewer", "connect=http://here"], ("http://here", "rerun+http://HOST:PORT/proxy")),
+        (["--viewer", "connect=nobody.invalid"], ("no host 'nobody.invalid'", "connect=rerun+http://127.0.0.1:9876")),
+        (["--robot", "foo"], ("found --robot foo", "knows no robots", "kimera_multi")),
+        (["--metrics-port", "99999"], ("found --metrics-port 99999", "1 to 65535")),
+        (["--metrics-port", "-1"], ("found --metrics-port -1",)),
+        (["--start", "100"], ("found --start 100", "the log is only 0.2 s long")),
+        (["--depth-topic", "/nose"], ("/nose", "--depth-topic", scenes.PNG_DEPTH)),
+        (["--set", "mapper.keyframes.min_intervall_s=1"], ("did you mean mapper.keyframes.min_interval_s?",)),
+        (["--set", "mapper.run.workers=two"], ("mapper.run.workers is 'two'", "expected int")),
+        (["--set", "mapper.run.workers=0"], ("mapper.run.workers is 0; expected 1 to 1024 processes",)),
+        (["--set", "mapper.mapping.views.strategy=best"], ("'best'", "'s_score'")),
+        (["--config", "none.toml"], ("none.toml", "No such file")),
+    ],
+)
+def test_a_bad_option_is_refused_before_anything_is_written(log, tmp_path, run, options, told):
+    refusal(run("play", log, "--out", tmp_path / "map", *options), *told)
+    assert not (tmp_path / "map").exists()
+
+
+def test_a_taken_metrics_port_is_refused_and_the_map_stays(log, tmp_path, run):
+    create_map_folder(tmp_path / "map", config={}, source={"uri": "of before"}).close()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        options = ("--overwrite", "--metrics-port", port)
+        ended = run("play", log, "--out", tmp_path / "map", "--viewer", "none", *options)
+    refusal(ended, f"127.0.0.1:{port}", "choose another --metrics-port")
+    assert open_map(tmp_path / "map").manifest.source == {"uri": "of before"}
+
+
+def test_a_robot_not_in_the_log_is_refused_with_those_in_it():
+    names = ("color/image_raw", "color/camera_info", "depth/image_rect_raw")
+    topics = [
+        Topic(
+            name=f"/hathor/forward/{name}",
+            type_name="sensor_msgs/msg/Image",
+            num_messages=None,
+            wire="ros1",
+            definition_format="none",
+            definition="",
+        )
+        for name in names
+    ]
+    with pytest.raises(CalibrationError, match="no topics; robots in it: hathor"):
+        choose_profile(topics, SourceOptions(robot="thoth"))
+    profile, is_guessed = choose_profile(topics, SourceOptions(robot="hathor"))
+    assert (profile.name, is_guessed) == ("kimera_multi", True)
+
+
+@pytest.mark.parametrize("layers", ["5", "0,1", "", "one", "1,x", "1.5"])
+def test_layers_that_there_are_not_are_refused(tmp_path, run, layers):
+    create_map_folder(tmp_path / "map", config={}, source={})
+    refusal(run("render", tmp_path / "map", "--layers", layers), f"found --layers {layers}", "1,2,3,4")
+
+
+@pytest.mark.parametrize("size", ["big", "10x10", "479x240", "1600", "99999x100", "-1x100"])
+def test_a_picture_of_no_size_is_refused(tmp_path, run, size):
+    create_map_folder(tmp_path / "map", config={}, source={})
+    refusal(run("render", tmp_path / "map", f"--size={size}"), f"found --size {size}", "WIDTHxHEIGHT")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[mapper.run]\nworker = 1", "did you mean mapper.run.workers?"),
+        ('[mapper.run]\nworkers = "two"', "expected int"),
+        ("[mapper", "is not TOML"),
+    ],
+)
+def test_a_bad_configuration_is_refused_by_its_check_and_by_play(log, tmp_path, run, text, told):
+    (tmp_path / "robot.toml").write_text(text)
+    checked = refusal(run("config", "check", tmp_path / "robot.toml"), told)
+    played = refusal(run("play", log, "--out", tmp_path / "map", "--config", tmp_path / "robot.toml"), told)
+    assert checked == played
+    assert not (tmp_path / "map").exists()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("play", "absent.mcap"),
+        ("inspect", "absent"),
+        ("render", "absent"),
+        ("config", "dump", "--set", "a=1"),
+        ("config", "check", "absent.toml"),
+    ],
+)
+def test_with_json_the_refusal_is_one_json_object(run, command):
+    ended = run(*command, "--json")
+    assert ended.status == 2
+    answer: dict[str, Any] = json.loads(ended.stdout)
+    assert answer["event"] == "error"
+    assert ended.errors == [f"hickory-stream: {answer['message']}"]
+
+
+def test_a_map_larger_than_memory_is_said_to_be(tmp_path, run, monkeypatch):
+    def too_large(*_: object) -> None:
+        raise MemoryError("Unable to allocate 446. GiB")
+
+    monkeypatch.setattr("hickory_stream.cli.maps.inspect.run", too_large)
+    ended = run("inspect", tmp_path)
+    assert ended.status == 2
+    assert ended.errors == [
+        "hickory-stream: found too little memory: Unable to allocate 446. GiB; use a machine with more, or a "
+        "smaller map or log"
+    ]
+
+
+def test_our_own_failure_exits_with_1_and_one_line(log, tmp_path, run, monkeypatch):
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("somewhere\nin the segmenter")
+
+    monkeypatch.setattr("hickory_stream.perception.network_segmenter.NetworkSegmenter.segment", broken)
+    command = ("play", log, "--out", tmp_path / "map", "--viewer", "none")
+    ended = run(*command)
+    assert ended.status == 1
+    assert ended.errors == [
+        "hickory-stream: internal failure, ZeroDivisionError: somewhere in the segmenter; run with --debug to see where"
+    ]
+    assert ended.stderr.splitlines()[-1] == ended.errors[0]
+    assert "Traceback" not in ended.stderr
+    assert not open_map(tmp_path / "map").manifest.finished_cleanly
+    debugged = run(*command, "--overwrite", "--debug")
+    assert debugged.status == 1
+    assert "Traceback" in debugged.stderr
+
+
+@pytest.mark.parametrize("kind", ["config", "robot", "profile"])
+@pytest.mark.parametrize("value", ["1" + "0" * 400, "1" + "0" * 5000, "[" * 5000, "1e999", "{}", "[[]]"])
+def test_a_bad_number_is_refused_in_one_line(log, tmp_path, run, kind, value):
+    file = tmp_path / f"{kind}.toml"
+    key = {
+        "config": "[mapper.run]\ngrace_s",
+        "robot": "[[posture]]\nname = 'up'\nlow_m = 0.0\nhigh_m",
+        "profile": "depth_units_per_m",
+    }[kind]
+    file.write_text(f"{key} = {value}\n")
+    folder = create_map_folder(tmp_path / "map", config={}, source={})
+    folder.close()
+    ended = {
+        "config": lambda: run("config", "check", file),
+        "robot": lambda: run("plan", tmp_path / "map", "--start", "0,0", "--goal", "1,1", "--robot", file),
+        "profile": lambda: run("play", log, "--profile", file, "--out", tmp_path / "out", "--viewer", "none"),
+    }[kind]()
+    refusal(ended)

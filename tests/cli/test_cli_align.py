@@ -1,0 +1,108 @@
+"""`align`, `tools/paper alignment` and `relocalise` as a person calls them."""
+
+import json
+from pathlib import Path
+import cv2
+import numpy as np
+import pytest
+from hickory_stream.alignment.answer import NoAlignment, Refusal
+from hickory_stream.alignment.object_map import object_map
+from hickory_stream.box_scene import SceneSource
+from hickory_stream.cli import main
+from hickory_stream.config import MapperConfig
+from hickory_stream.engine.relocalise import relocalise
+from hickory_stream.geometry.rigid import invert
+from hickory_stream.map_folder.manifest import MANIFEST
+from hickory_stream.map_folder.writer import create_map_folder
+from hickory_stream.records import MapSnapshot
+from tests.alignment.map_fixtures import frame, furniture, snapshot_of
+from tools.paper_tables.__main__ import main as paper
+
+B_FROM_WORLD = frame(35, 1, 2)
+
+
+def save(path: Path, snapshot: MapSnapshot) -> str:
+    folder = create_map_folder(path, config={}, source={"uri": path.name})
+    folder.save(snapshot)
+    folder.finish(finished_cleanly=True)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def maps(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    base = tmp_path_factory.mktemp("maps")
+    items = furniture(12, 1)
+    return {
+        "a": save(base / "a", snapshot_of(items, np.eye(4), 1)),
+        "b": save(base / "b", snapshot_of(items[:10], B_FROM_WORLD, 2)),
+        "other": save(base / "other", snapshot_of(furniture(12, 60), np.eye(4), 3)),
+        "empty": save(base / "empty", snapshot_of([], np.eye(4))),
+    }
+
+
+def test_two_maps_of_one_place_are_aligned(maps, capsys):
+    assert main(["align", maps["a"], maps["b"], "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["aligned"] is True
+    assert len(told["pairs"]) == 10
+    assert np.allclose(told["a_from_b"], invert(B_FROM_WORLD), atol=0.01)
+    assert main(["align", maps["a"], maps["b"]]) == 0
+    assert "10 pairs" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("other", "refusal"), [("other", None), ("empty", "empty")])
+def test_two_different_places_end_with_status_3_and_the_reason(maps, other, refusal, capsys):
+    assert main(["align", maps["a"], maps[other], "--json"]) == 3
+    told = json.loads(capsys.readouterr().out)
+    assert told["aligned"] is False
+    assert told["reason"]
+    assert refusal is None or told["refusal"] == refusal
+    assert main(["align", maps["a"], maps[other]]) == 3
+    assert "not aligned" in capsys.readouterr().out
+
+
+def test_pictures_and_recordings_are_written(maps, tmp_path):
+    assert main(["align", maps["a"], maps["b"], "-o", str(tmp_path / "p.png")]) == 0
+    picture = cv2.imread(str(tmp_path / "p.png"))
+    assert picture.shape == (800, 1600, 3)
+    assert main(["align", maps["a"], maps["other"], "-o", str(tmp_path / "q.rrd")]) == 3
+    assert (tmp_path / "q.rrd").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("out", ["p.jpg", "nowhere/p.png"])
+def test_a_picture_that_cannot_be_written_is_said(maps, tmp_path, out, capsys):
+    assert main(["align", maps["a"], maps["b"], "-o", str(tmp_path / out)]) == 2
+    assert out in capsys.readouterr().err
+
+
+def test_a_map_of_another_version_is_refused(maps, tmp_path, capsys):
+    old = tmp_path / "old"
+    save(old, snapshot_of(furniture(4, 0), np.eye(4)))
+    entry = json.loads((old / MANIFEST).read_text())
+    (old / MANIFEST).write_text(json.dumps(entry | {"format": 0}))
+    for command in (["align"], ["merge", "-o", str(tmp_path / "m")]):
+        assert main([*command[:1], maps["a"], str(old), *command[1:]]) == 2
+        assert "format 0" in capsys.readouterr().err
+
+
+def test_the_table_of_two_methods(maps, capsys):
+    pair = [maps["a"], maps["b"]]
+    assert paper(["alignment", *pair, "--method", "sq", "roman-one", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["rows"]
+    assert [row["method"] for row in told] == ["sq", "roman-one"]
+    assert all(row["num_pairs"] >= 8 and row["success"] is None for row in told)
+    assert paper(["alignment", *pair, maps["a"]]) == 2
+    assert "two for each scene" in capsys.readouterr().err
+    assert paper(["alignment", *pair, "--truth", "x"]) == 2
+    assert "one for each map" in capsys.readouterr().err
+
+
+def test_a_log_of_another_place_is_not_found_in_a_map():
+    heard = []
+    stored = object_map(snapshot_of(furniture(12, 1), np.eye(4)))
+    last = relocalise(stored, SceneSource(8), MapperConfig(), rate=None, stops_when_found=True, report=heard.append)
+    assert last is not None
+    assert heard[-1] is last
+    assert not last.is_confirmed
+    assert isinstance(last.answer, NoAlignment)
+    assert last.answer.refusal in (Refusal.EMPTY, Refusal.TOO_FEW_OBJECTS)

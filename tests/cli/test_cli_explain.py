@@ -1,0 +1,265 @@
+"""`explain` on a map of the first seconds of the demo: places, pixels and truth, older journals and killed runs."""
+
+import html
+import json
+import shutil
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+import numpy as np
+import pytest
+from hickory_stream.cli import main
+from hickory_stream.evaluation.evaluate import Evaluation, evaluate
+from hickory_stream.evaluation.false_origins import FALSE_ORIGINS
+from hickory_stream.evaluation.miss_reasons import MISS_REASONS
+from hickory_stream.evaluation.page import write_page
+from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.evaluation.why import Why, reasons_of
+from hickory_stream.evaluation.why_text import why_text
+from hickory_stream.events import FrameObserved
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.writer import JournalWriter
+from hickory_stream.map_folder.history.recorded import RecordedStep, frame_indices, recorded_steps
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.records import Observation
+
+
+@pytest.fixture(scope="module")
+def older(short_map: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map as a version wrote it whose journal kept neither decisions nor coarse depth."""
+    copy = tmp_path_factory.mktemp("older") / "map"
+    shutil.copytree(short_map, copy)
+    with Journal(short_map) as journal:
+        writer = JournalWriter(copy, flush_s=0.0)
+        for entry in journal.entries():
+            events = tuple(replace(e, coarse=None) if isinstance(e, FrameObserved) else e for e in entry.events)
+            writer.append(replace(entry, events=events, told=None))
+        writer.close()
+    return copy
+
+
+@pytest.fixture(scope="module")
+def found(short_map: Path, demo_truth: Path) -> Evaluation:
+    return evaluate(open_map(short_map), load_truth(demo_truth))
+
+
+@pytest.fixture(scope="module")
+def why(short_map: Path, demo_truth: Path) -> Why:
+    told = reasons_of(open_map(short_map), load_truth(demo_truth))
+    assert isinstance(told, Why)
+    return told
+
+
+class Explain:
+    """Runs the command and gives what it printed."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def json(self, *arguments: object) -> Any:
+        assert main(["explain", *map(str, arguments), "--json"]) == 0
+        return json.loads(self._capsys.readouterr().out)
+
+    def text(self, *arguments: object) -> str:
+        assert main(["explain", *map(str, arguments)]) == 0
+        return self._capsys.readouterr().out
+
+    def refusal(self, *arguments: object) -> str:
+        assert main(["explain", *map(str, arguments)]) == 2
+        return self._capsys.readouterr().err
+
+
+@pytest.fixture
+def explain(capsys: pytest.CaptureFixture[str]) -> Explain:
+    return Explain(capsys)
+
+
+def keyframes(path: Path) -> list[RecordedStep]:
+    return [step for step in recorded_steps(path, open_map(path).snapshot) if step.keyframe is not None]
+
+
+def middle_of(observation: Observation) -> tuple[int, int]:
+    """The pixel of a mask that is nearest to its middle."""
+    rows, columns = np.nonzero(observation.mask)
+    middle = np.argmin(np.hypot(rows - rows.mean(), columns - columns.mean()))
+    return int(observation.box_px[0] + columns[middle]), int(observation.box_px[1] + rows[middle])
+
+
+def test_a_point_of_an_object_is_in_it_and_its_masks_went_there(short_map, explain):
+    tracked = max(open_map(short_map).snapshot.objects, key=lambda o: o.sightings)
+    middle = tracked.points_world[np.argmin(np.linalg.norm(tracked.points_world - tracked.box.center, axis=1))]
+    told = explain.json(short_map, f"--point={','.join(f'{value:.4f}' for value in middle)}")
+    assert told["objects"][0]["id"] == tracked.id
+    assert told["verdict"].startswith(f"in object #{tracked.id}; of ")
+    masks = [sighting for sighting in told["sightings"] if sighting["where"] == "mask"]
+    assert len(masks) >= tracked.sightings // 2
+    assert tracked.id in {sighting["track_id"] for sighting in masks}
+    story = next(track for track in told["tracks"] if track["id"] == tracked.id)
+    assert (story["ending"], story["map_id"]) == ("", tracked.id)
+    assert told["num_keyframes"] == len(keyframes(short_map))
+
+
+def test_a_place_behind_every_camera_is_in_no_image(short_map, explain):
+    text = explain.text(short_map, "--point=0,0,500")
+    assert text == "at (0.00, 0.00, 500.00) m: in no object; no keyframe has it in its image\n"
+
+
+def test_a_floor_place_was_structure_and_an_air_place_free(short_map, explain):
+    space = open_map(short_map).snapshot.submaps[0].observed_space
+    step = keyframes(short_map)[0]
+    coarse = step.keyframe.observed.coarse
+    rows, columns = np.nonzero(coarse.structure & (coarse.depth_mm > 0))
+    middle = len(rows) // 2
+    pixel = (columns[middle] + 0.5) * coarse.stride_px, (rows[middle] + 0.5) * coarse.stride_px
+    frame = step.keyframe.observed.frame_index
+    told = explain.json(short_map, "--at-pixel", f"{frame},{pixel[0]:.0f},{pixel[1]:.0f}")
+    assert told["asked"]["text"] == "taken for structure"
+    own = next(sighting for sighting in told["sightings"] if sighting["frame"] == frame)
+    assert own["where"] == "structure"
+    camera = step.keyframe.observed.world_from_camera[:3, 3]
+    between = (camera + np.array(told["point_m"])) / 2
+    told = explain.json(short_map, f"--point={','.join(map(str, between))}")
+    assert next(s for s in told["sightings"] if s["frame"] == frame)["where"] == "looked through"
+    assert told["verdict"].startswith("in no object; of ")
+    assert space.floor_z_m is not None
+
+
+@pytest.mark.parametrize("is_older", [False, True])
+def test_a_pixel_of_a_mask_leads_to_the_track_of_the_mask(short_map, older, is_older, explain):
+    step = keyframes(short_map)[-1]
+    observed = step.keyframe.observed
+    for observation in observed.observations[: 1 if is_older else 2]:
+        u, v = middle_of(observation)
+        told = explain.json(older if is_older else short_map, "--at-pixel", f"{observed.frame_index},{u},{v}")
+        track_id = next(d.object_id for d in step.decisions if d.observation_index == observation.index)
+        assert told["asked"]["text"] == f"in a mask that went to #{track_id}"
+        own = next(sighting for sighting in told["sightings"] if sighting["frame"] == observed.frame_index)
+        assert own["where"] == "mask"
+        assert np.hypot(own["pixel"][0] - u, own["pixel"][1] - v) < 8
+
+
+def test_a_pixel_of_another_frame_is_found_with_the_log(short_map, short_log, explain):
+    of_keyframes, frames = frame_indices(short_map)
+    frame = int(next(i for i in frames if i not in of_keyframes))
+    told = explain.refusal(short_map, "--at-pixel", f"{frame},320,180")
+    assert f"frame {frame} of {short_map} is no keyframe" in told
+    assert "or give --log LOG" in told
+    # The camera moves little between two frames: what the keyframe before has in a mask's middle is there, too.
+    step = [s for s in keyframes(short_map) if s.keyframe is not None and s.keyframe.observed.frame_index < frame][-1]
+    assert step.keyframe is not None
+    largest = max(step.keyframe.observed.observations, key=lambda o: int(o.mask.sum()))
+    u, v = middle_of(largest)
+    found = explain.json(short_map, "--at-pixel", f"{frame},{u},{v}", "--log", short_log)
+    assert found["asked"]["text"] == "the frame is no keyframe: the place is from the log's depth"
+    own = found["sightings"][0]
+    assert own["where"] == "mask"
+    x0, y0, x1, y1 = step.keyframe.observed.observations[own["observation_index"]].box_px
+    assert x0 <= own["pixel"][0] <= x1
+    assert y0 <= own["pixel"][1] <= y1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--point", "1,2"], "found --point 1,2, expected X,Y,Z in metres"),
+        (["--point", "1,2,nan"], "expected three finite numbers"),
+        (["--at-pixel", "0.5,1,1"], "expected FRAME,U,V"),
+        (["--at-pixel", "900,1,1"], "found frame 900, expected one of the 18 frames"),
+        (["--at-pixel", "0,9999,1"], "found the pixel 9999,1, expected a column of 0 to"),
+        (["--point", "1,2,3", "--object", "1"], "without --truth DIR"),
+        (["--point", "1,2,3", "--log", "x.mcap"], "found --log without --at-pixel"),
+        (["--truth", "nowhere"], "nowhere is no truth folder"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_in_a_line(short_map, explain, arguments, told):
+    assert told in explain.refusal(short_map, *arguments)
+
+
+def test_a_map_without_a_journal_says_so(short_map, tmp_path, explain):
+    copy = tmp_path / "map"
+    shutil.copytree(short_map, copy, ignore=shutil.ignore_patterns("journal.mcap"))
+    assert "the map keeps no history; play the log again" in explain.refusal(copy, "--point", "0,0,0")
+
+
+def test_every_missed_object_and_every_false_one_is_explained(short_map, found, why):
+    assert {missed.truth_id for missed in why.missed} == {row.truth_id for row in found.objects if row.map_id is None}
+    assert why.num_truth == found.num_truth
+    assert len(why.missed) > 3
+    matched = {row.map_id for row in found.objects}
+    objects = {o.id for o in open_map(short_map).snapshot.objects if o.phase != "tentative"}
+    assert {false.map_id for false in why.false} == objects - matched - set(found.ignored_ids)
+    assert {missed.reason for missed in why.missed} <= set(MISS_REASONS)
+    assert {false.origin for false in why.false} <= set(FALSE_ORIGINS)
+    assert sum(item.count for item in why.reasons) == len(why.missed)
+
+
+def test_the_command_prints_what_was_found_as_json_and_as_text(short_map, demo_truth, why, explain):
+    told = explain.json(short_map, "--truth", demo_truth)
+    assert {key: told[key] for key in told.keys() - {"output", "version"}} == json.loads(json.dumps(asdict(why)))
+    text = why_text(why)
+    assert f"{len(why.missed)} of {why.num_truth} true objects that count are missed" in text
+    assert all(f"of {len(why.missed)}  {item.reason}" in text for item in why.reasons)
+    assert all(f"{missed.kind}: {missed.reason}" in text for missed in why.missed)
+
+
+def test_an_unseen_object_is_missed_for_that_reason(short_map, demo_truth, found, why, explain):
+    unseen = next(missed for missed in why.missed if missed.reason == "on no keyframe")
+    story = explain.json(short_map, "--truth", demo_truth, "--object", unseen.truth_id)
+    assert story["sightings"] == []
+    assert story["missed"]["text"] == f"none of {why.num_keyframes} keyframes shows it"
+    good = max(found.objects, key=lambda row: row.iou)
+    told = explain.text(short_map, "--truth", demo_truth, "--object", good.truth_id)
+    assert f"found: it is #{good.map_id}, box IoU {good.iou:.2f}" in told
+    assert f"in a mask of its own, which went to #{good.map_id}" in told
+    assert "expected the id of a true object" in explain.refusal(short_map, "--truth", demo_truth, "--object", 999)
+
+
+def test_the_page_of_an_evaluation_explains_every_error(short_map, demo_truth, tmp_path, found, why):
+    write_page(tmp_path / "page.html", open_map(short_map), load_truth(demo_truth), found)
+    page = html.unescape((tmp_path / "page.html").read_text())
+    assert f"<h3>{len(why.missed)} of {why.num_truth} true objects that count are missed" in page
+    for item in why.reasons:
+        assert f"<td class=n>{item.count} of {len(why.missed)}</td>" in page
+        assert f"<td>{item.reason}</td>" in page
+    for missed in why.missed:
+        assert f"<span>missed: {missed.reason}</span>" in page
+        assert f"<p class=why>{missed.text}</p>" in page
+        assert missed.best_frame is None or f"<figcaption>frame {missed.best_frame}</figcaption>" in page
+    for false in why.false:
+        assert f"<b>object #{false.map_id}</b><span>{false.origin}</span>" in page
+        assert f"<p class=why>{false.text}</p>" in page
+
+
+def test_an_older_journal_gives_the_same_reasons(older, demo_truth, why):
+    then = reasons_of(open_map(older), load_truth(demo_truth))
+    assert isinstance(then, Why)
+    assert (why.has_coarse_depth, then.has_coarse_depth) == (True, False)
+    assert [(m.truth_id, m.reason) for m in then.missed] == [(m.truth_id, m.reason) for m in why.missed]
+    assert then.origins == why.origins
+
+
+def test_a_configuration_of_another_version_is_no_hindrance(short_map, tmp_path, explain):
+    copy = tmp_path / "map"
+    shutil.copytree(short_map, copy)
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["config"]["mapping"]["lifecycle"]["colour_of_the_moon"] = 3
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    point = "--point=0.5,0.5,0.5"
+    assert explain.json(copy, point) == explain.json(short_map, point)
+
+
+def test_a_run_that_was_killed_is_explained_as_far_as_it_came(short_map, demo_truth, tmp_path, why, explain):
+    killed = tmp_path / "map"
+    shutil.copytree(short_map, killed)
+    manifest = json.loads((killed / "manifest.json").read_text())
+    (killed / "manifest.json").write_text(json.dumps({**manifest, "finished_cleanly": False, "digest": None}))
+    (killed / "objects.json").unlink()
+    with Journal(short_map) as journal:
+        writer = JournalWriter(killed, flush_s=0.0)
+        num_keyframes = 5
+        for i in range(num_keyframes):
+            writer.append(journal.entry(i))
+        writer.abandon()
+    told = explain.json(killed, "--truth", demo_truth)
+    assert told["num_keyframes"] == num_keyframes
+    assert len(told["missed"]) >= len(why.missed)

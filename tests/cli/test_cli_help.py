@@ -1,0 +1,146 @@
+"""What the command line says of itself: help with examples, completion in a shell, the READMEs' lines, public names."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+import pytest
+import hickory_stream
+from hickory_stream.cli import main
+from hickory_stream.cli.commands import commands_of
+from hickory_stream.cli.examples import TEXTS
+from hickory_stream.cli.parser import make_parser
+from tests.readmes import blocks_of
+from tools.readmes import READMES
+
+COMMANDS = [" ".join(path) for path, _ in commands_of(make_parser()) if path]
+
+
+def readme_commands() -> list[str]:
+    """Return the arguments of every line of the READMEs' shell blocks that is a whole command."""
+    lines = "".join(blocks_of("sh", readme) for readme in READMES).replace("\\\n", " ").splitlines()
+    starts = re.compile(r"^(?:\.venv/bin/)?hickory-stream ([^#]+)")
+    found = [hit[1].strip() for line in lines if (hit := starts.match(line))]
+    return [text.replace("[C ...]", "C").replace("LOG...", "LOG").replace("LOG ...", "LOG") for text in found]
+
+
+def test_the_texts_are_of_the_commands_there_are():
+    assert set(TEXTS) == set(COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_a_command_has_an_example_that_parses(command, capsys):
+    with pytest.raises(SystemExit):
+        main([*command.split(), "--help"])
+    shown = capsys.readouterr().out
+    sentence, example = TEXTS[command]
+    assert sentence.endswith(".")
+    assert sentence in " ".join(shown.split())
+    assert f"example:\n  hickory-stream {example}\n" in shown
+    assert example.startswith(command)
+    assert callable(make_parser().parse_args(shlex.split(example.split(" > ")[0])).run)
+
+
+def test_the_lines_of_the_readmes_are_understood():
+    lines = readme_commands()
+    assert len(lines) > 45
+    for line in lines:
+        # Of alternatives, such as list|add|check|where, the first one.
+        text = re.sub(r"\b(\w+)\|[\w|]+", r"\1", line)
+        assert callable(make_parser().parse_args(shlex.split(text)).run), text
+
+
+def test_the_plans_of_the_readmes_find_a_path_in_the_demo(demo_log, tmp_path, capsys):
+    # The first ten seconds show both ends of every path; shapes only narrow what is in the way.
+    quick = ("--frames", "60", "--set", "mapper.mapping.requests.max_failures=0", "--viewer", "none")
+    assert main(["play", str(demo_log), "--out", str(tmp_path / "map"), *quick]) == 0
+    plans = [shlex.split(line) for line in sorted(set(readme_commands())) if line.startswith("plan ")]
+    assert len(plans) >= 2
+    for arguments in plans:
+        at = {"MAP": str(tmp_path / "map"), "plan.png": str(tmp_path / f"{len(list(tmp_path.iterdir()))}.png")}
+        assert main([at.get(word, word) for word in arguments]) == 0, arguments
+        assert "verified along the whole length" in capsys.readouterr().out
+
+
+def test_names_in_the_readmes_are_exported_by_the_package():
+    text = "".join(readme.read_text(encoding="utf-8") for readme in READMES)
+    used = set(re.findall(r"`?\b(Mapper|MapperConfig|ClearanceScene|free_space_of|load_robot|plan|open_map)[.(]", text))
+    assert {"Mapper", "ClearanceScene", "free_space_of", "open_map"} <= used
+    assert used <= set(hickory_stream.__all__)
+    for name in hickory_stream.__all__:
+        assert getattr(hickory_stream, name) is not None
+        assert name in dir(hickory_stream)
+    with pytest.raises(AttributeError, match="no attribute 'Maper'"):
+        _ = hickory_stream.Maper
+
+
+def test_the_package_is_imported_without_what_it_may_need_later():
+    script = "import sys, hickory_stream; print([n for n in ('numpy', 'scipy', 'numba', 'rerun') if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def completed(script: str, words: list[str], folder: Path) -> set[str]:
+    """Return what bash offers for the last of some words."""
+    listed = " ".join(map(shlex.quote, words))
+    asked = f"COMP_WORDS=({listed}); COMP_CWORD={len(words) - 1}; _shtab_hickory_stream; "
+    asked += "printf '%s\\n' \"${COMPREPLY[@]}\""
+    done = subprocess.run(
+        ["bash", "--norc", "-c", f"{script}\n{asked}"], capture_output=True, text=True, check=True, cwd=folder
+    )
+    return set(done.stdout.split())
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_bash_completes_commands_options_values_and_files(tmp_path, capsys):
+    assert main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    (tmp_path / "demo.map").mkdir()
+    (tmp_path / "other.mcap").touch()
+    for words, offered in (
+        (["re"], {"resume", "replay", "render", "relocalise", "reconstruct"}),
+        (["eval"], {"evaluate"}),
+        (["models", ""], {"list", "add", "check", "where"}),
+        (["generators", ""], {"list", "check"}),
+        (["config", "d"], {"dump"}),
+        (["plan", "demo.map", "--pl"], {"--planner"}),
+        (["plan", "demo.map", "--planner", ""], {"rrt", "rrt-connect", "rrt-star"}),
+        (["export", "demo.map", "--format", "m"], {"mjcf"}),
+        (["models", "add", "--kind", "d"], {"dinov2"}),
+        (["completion", ""], {"bash", "zsh", "fish"}),
+        (["play", "oth"], {"other.mcap"}),
+        (["render", "demo.map", "-o", "o"], {"other.mcap"}),
+    ):
+        assert completed(script, ["hickory-stream", *words], tmp_path) == offered, words
+    everything = completed(script, ["hickory-stream", ""], tmp_path)
+    assert {path for path in COMMANDS if " " not in path} <= everything
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_scripts_of_other_shells_name_every_command(shell, tmp_path, capsys):
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    for command in COMMANDS:
+        assert re.search(rf"\b{re.escape(command.split()[-1])}\b", script)
+    if shutil.which(shell) is not None:
+        (tmp_path / "script").write_text(script)
+        subprocess.run([shell, "-n", tmp_path / "script"], check=True)
+
+
+@pytest.mark.parametrize(
+    ("words", "answer"),
+    [
+        (["evaluate-views", "a.mcap"], "which is now `paper views` in the folder tools"),
+        (
+            ["plan", "m", "--start", "0,0", "--goal", "1,1", "--unproven"],
+            "found --unproven, which is now --allow-unverified",
+        ),
+        (["resume", "m", "--own-workers"], "which is now --use-current-workers"),
+    ],
+)
+def test_old_commands_and_options_name_their_successor(words, answer, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    assert answer in capsys.readouterr().err.splitlines()[-1]

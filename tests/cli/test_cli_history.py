@@ -1,0 +1,127 @@
+"""The history of a map from the command line: killed and resumed, looked back at, compared, repeated, exported."""
+
+import json
+import re
+import signal
+from dataclasses import replace
+import numpy as np
+import psutil
+import pytest
+from hickory_stream.changes.run_page import pictures_of
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.saved_map import open_map
+from tests.cli.test_cli import EAGER, Playing, look
+
+
+def test_a_killed_run_resumes_to_the_map_of_an_undisturbed_one(short_log, coarse_config, tmp_path, short_map):
+    log = tmp_path / "here.mcap"
+    log.write_bytes(short_log.read_bytes())
+    playing = Playing(log, coarse_config, tmp_path / "map", *EAGER)
+    children = playing.wait_for_children()
+    # Time stands still for it, else it might be over first.
+    playing.me.suspend()
+    refused = look("resume", tmp_path / "map", "--json")
+    assert refused.status == 2
+    assert f"is being written by process {playing.me.pid}" in refused.json()["message"]
+    playing.me.send_signal(signal.SIGKILL)
+    playing.end()
+    _, alive = psutil.wait_procs(children, timeout=5)
+    assert alive == []
+    looked = look("inspect", tmp_path / "map")
+    assert looked.status == 0
+    assert f"continue with: hickory-stream resume {tmp_path / 'map'}" in looked.stderr
+    assert "not finished: nothing was saved yet" in looked.stdout
+    assert re.search(r"its journal holds [1-9]\d* keyframe", looked.stderr)
+    # A log that was moved is missed, and can be named.
+    moved = tmp_path / "elsewhere" / log.name
+    moved.parent.mkdir()
+    log.rename(moved)
+    missed = look("resume", tmp_path / "map", "--json")
+    assert missed.status == 2
+    assert "here.mcap" in missed.json()["message"]
+    resumed = look("resume", tmp_path / "map", "--source", moved, "--json")
+    assert resumed.status == 0, resumed.stderr
+    assert resumed.json()["finished_cleanly"] is True
+    assert look("inspect", tmp_path / "map").stderr == ""
+    digests = {look("inspect", path, "--json").json()["digest"] for path in (short_map, tmp_path / "map")}
+    assert digests == {resumed.json()["digest"]}
+
+
+def test_replay_makes_the_map_and_a_recording_from_the_folder(short_map, tmp_path):
+    replayed = look("replay", short_map, "--rrd", tmp_path / "again.rrd", "--json")
+    assert replayed.status == 0
+    assert replayed.json()["is_same"] is True
+    assert (tmp_path / "again.rrd").stat().st_size > 100_000
+
+
+def test_inspect_and_render_show_the_map_of_a_moment(short_map, tmp_path):
+    early, late = (look("inspect", short_map, "--at", at, "--json").json() for at in ("1.0", "2.5"))
+    assert len(early["objects"]) > 0
+    assert early["digest"] != late["digest"]
+    small = ("--size", "480x240")
+    assert look("render", short_map, "--at", "1.0", "-o", tmp_path / "early.png", *small).status == 0
+    assert (tmp_path / "early.png").stat().st_size > 1000
+    wrong = look("inspect", short_map, "--at", "tomorrow", "--json")
+    assert wrong.status == 2
+    assert "expected seconds from 0 to" in wrong.json()["message"]
+
+
+def test_diff_tells_what_happened_between_two_moments(short_map):
+    changes = look("diff", short_map, "0", "2.5", "--json").json()["changes"]
+    assert {change["kind"] for change in changes} >= {"appeared", "better view"}
+    assert "appeared" in look("diff", short_map, "0", "2.5").stdout
+    assert look("diff", short_map, "1", "1").stdout == "nothing has changed\n"
+
+
+def test_diff_of_a_run_writes_a_page_with_lost_objects(short_map, tmp_path):
+    page = tmp_path / "run.html"
+    assert look("diff", short_map, "0", "2.5", "-o", page).status == 0
+    text = page.read_text()
+    changes = look("diff", short_map, "0", "2.5", "--json").json()["changes"]
+    assert text.count('class="card"') == len(changes)
+    assert "<svg" in text
+    assert "http" not in text
+    best = next(item.best_view for item in open_map(short_map).snapshot.objects if item.best_view is not None)
+    # A view whose pixels were removed is cut out of its keyframe's image.
+    removed = replace(best, observation_index=999)
+    found = pictures_of(short_map, [best, removed])
+    assert set(found) == {best.name, removed.name}
+    x0, y0, x1, y1 = best.box_px
+    height, width = found[removed.name].shape[:2]
+    assert x1 - x0 <= width <= x1 - x0 + 16
+    assert y1 - y0 <= height <= y1 - y0 + 16
+    rgb = found[best.name].reshape(-1, 3).mean(axis=0)
+    np.testing.assert_allclose(found[removed.name].reshape(-1, 3).mean(axis=0), rgb, atol=25)
+    assert pictures_of(tmp_path, [best]) == {}
+
+
+def test_diff_tells_what_is_in_one_of_two_maps_alone(short_map):
+    found = look("diff", short_map, "--other", short_map, "--json").json()
+    assert found["both"]
+    assert all(pair["a"] == pair["b"] and pair["iou"] > 0.999 for pair in found["both"])
+    assert found["only_in_a"] == found["only_in_b"] == []
+    lines = look("diff", short_map, "--other", short_map).stdout.splitlines()
+    assert lines == [
+        f"{len(found['both'])} objects are in both (box overlap 0.5 and more)",
+        f"0 only in {short_map}",
+        f"0 only in {short_map}",
+    ]
+    for wrong in ((), ("1",), ("1", "2", "--other", short_map), ("1", "--other", short_map)):
+        refused = look("diff", short_map, *wrong)
+        assert refused.status == 2
+        assert "expected either T1 and T2, or --other MAP" in refused.stderr
+
+
+@pytest.mark.parametrize(("kind", "first"), [("json", b"{"), ("ply", b"ply\n"), ("glb", b"glTF")])
+def test_export_writes_what_other_programs_read(short_map, tmp_path, kind, first):
+    ended = look("export", short_map, "--format", kind, "-o", tmp_path / f"map.{kind}", "--json")
+    assert ended.status == 0, ended.stderr
+    assert (tmp_path / f"map.{kind}").read_bytes().startswith(first)
+    snapshot = open_map(short_map).snapshot
+    assert ended.json()["objects"] == len(snapshot.objects)
+    if kind == "json":
+        assert [entry["id"] for entry in json.loads((tmp_path / "map.json").read_text())["objects"]] == [
+            tracked.id for tracked in snapshot.objects
+        ]
+    assert look("export", short_map, "--format", kind, "-o", tmp_path / "no" / "map").status == 2
+    assert map_digest(snapshot) == open_map(short_map).manifest.digest

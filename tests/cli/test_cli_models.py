@@ -1,0 +1,155 @@
+import json
+import re
+import cv2
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+from hickory_stream.cli import main
+
+
+def two_boxes(path):
+    """A FastSAM of two boxes, whatever it sees: (1, 4 + 1 + 1, 2) and one prototype of ones."""
+    predictions = np.array([[(20, 32, 12, 12, 0.9, 1), (44, 32, 14, 14, 0.8, 1)]], np.float32).transpose(0, 2, 1)
+    constants = {"predictions_": predictions, "prototypes_": np.ones((1, 1, 16, 16), np.float32)}
+    nodes = [
+        helper.make_node("ReduceMin", ["image"], ["least"], keepdims=0),
+        helper.make_node("Sub", ["least", "least"], ["nothing"]),
+        helper.make_node("Add", ["predictions_", "nothing"], ["predictions"]),
+        helper.make_node("Add", ["prototypes_", "nothing"], ["prototypes"]),
+    ]
+    outputs = [helper.make_tensor_value_info(n[:-1], TensorProto.FLOAT, a.shape) for n, a in constants.items()]
+    image = helper.make_tensor_value_info("image", TensorProto.FLOAT, (1, 3, 64, 64))
+    made = [numpy_helper.from_array(value, name) for name, value in constants.items()]
+    graph = helper.make_graph(nodes, "two boxes", [image], outputs, made)
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10), str(path))
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HICKORY_MODELS", str(tmp_path / "models"))
+    return tmp_path / "models"
+
+
+def said(capsys, *arguments):
+    status = main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+@pytest.fixture
+def fastsam(tmp_path, folder, capsys):
+    file = two_boxes(tmp_path / "own.onnx")
+    assert (
+        said(capsys, "models", "add", file, "--kind", "fastsam", "--name", "fastsam-s", "--licence", "CC0-1.0")[0] == 0
+    )
+    return folder / "fastsam-s.onnx"
+
+
+def test_a_model_is_added_listed_and_found(fastsam, folder, capsys):
+    assert said(capsys, "models", "where")[1].strip() == str(folder)
+    status, out, _ = said(capsys, "models", "list", "--json")
+    (model,) = json.loads(out)["models"]
+    assert (status, model["name"], model["state"], model["input_px"]) == (0, "fastsam-s", "ok", [64, 64])
+    fastsam.write_bytes(b"x")
+    assert "sha256" in said(capsys, "models", "list")[1]
+
+
+def test_a_check_runs_the_model_on_a_picture_and_draws_it(fastsam, tmp_path, capsys):
+    status, out, _ = said(capsys, "models", "check", "fastsam-s", "-o", tmp_path / "a.png", "--json")
+    told = json.loads(out)
+    assert (status, told["masks"], told["provider"]) == (0, 2, "cpu")
+    assert told["run_ms"] >= 0
+    assert cv2.imread(str(tmp_path / "a.png")).shape == (400, 600, 3)
+
+
+def test_what_is_missing_or_broken_is_refused_in_a_sentence(folder, tmp_path, capsys):
+    status, _, err = said(capsys, "models", "check", "dinov2-small")
+    assert status == 2
+    assert "hickory-stream models add dinov2-small.onnx --kind dinov2" in err
+    (tmp_path / "half.onnx").write_bytes(b"not a graph")
+    status, _, err = said(capsys, "models", "add", tmp_path / "half.onnx", "--kind", "dinov2")
+    assert status == 2
+    assert "no whole ONNX file (11 bytes)" in err
+    assert not folder.exists()
+
+
+def test_a_run_with_a_model_that_is_missing_says_how_to_get_it(folder, demo_log, tmp_path, capsys):
+    options = ["--out", tmp_path / "map", "--viewer", "none", "--set", "mapper.perception.segmenter=fastsam"]
+    status, _, err = said(capsys, "play", demo_log, *options)
+    assert status == 2
+    assert f"no model fastsam-s in {folder}" in err
+
+
+def frame_files(tmp_path, depth_shape=(60, 80), color_shape=(60, 80, 3)):
+    rng = np.random.default_rng(1)
+    cv2.imwrite(str(tmp_path / "c.png"), rng.integers(0, 255, color_shape, np.uint8))
+    cv2.imwrite(str(tmp_path / "d.png"), np.full(depth_shape, 1500, np.uint16))
+    return tmp_path / "c.png", tmp_path / "d.png"
+
+
+@pytest.mark.parametrize("color_shape", [(60, 80, 3), (60, 80)], ids=["colour", "grey"])
+def test_one_frame_is_segmented_and_drawn(tmp_path, capsys, color_shape):
+    files = frame_files(tmp_path, color_shape=color_shape)
+    status, out, _ = said(capsys, "segment", *files, "-o", tmp_path / "s.png", "--json")
+    told = json.loads(out)
+    assert status == 0
+    assert told["objects"] <= told["masks"]
+    assert cv2.imread(str(tmp_path / "s.png")).shape[1] == 1280
+
+
+def test_a_profile_brings_the_intrinsics_of_both_cameras(tmp_path, capsys):
+    files = frame_files(tmp_path, depth_shape=(480, 640), color_shape=(480, 640, 3))
+    options = ("--profile", "seven_scenes", "--down", "-0.1,1,0", "-o", tmp_path / "s.png")
+    assert said(capsys, "segment", *files, *options, "--overwrite")[0] == 0
+    by_profile = (tmp_path / "s.png").read_bytes()
+    # A folder of the data set has them in a file, which counts more; the same numbers give the same picture.
+    (tmp_path / "camera-intrinsics.txt").write_text("585 0 320\n0 585 240\n0 0 1\n")
+    assert said(capsys, "segment", *files, *options, "--overwrite")[0] == 0
+    assert (tmp_path / "s.png").read_bytes() == by_profile
+    (tmp_path / "camera-intrinsics.txt").write_text("300 0 320\n0 300 240\n0 0 1\n")
+    assert said(capsys, "segment", *files, *options, "--overwrite")[0] == 0
+    assert (tmp_path / "s.png").read_bytes() != by_profile
+
+
+def test_any_segmenter_can_be_asked_for(fastsam, tmp_path, capsys):
+    files = frame_files(tmp_path)
+    chosen = ["--set", "mapper.perception.segmenter=fastsam", "-o", tmp_path / "s.png"]
+    assert said(capsys, "segment", *files, *chosen)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"depth_shape": (30, 40)}, "80 x 60 pixels, .* of 40 x 30"),
+        ({"depth_shape": (60, 80, 3)}, "16-bit PNG of one channel"),
+    ],
+)
+def test_images_that_do_not_fit_are_refused(tmp_path, capsys, changes, expected):
+    status, _, err = said(capsys, "segment", *frame_files(tmp_path, **changes), "-o", tmp_path / "s.png")
+    assert status == 2
+    assert re.search(expected, err)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--intrinsics", "1,2,3"], "expected FX,FY,CX,CY"),
+        (["--intrinsics=-1,2,3,4"], "focal lengths must be positive"),
+        (["--down", "0,0,0"], "expected a direction"),
+        (["--depth-units", "0"], "expected a number above 0"),
+        (["--profile", "seven_scenes"], "give --intrinsics of depth"),
+        (["--set", "mapper.perception.network.provider=cuda", "--set", "mapper.perception.segmenter=fastsam"], "cuda"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(fastsam, tmp_path, capsys, options, expected):
+    status, _, err = said(capsys, "segment", *frame_files(tmp_path), "-o", tmp_path / "s.png", *options)
+    assert status == 2
+    assert expected in err
+
+
+def test_an_image_of_one_pixel_is_segmented(tmp_path, capsys):
+    files = frame_files(tmp_path, depth_shape=(1, 1), color_shape=(1, 1, 3))
+    status, out, _ = said(capsys, "segment", *files, "-o", tmp_path / "s.png", "--json")
+    assert (status, json.loads(out)["masks"]) == (0, 0)

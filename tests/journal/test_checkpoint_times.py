@@ -1,0 +1,23 @@
+"""The state of the core is written every so many keyframes, and not while a search is open."""
+
+from hickory_stream.engine.step_writer import CheckpointTimes
+
+
+def due(keyframes: int, searching: str) -> str:
+    """Return where a checkpoint is due; `searching` has a 's' for each keyframe with an open search."""
+    times = CheckpointTimes(keyframes)
+    return "".join("x" if times.is_due(searches=one == "s") else "." for one in searching)
+
+
+def test_one_is_due_every_so_many_keyframes():
+    assert due(3, ".........") == "..x..x..x"
+    assert due(1, "...") == "xxx"
+
+
+def test_one_waits_for_searches_and_the_next_one_counts_from_it():
+    assert due(3, "..sss.....") == ".....x..x."
+    assert due(3, "ss........") == "..x..x..x."
+
+
+def test_one_waits_for_no_search_for_ever():
+    assert due(2, "s" * 12) == "...x...x...x"

@@ -1,0 +1,88 @@
+import shutil
+from dataclasses import replace
+from pathlib import Path
+import numpy as np
+import pytest
+from hickory_stream.events import FrameObserved
+from hickory_stream.journal.format import JOURNAL
+from hickory_stream.journal.reader import Journal
+from hickory_stream.journal.step import JournalEntry, StepKind
+from hickory_stream.journal.writer import JournalWriter
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.recorded import RecordedStep, final_snapshot, frame_indices, recorded_steps
+from hickory_stream.map_folder.saved_map import open_map
+from tests.engine.run_fixtures import NUM_FRAMES, SceneRun
+
+
+@pytest.fixture
+def path(undisturbed_run: SceneRun) -> Path:
+    return undisturbed_run.folder.path
+
+
+def as_older(entry: JournalEntry) -> JournalEntry:
+    """The step as a version wrote it that kept neither decisions nor coarse frames."""
+    events = tuple(replace(e, coarse=None) if isinstance(e, FrameObserved) else e for e in entry.events)
+    return replace(entry, events=events, told=None)
+
+
+def rewritten(path: Path, copy: Path, num_steps: int, num_told: int) -> Path:
+    """A copy of a map whose journal has only the first steps, and of these the first ones with what was told."""
+    shutil.copytree(path, copy)
+    with Journal(path) as journal:
+        writer = JournalWriter(copy, flush_s=0.0)
+        for i in range(num_steps):
+            entry = journal.entry(i)
+            writer.append(entry if i < num_told else as_older(entry))
+        writer.close()
+    return copy
+
+
+def steps(path: Path) -> list[RecordedStep]:
+    return list(recorded_steps(path, final_snapshot(path)))
+
+
+def test_every_keyframe_comes_with_what_was_seen_and_decided(path):
+    found = steps(path)
+    keyframes = [step.keyframe for step in found if step.keyframe is not None]
+    assert [k.number for k in keyframes] == list(range(len(keyframes)))
+    assert found[-1].keyframe is None
+    for step in found:
+        if step.keyframe is None:
+            continue
+        went = {d.observation_index for d in step.decisions if d.observation_index is not None}
+        assert went == {o.index for o in step.keyframe.observed.observations}
+        assert step.keyframe.observed.coarse.structure.any()
+    indices, frames = frame_indices(path)
+    assert indices.tolist() == [k.observed.frame_index for k in keyframes]
+    assert len(frames) == NUM_FRAMES
+
+
+@pytest.mark.parametrize("num_told", [0, 3])
+def test_a_run_with_an_older_journal_is_replayed_instead(path, tmp_path, num_told):
+    with Journal(path) as journal:
+        count = len(journal)
+    older = rewritten(path, tmp_path / "older", count, num_told)
+    assert [step.decisions for step in steps(older)] == [step.decisions for step in steps(path)]
+
+
+def test_a_run_that_was_killed_is_told_as_far_as_it_came(path, tmp_path):
+    with Journal(path) as journal:
+        count = sum(step.kind is StepKind.KEYFRAME for step in (journal.step(i) for i in range(len(journal))))
+    killed = rewritten(path, tmp_path / "killed", count - 1, count - 1)
+    saved = open_map(killed)
+    manifest = (killed / "manifest.json").read_text().replace('"finished_cleanly": true', '"finished_cleanly": false')
+    (killed / "manifest.json").write_text(manifest)
+    assert len(steps(killed)) == count - 1
+    assert map_digest(final_snapshot(killed)) != map_digest(saved.snapshot)
+    assert (killed / JOURNAL).exists()
+
+
+def test_a_corrected_submap_is_reported_at_its_final_place(path):
+    final = final_snapshot(path)
+    moved = np.eye(4)
+    moved[:3, 3] = (1.0, 2.0, 0.0)
+    elsewhere = replace(final, submaps=(replace(final.submaps[0], world_from_submap=moved), *final.submaps[1:]))
+    for step in recorded_steps(path, elsewhere):
+        if step.keyframe is not None:
+            np.testing.assert_array_equal(step.keyframe.map_from_odometry, moved)
+            np.testing.assert_allclose(step.keyframe.odometry_from_map @ moved, np.eye(4), atol=1e-12)

@@ -1,0 +1,231 @@
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+import numpy as np
+import pytest
+from hickory_stream.box_scene import PERIOD_NS, START_NS, SceneSource
+from hickory_stream.errors import InputError, MapFolderError
+from hickory_stream.journal.format import ARRAYS, JOURNAL
+from hickory_stream.journal.reader import Journal, JournalChunks
+from hickory_stream.journal.record_codec import encode
+from hickory_stream.journal.snapshot_records import object_without_points
+from hickory_stream.journal.writer import JournalWriter
+from hickory_stream.map_folder.digest import map_digest
+from hickory_stream.map_folder.history.core_replay import Replay
+from hickory_stream.map_folder.history.time_travel import as_known_at, changes, own_clock_s, stamp_of
+from hickory_stream.map_folder.saved_map import SavedMap, open_map
+from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.mapping.entities.cloud import is_packed
+from hickory_stream.ports import Sink
+from hickory_stream.records import FrameReport
+from hickory_stream.testing import RememberingSink
+from tests.engine.run_fixtures import NUM_FRAMES, SceneRun, map_scene
+from tests.engine.snapshot_fixtures import make_snapshot
+
+
+@dataclass(frozen=True)
+class Watched:
+    run: SceneRun
+    reports: list[FrameReport]
+
+    @property
+    def saved(self) -> SavedMap:
+        return open_map(self.run.folder.path)
+
+
+def watch(path: Path, *overrides: str, loops: int = 1) -> Watched:
+    from hickory_stream.sinks.disk_sink import DiskSink
+
+    sink = RememberingSink()
+
+    def sinks(folder: MapFolder) -> list[tuple[Sink, bool]]:
+        return [(DiskSink(folder), True), (sink, True)]
+
+    return Watched(map_scene(path, *overrides, sinks=sinks, loops=loops), sink.reports)
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory) -> Watched:
+    return watch(tmp_path_factory.mktemp("watched"), "journal.checkpoint_keyframes=3")
+
+
+def test_the_map_at_every_keyframe_is_the_published_one(watched):
+    # The last keyframe has the stamp of the finished map, which the next test is about.
+    for report in watched.reports[:-2]:
+        assert report.snapshot is not None
+        assert map_digest(watched.saved.as_known_at(report.stamp_ns)) == map_digest(report.snapshot)
+        between = watched.saved.as_known_at(report.stamp_ns + PERIOD_NS // 2)
+        assert map_digest(between) == map_digest(report.snapshot)
+
+
+def test_to_look_back_takes_neither_perception_nor_shapes(watched):
+    code = (
+        "import sys; from pathlib import Path; from hickory_stream.map_folder.saved_map import open_map; "
+        f"known = open_map(Path(sys.argv[1])).as_known_at({watched.reports[4].stamp_ns}); "
+        "print(len([one.box for one in known.objects]), *(name for name in sys.modules if name in sys.argv[2:]))"
+    )
+    heavy = [f"hickory_stream.{name}" for name in ("perception.perceive", "shapes.build", "config")]
+    folder = str(watched.run.folder.path)
+    done = subprocess.run([sys.executable, "-c", code, folder, *heavy], capture_output=True, text=True, check=True)
+    expected = watched.reports[4].snapshot
+    assert done.stdout.split() == [str(len(expected.objects))]
+
+
+def test_the_last_map_is_the_finished_one_and_the_first_is_empty(watched):
+    assert map_digest(watched.saved.as_known_at(START_NS + 10**12)) == watched.run.digest
+    assert watched.saved.as_known_at(START_NS - 1).objects == ()
+
+
+def test_lazily_read_arrays_give_the_same_bytes(watched):
+    with Journal(watched.run.folder.path) as journal:
+        at_once = journal.checkpoint_before(len(journal) - 1)
+        later = journal.checkpoint_before(len(journal) - 1, reads_later=True)
+    assert at_once is not None
+    assert later is not None
+    unread = [track.cloud for track in later[1].core["tracks"].values()]  # type: ignore[attr-defined]
+    assert any(is_packed(cloud) for cloud in unread)
+    # The journal is closed: what is read now is read from a file that stays open for it.
+    assert encode(later[1].core) == encode(at_once[1].core)
+    assert not any(is_packed(cloud) for cloud in unread)
+
+
+def test_damage_to_an_array_is_reported_when_it_is_read(watched, tmp_path):
+    chunks = JournalChunks(watched.run.folder.path)
+    place = next(place for place in reversed(chunks.places) if place.channel == ARRAYS)
+    data = bytearray(chunks.path.read_bytes())
+    data[(place.start + place.end) // 2] ^= 0xFF
+    (tmp_path / JOURNAL).write_bytes(data)
+    with Journal(tmp_path) as journal:
+        with pytest.raises(MapFolderError, match="is damaged"):
+            journal.checkpoint_before(len(journal) - 1)
+        later = journal.checkpoint_before(len(journal) - 1, reads_later=True)
+        assert later is not None
+        with pytest.raises(MapFolderError, match="is damaged"):
+            encode(later[1].core)
+
+
+def test_checkpoints_hold_only_what_has_changed(watched):
+    with Journal(watched.run.folder.path) as journal:
+        found = journal.checkpoint_before(len(journal) - 1)
+        assert found[0] == 5
+        assert journal.checkpoint_before(1) is None
+        first = journal.checkpoint_before(2)
+        assert first[0] == 2
+
+
+def test_every_mesh_that_the_map_ever_had_is_still_there(watched):
+    for report in watched.reports:
+        for tracked in report.snapshot.objects if report.snapshot else ():
+            if tracked.shape is not None:
+                watched.saved.mesh(tracked.shape)
+
+
+def test_final_knowledge_is_restricted_to_what_had_been_seen(watched):
+    saved = watched.saved
+    early = saved.at(START_NS + PERIOD_NS)
+    assert {o.id for o in early.objects} == {o.id for o in saved.snapshot.objects if o.first_seen_ns <= early.stamp_ns}
+    assert all(view.stamp_ns <= START_NS + PERIOD_NS for o in early.objects for view in o.views)
+    assert [o.shape is not None for o in early.objects] == [True] * 3
+    assert map_digest(saved.at(START_NS + 10**12)) == watched.run.digest
+    assert saved.at(START_NS - 1).objects == ()
+
+
+def test_a_difference_names_what_appeared_and_what_changed(watched):
+    start, end = START_NS - 1, START_NS + 10**12
+    kinds = {(change.object_id, change.kind) for change in watched.saved.diff(start, end)}
+    assert kinds == {(1, "appeared"), (2, "appeared"), (3, "appeared")}
+    later = watched.saved.diff(START_NS, end)
+    assert {(1, "shape changed"), (2, "shape changed"), (3, "shape changed")} <= {
+        (change.object_id, change.kind) for change in later
+    }
+    assert watched.saved.diff(end, end) == ()
+
+
+def test_differences_know_merged_moved_and_dropped_objects():
+    before = make_snapshot()
+    first, second, *_ = before.objects
+    merged = replace(first, merged_ids=(second.id,))
+    after = replace(before, objects=(merged, *before.objects[2:]))
+    (change,) = changes(before, after)
+    assert (change.kind, change.object_id, change.text) == ("merged", second.id, f"is now a part of #{first.id}")
+    (dropped,) = changes(before, replace(before, objects=before.objects[1:]))
+    assert (dropped.kind, dropped.object_id) == ("dropped", first.id)
+    shift = np.eye(4)
+    shift[:3, 3] = (0.3, 0.0, 0.0)
+    moved = replace(first, box=replace(first.box, world_from_box=shift @ first.box.world_from_box))
+    (change,) = changes(before, replace(before, objects=(moved, *before.objects[1:])))
+    assert change.kind == "moved"
+    assert "by 0.30 m" in change.text
+
+
+def test_only_points_and_space_need_the_events(watched, monkeypatch):
+    stamp_ns = watched.reports[4].stamp_ns
+    with monkeypatch.context() as context:
+        context.setattr(Replay, "seek", _refuse)
+        known = watched.saved.as_known_at(stamp_ns)
+        light = [encode(object_without_points(tracked)) for tracked in known.objects]
+        assert [tracked.best_view in tracked.views for tracked in known.objects].count(True) > 0
+        with pytest.raises(AssertionError, match="nobody looked"):
+            _ = known.objects[0].points_world
+        with pytest.raises(AssertionError, match="nobody looked"):
+            _ = known.submaps[0].observed_space.free
+    with monkeypatch.context() as context:
+        context.setattr(Journal, "known", lambda *_: None)
+        replayed = watched.saved.as_known_at(stamp_ns)
+    assert light == [encode(object_without_points(tracked)) for tracked in replayed.objects]
+    assert encode(known.objects) == encode(replayed.objects)
+    assert encode(known.submaps) == encode(replayed.submaps)
+    assert (known.revision, known.stamp_ns) == (replayed.revision, replayed.stamp_ns)
+
+
+def _refuse(*_: object) -> None:
+    raise AssertionError("nobody looked at points")
+
+
+def test_a_record_that_contradicts_the_events_is_reported_on_use(watched, tmp_path):
+    shutil.copy(watched.run.folder.path / "manifest.json", tmp_path)
+    with Journal(watched.run.folder.path) as journal:
+        entries = list(journal.entries())[:5]
+    writer = JournalWriter(tmp_path, flush_s=60.0)
+    for entry, report in zip(entries, watched.reports, strict=False):
+        assert report.snapshot is not None
+        objects = tuple(replace(tracked, sightings=99) for tracked in report.snapshot.objects)
+        writer.append(entry, known=replace(report.snapshot, objects=objects))
+    writer.close()
+    known = as_known_at(tmp_path, entries[-1].step.stamp_ns)
+    assert known.objects[0].sightings == 99
+    with pytest.raises(MapFolderError, match="record of object 1 is not what its events make"):
+        _ = known.objects[0].points_world
+
+
+def test_times_are_seconds_of_the_maps_own_clock_or_stamps(watched):
+    folder = watched.run.folder.path
+    assert stamp_of(folder, "0") == START_NS
+    assert stamp_of(folder, "0.3") == START_NS + PERIOD_NS
+    assert stamp_of(folder, "0.5") == START_NS + PERIOD_NS
+    assert stamp_of(folder, f"{START_NS + 5}ns") == START_NS + 5
+    for wrong in ("-1", "99", "noon", f"{START_NS - 1}ns", "5ns", "nan"):
+        with pytest.raises(InputError, match=r"expected seconds from 0 to 2\.1"):
+            stamp_of(folder, wrong)
+
+
+def test_the_own_clock_runs_on_through_a_jump():
+    stamps = np.array([10, 11, 12, 10, 11, 500, 501], dtype=np.int64) * 10**9
+    assert own_clock_s(stamps, 60.0).tolist() == [0, 1, 2, 2, 3, 3, 4]
+
+
+def test_of_a_looped_log_the_last_round_counts(tmp_path):
+    looped = watch(tmp_path, "mapping.requests.max_failures=0", "journal.checkpoint_keyframes=3", loops=2)
+    second_round = looped.reports[NUM_FRAMES + 2]
+    assert second_round.snapshot is not None
+    assert map_digest(looped.saved.as_known_at(second_round.stamp_ns)) == map_digest(second_round.snapshot)
+
+
+def test_a_map_without_a_journal_says_so(watched, tmp_path):
+    shutil.copytree(watched.run.folder.path, tmp_path / "map")
+    (tmp_path / "map/journal.mcap").unlink()
+    with pytest.raises(MapFolderError, match="holds no journal"):
+        open_map(tmp_path / "map").as_known_at(START_NS)
+    assert SceneSource(NUM_FRAMES).info.start_ns == START_NS

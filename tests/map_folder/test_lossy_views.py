@@ -1,0 +1,128 @@
+"""Maps whose views have lossy colours: played, stopped and gone on with, verified, merged, and cleared up."""
+
+import asyncio
+import shutil
+from dataclasses import replace
+from pathlib import Path
+import numpy as np
+import pytest
+from hickory_stream.box_scene import SceneSource
+from hickory_stream.cli import main
+from hickory_stream.config import RunConfig
+from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.modes import Progress
+from hickory_stream.engine.shape_jobs.job_folder import read_job, write_job
+from hickory_stream.engine.shape_jobs.processor import processor_kind
+from hickory_stream.map_folder.codec import encode_superquadrics
+from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.views import crop_files, read_crop
+from hickory_stream.map_folder.writer import create_map_folder
+from hickory_stream.ports import BuiltShape
+from hickory_stream.shapes.build import build_shape, make_reconstructor
+from hickory_stream.testing import InstanceSegmenter, MeanColorExtractor
+from tests.engine.run_fixtures import NO_SHAPES, NUM_FRAMES, map_scene, scene_config, scene_request
+from tests.engine.snapshot_fixtures import make_snapshot
+from tests.in_process_workers import InProcessWorkers
+
+JPEG = "run.view_colors=jpeg"
+
+
+def endings(views: Path) -> set[str]:
+    return {file.name.partition(".")[2] for file in views.iterdir()}
+
+
+def test_a_run_with_lossy_views_goes_on_to_the_same_map(tmp_path):
+    exact = map_scene(tmp_path, *NO_SHAPES, name="exact")
+
+    def stop(mapper: Mapper, progress: Progress) -> None:
+        if progress.keyframes == 4:
+            mapper.stop()
+
+    stopped = map_scene(tmp_path, *NO_SHAPES, JPEG, on_progress=stop).folder.path
+    assert not open_map(stopped).manifest.finished_cleanly
+
+    async def resume() -> str | None:
+        segmenter = InstanceSegmenter(SceneSource(NUM_FRAMES).instances)
+        async with Mapper.resuming(
+            stopped, segmenter=segmenter, extractor=MeanColorExtractor(), workers=InProcessWorkers()
+        ) as mapper:
+            async for _ in mapper.run(SceneSource(NUM_FRAMES)):
+                pass
+            return mapper.folder.manifest.digest
+
+    assert asyncio.run(resume()) == exact.digest, "layer 1 and the choice of views have nothing of the files"
+    lossy, views = open_map(stopped), exact.folder.views
+    assert endings(views) == {"color.png", "depth.png", "json"}
+    assert endings(lossy.views) == {"color.jpg", "mask.png", "depth.png", "json"}
+    names = [view.name for tracked in lossy.snapshot.objects for view in tracked.views]
+    assert len(names) >= 3
+    for name in names:
+        one, other = read_crop(lossy.views, name), read_crop(views, name)
+        assert np.array_equal(one.mask, other.mask)
+        assert np.array_equal(one.depth_m, other.depth_m, equal_nan=True)
+
+
+def test_a_shape_of_lossy_views_differs_in_colours_only(tmp_path):
+    config, built = scene_config(tmp_path / "config").shapes, []
+    for colors in ("png", "jpeg"):
+        views, folder = tmp_path / colors, tmp_path / "jobs" / colors
+        views.mkdir()
+        request = scene_request(views, num_views=2, views_as=RunConfig(view_colors=colors))
+        write_job(folder, request, views, config)
+        shutil.rmtree(views)  # what a job needs is its own
+        inputs, read = read_job(folder)
+        shape = build_shape(inputs, make_reconstructor(read.reconstructor, read), read)
+        assert isinstance(shape, BuiltShape)
+        built.append(shape)
+    exact, lossy = built
+    mesh, exact_mesh = lossy.reconstruction.mesh, exact.reconstruction.mesh
+    assert np.array_equal(mesh.vertices, exact_mesh.vertices)
+    assert np.array_equal(mesh.faces, exact_mesh.faces)
+    assert np.array_equal(mesh.is_seen, exact_mesh.is_seen)
+    assert 0 < np.abs(mesh.colors.astype(int) - exact_mesh.colors).mean() < 5
+    assert encode_superquadrics(lossy.inflated) == encode_superquadrics(exact.inflated)
+
+
+def test_a_map_with_lossy_views_names_its_codecs_and_verifies(demo_log, tmp_path, capsys):
+    path = tmp_path / "map"
+    few = ("--frames", "10", "--viewer", "none", "--set", "mapper.mapping.requests.max_failures=0")
+    play = ("play", str(demo_log), "--out", str(path), *few, "--set")
+    assert main([*play, "mapper.run.view_colors=gif"]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 1
+    assert "view_colors" in told[0]
+    assert "png" in told[0]
+    assert not path.exists()
+    assert main([*play, "mapper.run.view_colors=webp"]) == 0
+    saved = open_map(path)
+    assert endings(saved.views) == {"color.webp", "mask.png", "depth.png", "json"}
+    assert saved.manifest.processor.startswith(f"{processor_kind()}, codecs of OpenCV ")
+    assert main(["verify", str(path)]) == 0
+    view = next(tracked for tracked in saved.snapshot.objects if tracked.views).views[0]
+    color = crop_files(saved.views, view.name)[0]
+    color.write_bytes(color.read_bytes()[:-9])
+    assert main(["verify", str(path)]) == 1
+    assert f"{color}: it is not the file that the view's description tells of" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("colors", ["jpeg", "webp"])
+def test_a_map_folder_keeps_and_removes_files_of_a_lossy_view(tmp_path, colors):
+    folder = create_map_folder(tmp_path / "m", config={}, source={})
+    snapshot = make_snapshot(folder, views_as=RunConfig(view_colors=colors))  # type: ignore[arg-type] # a parameter
+    folder.save(snapshot)
+    first = snapshot.objects[0]
+    dropped, *_ = (view.name for view in first.views)
+    files = crop_files(folder.views, dropped)
+    assert len(files) == 4
+    folder.drop_view(dropped)
+    folder.save(snapshot)
+    assert all(file.exists() for file in files)
+    folder.save(replace(snapshot, objects=(replace(first, views=first.views[1:]), *snapshot.objects[1:])))
+    assert not [file for file in folder.views.iterdir() if file.name.startswith(dropped)]
+    kept = {
+        file for tracked in snapshot.objects for view in tracked.views for file in crop_files(folder.views, view.name)
+    }
+    (folder.views / "000077-000.mask.png").write_bytes(b"of a run that was killed")
+    folder.finish(finished_cleanly=True)
+    assert set(folder.views.iterdir()) == {file for file in kept if not file.name.startswith(dropped)}
+    assert folder.keep_views([dropped, first.views[1].name]) == {dropped}

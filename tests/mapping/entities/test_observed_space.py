@@ -1,0 +1,207 @@
+from dataclasses import replace
+from functools import reduce
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.entities.observed_space import (
+    SpaceState,
+    add,
+    as_record,
+    empty_space,
+    false_floor,
+    floor_change,
+    share_in,
+    structure_hits,
+    with_room,
+)
+from hickory_stream.records import SpaceObservation
+from tests.mapping.mapping_fixtures import space
+
+key_sets = st.lists(st.integers(0, 30), max_size=20, unique=True).map(lambda keys: np.array(sorted(keys), np.int64))
+
+
+def _observed(free: np.ndarray, structure: np.ndarray, surface: np.ndarray) -> SpaceObservation:
+    return space(free, structure, None, np.setdiff1d(surface, structure))
+
+
+observed = st.builds(_observed, key_sets, key_sets, key_sets)
+
+
+def after(*seen: SpaceObservation) -> SpaceState:
+    return reduce(add, seen, empty_space(0.05))
+
+
+def keys(*values: int) -> np.ndarray:
+    return np.array(values, dtype=np.int64)
+
+
+def test_structure_needs_to_be_seen_twice():
+    once = space(structure=keys(4, 9))
+    assert as_record(after(once)).structure.tolist() == []
+    assert as_record(after(once, space(structure=keys(9)))).structure.tolist() == [9]
+
+
+def test_sure_structure_is_not_free_however_many_rays_passed():
+    through = space(free=keys(1, 2, 3))
+    wall = space(structure=keys(2))
+    assert as_record(after(through, wall)).free.tolist() == [1, 2, 3]
+    record = as_record(after(through, wall, wall, through, through))
+    assert record.free.tolist() == [1, 3]
+    assert record.structure.tolist() == [2]
+
+
+@given(st.lists(observed, max_size=6))
+def test_the_space_equals_counting_in_sets(frames):
+    record = as_record(after(*frames))
+    hits, misses = np.zeros((2, 31), dtype=int)
+    for frame in frames:
+        hits[frame.structure_keys] += 1
+        misses[frame.surface_keys] += 1
+    structure = set(np.flatnonzero((hits >= 2) & (hits > misses)).tolist())
+    free = {int(key) for frame in frames for key in frame.free_keys} - structure
+    assert record.structure.tolist() == sorted(structure)
+    assert record.free.tolist() == sorted(free)
+
+
+@given(st.lists(observed, max_size=5), st.randoms(use_true_random=False))
+def test_the_order_of_the_keyframes_does_not_change_the_space(frames, random):
+    shuffled = list(frames)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    one, other = as_record(after(*frames)), as_record(after(*shuffled))
+    assert np.array_equal(one.free, other.free)
+    assert np.array_equal(one.structure, other.structure)
+
+
+def test_outvoted_structure_is_free_where_rays_passed():
+    wall, cupboard = space(structure=keys(2, 3)), space(surface=keys(2))
+    seen = (space(free=keys(2)), wall, wall)
+    assert as_record(after(*seen)).structure.tolist() == [2, 3]
+    assert as_record(after(*seen)).free.tolist() == []
+    record = as_record(after(*seen, cupboard, cupboard))
+    assert (record.structure.tolist(), record.free.tolist()) == ([3], [2])
+    assert as_record(after(*seen, cupboard, cupboard, wall)).structure.tolist() == [2, 3]
+
+
+def test_a_belief_of_long_ago_can_be_unlearned():
+    state = after(*[space(structure=keys(2))] * 2000)
+    for _ in range(260):
+        state = add(state, space(surface=keys(2)))
+    assert as_record(state).structure.tolist() == []
+
+
+def test_an_endless_look_at_one_place_does_not_grow_the_space():
+    frame = space(free=keys(1, 2), structure=keys(7))
+    record = as_record(after(*[frame] * 600))
+    assert (record.free.tolist(), record.structure.tolist()) == ([1, 2], [7])
+
+
+def test_the_floor_goes_down_at_once_and_up_slowly():
+    def floor(*heights: float | None) -> float | None:
+        return after(*(space(floor_z_m=z) for z in heights)).floor_z_m
+
+    assert floor() is None
+    assert floor(None, None) is None
+    assert floor(0.7, None) == 0.7
+    # A table top was taken for the floor until the floor came into sight.
+    assert floor(0.7, 0.0) == 0.0
+    risen = floor(0.0, 0.7)
+    assert risen is not None
+    assert 0.0 < risen < 0.35
+    assert floor(*[0.0] * 3, *[0.02] * 60) == pytest.approx(0.02, abs=1e-3)
+
+
+WALL = (np.stack(np.meshgrid(np.arange(20), [3], np.arange(20)), axis=-1).reshape(-1, 3) * 0.05 + 0.02).astype(
+    np.float32
+)
+
+
+def test_a_track_held_for_the_room_is_structure_for_that_time():
+    wall, behind = np.unique(keys_of_points(WALL, 0.05)), np.unique(keys_of_points(WALL[:50], 0.05))
+    before = after(space(free=behind, structure=keys(1, 2)))
+    held = with_room(before, wall)
+    assert as_record(held).structure.tolist() == wall.tolist()
+    assert not set(as_record(held).free.tolist()) & set(wall.tolist())
+    assert (structure_hits(held, wall) == 255).all()
+    for _ in range(3):
+        held = add(held, space(structure=keys(1, 2), free=behind))
+    # No keyframe voted for it, so that nothing stays of it.
+    freed = as_record(with_room(held, keys()))
+    assert freed.structure.tolist() == [1, 2]
+    assert freed.free.tolist() == behind.tolist()
+
+
+def test_rays_through_a_room_track_are_kept_for_later():
+    wall = np.unique(keys_of_points(WALL, 0.05))
+    held = add(with_room(after(), wall), space(free=wall))
+    assert as_record(held).free.tolist() == []
+    assert as_record(with_room(held, keys())).free.tolist() == wall.tolist()
+
+
+def test_pieces_lie_only_in_tracks_held_for_the_room():
+    seen_often = after(*[space(structure=keys_of_points(WALL, 0.05))] * 400)
+    assert share_in(seen_often.room, WALL, seen_often.voxel_m) == 0.0
+    beside = WALL + np.array([0, 0.5, 0], dtype=np.float32)
+    state = with_room(seen_often, np.unique(keys_of_points(WALL, 0.05)))
+    assert share_in(state.room, beside, state.voxel_m) == 0.0
+    both = np.concatenate([WALL, beside])
+    assert share_in(state.room, both, state.voxel_m) == pytest.approx(0.5, abs=0.02)
+
+
+def level(z_m: float, side_m: float) -> np.ndarray:
+    """The sorted voxels of a level square."""
+    x, y = np.meshgrid(np.arange(0.0, side_m, 0.05) + 0.02, np.arange(0.0, side_m, 0.05) + 0.02)
+    return np.unique(keys_of_points(np.stack([x, y, np.full(x.shape, z_m)], axis=-1).reshape(-1, 3), 0.05))
+
+
+@pytest.mark.parametrize(
+    ("below_m", "side_m", "is_false"),
+    [(0.74, 1.5, True), (0.45, 1.0, True), (0.74, 3.0, False), (0.17, 1.5, False), (2.8, 1.5, False)],
+    ids=["a table", "a low table", "a level of the room", "a step", "the storey below"],
+)
+def test_a_small_floor_above_a_true_one_is_withdrawn(below_m, side_m, *, is_false):
+    on_it = space(structure=level(0.76, side_m), floor_z_m=0.76)
+    state = after(on_it, on_it)
+    assert (false_floor(state, 0.76 - below_m) is not None) == is_false
+    now = add(state, space(floor_z_m=0.76 - below_m))
+    assert now.floor_z_m == pytest.approx(0.76 - below_m)
+    assert len(as_record(now).structure) == (0 if is_false else len(level(0.76, side_m)))
+    assert (floor_change(state, 0.76 - below_m, false_floor(state, 0.76 - below_m)) is not None) == (
+        is_false or below_m > 2
+    )
+
+
+def test_walls_do_not_enlarge_a_table_and_stay_after_it():
+    along, up = np.meshgrid(np.arange(-4.0, 4.0, 0.05) + 0.02, np.arange(0.0, 2.4, 0.05) + 0.02)
+    walls = [np.stack([np.full(along.shape, x), along, up], axis=-1).reshape(-1, 3) for x in np.arange(-2.0, 4.0, 0.1)]
+    wall = np.unique(keys_of_points(np.concatenate(walls), 0.05))
+    table = np.setdiff1d(level(0.76, 1.5), wall)
+    seen = space(structure=np.union1d(table, wall), floor_z_m=0.76)
+    record = as_record(after(seen, seen, space(floor_z_m=0.0)))
+    assert record.structure.tolist() == wall.tolist()
+
+
+def test_space_below_a_false_floor_is_free_where_rays_passed():
+    table, wall = level(0.76, 1.0), level(1.6, 1.0)
+    state = after(
+        space(free=table[:40]), *[space(structure=np.union1d(table, wall), floor_z_m=0.76)] * 2, space(floor_z_m=0.0)
+    )
+    record = as_record(state)
+    assert record.structure.tolist() == wall.tolist()
+    assert record.free.tolist() == table[:40].tolist()
+
+
+def test_a_storey_higher_is_the_floor_at_once_and_a_step_slowly():
+    state = after(space(floor_z_m=0.0))
+    assert add(state, space(floor_z_m=3.0)).floor_z_m == 3.0
+    assert add(state, space(floor_z_m=0.1)).floor_z_m == pytest.approx(0.02)
+
+
+def test_a_space_with_votes_of_another_surface_is_refused():
+    state = after(space(structure=level(0.0, 0.5)))
+    for name in ("hits", "misses"):
+        with pytest.raises(ValueError, match=rf"SpaceState.{name} has shape"):
+            replace(state, **{name: np.zeros(len(state.surface) - 1, np.uint8)})
+    with pytest.raises(ValueError, match=r"SpaceState.surface is of float64"):
+        replace(state, surface=state.surface.astype(np.float64))

@@ -1,0 +1,184 @@
+"""Which shapes are asked for, and what an object stands on."""
+
+from dataclasses import replace
+from typing import Any
+import pytest
+from hickory_stream.mapping.entities.track import ShapeState, Track
+from hickory_stream.mapping.rules.shape_requests import (
+    RequestConfig,
+    gain_of,
+    next_replacements,
+    next_requests,
+    predicted_s,
+    shape_request,
+    state_of_request,
+)
+from hickory_stream.records import Phase
+from tests.mapping.mapping_fixtures import SECOND_NS, box_surface, shape, track, view
+
+CONFIG = RequestConfig(
+    max_in_flight=2, first_sightings=5, min_gain=0.9, final_gain=0.15, interval_s=6.0, max_failures=2
+)
+POINTS = box_surface((0, 0, 0.1))
+
+
+def seen(track_id: int, *, num_views: int = 2, sightings: int = 9) -> Track:
+    """A confirmed track that has no shape yet."""
+    coverage = tuple((i, view(10 * track_id + i)) for i in range(num_views))
+    return replace(track(track_id, POINTS, sightings=sightings), coverage=coverage)
+
+
+def built(track_id: int, *, new_views: int = 0, asked_s: float = 0.0) -> Track:
+    """A track with a shape of two views, and views that are new since."""
+    bare = seen(track_id, num_views=2 + new_views)
+    asked = ShapeState(
+        asked_clock_ns=round(asked_s * SECOND_NS),
+        asked_points=len(bare.solid.keys),
+        asked_views=tuple(v.name for v in bare.views[:2]),
+    )
+    return replace(bare, shape=shape(1), shape_state=asked)
+
+
+def failed(bare: Track, failures: int) -> Track:
+    state = ShapeState(asked_views=tuple(v.name for v in bare.views), asked_points=1, failures=failures)
+    return replace(bare, shape_state=state)
+
+
+def asked(*tracks: Track, num_open: int = 0, clock_s: float = 100, is_final: bool = False) -> list[int]:
+    known = {t.id: t for t in tracks}
+    return next_requests(known, num_open, round(clock_s * SECOND_NS), is_final=is_final, config=CONFIG)
+
+
+def test_first_shapes_and_lower_ids_come_first():
+    assert asked(built(1, new_views=30), seen(4), seen(2)) == [2, 4]
+    assert asked(built(1, new_views=30), seen(4)) == [4, 1]
+
+
+def scored(bare: Track, score: float, asked_score: float = 0.0, **state: Any) -> Track:
+    """The track with a best view of a score, whose shape was last asked for at another one."""
+    best = replace(bare.views[0], score=score)
+    coverage = ((0, best), *bare.coverage[1:])
+    shape_state = replace(bare.shape_state, asked_score=asked_score, **state)
+    return replace(bare, best_view=best, coverage=coverage, shape_state=shape_state)
+
+
+def test_among_new_objects_the_best_view_comes_first():
+    assert asked(scored(seen(1), 0.1), scored(seen(2), 0.3)) == [2, 1]
+
+
+def test_among_renewals_the_largest_gain_comes_first():
+    much, little = scored(built(1, new_views=30), 0.30, 0.29), scored(built(2, new_views=30), 0.2, 0.1)
+    assert asked(much, little) == [2, 1]
+    # It cannot be negative: of two that have not grown, what is new in views decides.
+    assert asked(scored(built(1, new_views=20), 0.1, 0.3), scored(built(2, new_views=30), 0.1, 0.1)) == [2, 1]
+
+
+def test_a_gain_counts_more_where_it_costs_less():
+    few, many = scored(seen(1, num_views=8), 0.30), scored(seen(2, num_views=2), 0.29)
+    costly = replace(CONFIG, job_s=0.1, view_s=1.0, kilopoint_s=0.0)
+    assert predicted_s(few, costly) == pytest.approx(8.1)
+    assert next_requests({1: few, 2: many}, 0, 0, is_final=True, config=costly) == [2, 1]
+    assert next_requests({1: few, 2: many}, 0, 0, is_final=True, config=replace(costly, view_s=0.0)) == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("score", "passed_s", "is_replaced"),
+    [(0.151, 0.0, True), (0.149, 0.0, False), (0.16, 2.0, True), (0.16, 3.0, False), (0.2, 4.0, True)],
+)
+def test_an_open_job_is_replaced_when_the_view_is_far_better(score, passed_s, is_replaced):
+    config = replace(CONFIG, latency_s=4.0)
+    waiting = scored(seen(1), score, 0.1, open_ticket=7, asked_clock_ns=0)
+    clock_ns = round(passed_s * SECOND_NS)
+    assert next_replacements({1: waiting}, clock_ns, config) == ([1] if is_replaced else [])
+    again = replace(waiting, shape_state=replace(waiting.shape_state, is_replacement=True))
+    assert next_replacements({1: again}, clock_ns, config) == []
+    ended = replace(waiting, shape_state=replace(waiting.shape_state, open_ticket=None))
+    assert next_replacements({1: ended}, clock_ns, config) == []
+
+
+@pytest.mark.parametrize(("name", "value"), [("job_s", 0.0), ("view_s", -1.0), ("kilopoint_s", -1.0)])
+def test_costs_that_no_job_has_are_refused(name, value):
+    with pytest.raises(ValueError, match=name):
+        RequestConfig(**{name: value})
+
+
+def test_no_more_jobs_are_open_than_allowed():
+    tracks = [seen(i) for i in range(1, 6)]
+    assert asked(*tracks) == [1, 2]
+    assert asked(*tracks, num_open=1) == [1]
+    assert asked(*tracks, num_open=2) == []
+    assert asked(*tracks, num_open=7) == []
+
+
+def test_an_object_with_an_open_job_is_not_asked_for_again():
+    assert asked(replace(seen(1), shape_state=ShapeState(open_ticket=4))) == []
+    assert asked(replace(seen(1), shape_state=ShapeState(open_ticket=4)), is_final=True) == []
+
+
+def test_a_shape_is_requested_for_a_confirmed_often_seen_object():
+    assert asked(seen(1, sightings=5)) == [1]
+    assert asked(seen(1, sightings=4)) == []
+    assert asked(seen(1, num_views=0)) == []
+    assert asked(replace(seen(1), phase=Phase.TENTATIVE)) == []
+
+
+@pytest.mark.parametrize("phase", [Phase.ACTIVE, Phase.DORMANT, Phase.ARCHIVED])
+def test_at_the_end_every_missing_shape_is_requested_at_once(phase):
+    tracks = [replace(seen(i, sightings=3), phase=phase) for i in range(1, 8)]
+    assert asked(*tracks, num_open=2, is_final=True) == [1, 2, 3, 4, 5, 6, 7]
+
+
+def test_a_shape_is_renewed_after_enough_news_and_time():
+    assert asked(built(1, new_views=30)) == [1]
+    assert asked(built(1, new_views=1)) == []
+    assert asked(built(1, new_views=30, asked_s=95)) == []
+    assert asked(built(1, new_views=30, asked_s=94)) == [1]
+
+
+def test_at_the_end_a_smaller_gain_renews_a_shape():
+    assert asked(built(1, new_views=1), is_final=True) == [1]
+    assert asked(built(1), is_final=True) == []
+
+
+def test_the_gain_is_the_share_of_new_views_and_of_new_surface():
+    assert gain_of(built(1)) == 0.0
+    assert gain_of(built(1, new_views=2)) == pytest.approx(0.5)
+    half_known = built(1)
+    half_known = replace(
+        half_known, shape_state=replace(half_known.shape_state, asked_points=len(half_known.solid.keys) / 1.5)
+    )
+    assert gain_of(half_known) == pytest.approx(0.5)
+    assert gain_of(seen(1)) > gain_of(built(1, new_views=1000))
+
+
+def test_surface_that_is_gone_counts_twice():
+    shrunk = built(1)
+    asked_points = round(len(shrunk.solid.keys) / 0.8)
+    shrunk = replace(shrunk, shape_state=replace(shrunk.shape_state, asked_points=asked_points))
+    assert gain_of(shrunk) == pytest.approx(0.4, abs=0.01)
+    assert asked(shrunk, is_final=True) == [1]
+
+
+def test_at_the_end_points_without_a_view_are_enough():
+    assert asked(seen(1, num_views=0), is_final=True) == [1]
+
+
+def test_an_object_whose_shape_failed_too_often_is_set_aside():
+    grown = failed(seen(1), failures=1)
+    assert asked(grown) == [1]
+    assert asked(failed(seen(1), failures=2)) == []
+    assert asked(failed(seen(1), failures=2), is_final=True) == []
+
+
+def test_a_request_has_the_best_view_first_and_is_remembered():
+    bare = seen(1, num_views=3)
+    best = replace(bare.views[1], score=0.5)
+    known = replace(bare, best_view=best, coverage=tuple((i, best if i == 1 else v) for i, v in bare.coverage))
+    request = shape_request(known, ticket=8, support_z_m=0.7, due_ns=5)
+    assert [view.frame_index for view in request.views] == [11, 10, 12]
+    assert (request.ticket, request.object_id, request.support_z_m, request.due_ns) == (8, 1, 0.7, 5)
+    assert len(request.points_world) == len(request.colors) == len(known.solid.keys)
+    state = state_of_request(failed(known, 1), 8, 3, is_replacement=True)
+    assert (state.open_ticket, state.asked_clock_ns, state.asked_score, state.failures) == (8, 3, 0.5, 1)
+    assert set(state.asked_views) == {view.name for view in known.views}
+    assert state.is_replacement

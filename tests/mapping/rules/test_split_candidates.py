@@ -1,0 +1,144 @@
+"""Parts that are split off their host, swollen observations, and slabs that are pieces of a wall."""
+
+from dataclasses import replace
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from hickory_stream.geometry.lattice import Lattice
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.config import MappingConfig
+from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
+from hickory_stream.mapping.entities.observed_space import add, empty_space, is_edge, is_flush, with_room
+from hickory_stream.mapping.rules.association import AssociateConfig, is_oversized
+from hickory_stream.mapping.rules.lifecycle import LifecycleConfig
+from hickory_stream.mapping.rules.splitting import TrackSplitConfig, reassigned, with_keyframe
+from hickory_stream.mapping.rules.structure_checks import is_structure
+from tests.mapping.mapping_fixtures import VOXEL_M, box_surface, drive, keyframe, observation, space, track
+
+CONFIG = TrackSplitConfig()
+DRESSER = box_surface((0.0, 0.0, 0.4), (0.8, 0.4, 0.8))
+SET = box_surface((0.0, 0.0, 1.0), (0.5, 0.2, 0.36))
+
+
+def cloud(points: NDArray[np.float32]) -> Cloud:
+    return cloud_of(points, np.full((len(points), 3), 100, dtype=np.uint8), VOXEL_M)
+
+
+def test_a_part_that_is_seen_apart_often_is_an_object():
+    parts = {}
+    for frame in range(4):
+        assert not any(part.is_object(CONFIG) for part in parts.get(1, ()))
+        parts = with_keyframe(parts, frame, [(1, cloud(SET))], [(1, cloud(DRESSER))])
+    assert [part.is_object(CONFIG) for part in parts[1]] == [True]
+
+
+def test_being_seen_as_one_counts_against_it():
+    parts = {}
+    both = cloud(np.concatenate([DRESSER, SET]))
+    for frame in range(6):
+        parts = with_keyframe(parts, 2 * frame, [(1, cloud(SET))], [])
+        parts = with_keyframe(parts, 2 * frame + 1, [], [(1, both)])
+    assert [(len(part.frames), part.together, part.is_object(CONFIG)) for part in parts[1]] == [(6, 6, False)]
+
+
+def test_what_shows_a_part_alone_says_nothing_of_its_host():
+    parts = with_keyframe({}, 0, [(1, cloud(SET))], [])
+    parts = with_keyframe(parts, 1, [], [(1, cloud(SET))])
+    assert [(part.frames, part.together) for part in parts[1]] == [((0,), 0)]
+
+
+def test_parts_at_different_places_are_different_parts():
+    parts = with_keyframe({}, 0, [(1, cloud(SET)), (1, cloud(SET + np.float32([0, 0.6, 0])))], [])
+    assert [len(part.frames) for part in parts[1]] == [1, 1]
+
+
+def test_parts_go_where_their_host_goes():
+    parts = with_keyframe({}, 0, [(2, cloud(SET))], [])
+    assert list(reassigned(parts, 1, 2)) == [1]
+
+
+def test_the_core_promotes_what_an_early_view_swallowed():
+    core = MapperCore(MappingConfig(voxels=Lattice(object_m=VOXEL_M)))
+    both = np.concatenate([DRESSER, SET])
+    frames = [keyframe(i, [observation(0, both)]) for i in range(3)]
+    frames += [keyframe(i, [observation(0, DRESSER), observation(1, SET)]) for i in range(3, 14)]
+    drive(core, frames)
+    boxes = [2 * tracked.box.half_extents_m for tracked in core.snapshot().objects]
+    assert len(boxes) == 2
+    assert sorted(float(size[2]) for size in boxes) == pytest.approx([0.36, 0.8], abs=0.06)
+
+
+def test_the_core_keeps_as_one_what_is_seen_as_one():
+    core = MapperCore(MappingConfig(voxels=Lattice(object_m=VOXEL_M)))
+    both = np.concatenate([DRESSER, SET])
+    for i in range(12):
+        seen = [observation(0, both)] if i % 2 == 0 else [observation(0, DRESSER), observation(1, SET)]
+        drive(core, [keyframe(i, seen)])
+    assert len(core.snapshot().objects) == 1
+
+
+def test_the_core_promotes_the_rest_of_a_split_track():
+    core = MapperCore(MappingConfig(voxels=Lattice(object_m=VOXEL_M)))
+    table = box_surface((0.0, 0.0, 0.7), (1.2, 0.8, 0.04))
+    tray, mug = box_surface((0.3, 0.1, 0.75), (0.4, 0.3, 0.06)), box_surface((0.3, 0.1, 0.84), (0.1, 0.1, 0.12))
+    early = [observation(0, table), observation(1, np.concatenate([tray, mug]))]
+    later = [observation(0, np.concatenate([table, tray])), observation(1, mug)]
+    drive(core, [keyframe(i, early) for i in range(4)] + [keyframe(i, later) for i in range(4, 9)])
+    heights = sorted(float(2 * tracked.box.half_extents_m[2]) for tracked in core.snapshot().objects)
+    # The tray, of which most lies near the table, is the table's.
+    assert heights == pytest.approx([0.1, 0.12], abs=0.015)
+
+
+def test_one_observation_does_not_double_a_settled_track():
+    config = AssociateConfig()
+    mug = track(1, box_surface((0.0, 0.0, 0.05), (0.1, 0.1, 0.1)), sightings=8)
+    with_bowl = observation(0, box_surface((0.1, 0.0, 0.06), (0.32, 0.2, 0.12)))
+    assert is_oversized(with_bowl, mug, config)
+    assert not is_oversized(with_bowl, replace(mug, sightings=2), config)
+    assert not is_oversized(with_bowl, replace(mug, doubts=4), config)  # it has been said often enough
+    assert not is_oversized(observation(0, box_surface((0.0, 0.0, 0.05), (0.11, 0.1, 0.11))), mug, config)
+
+
+@pytest.mark.parametrize(
+    ("center", "size", "verdict"),
+    [
+        ((0, 0, 0.8), (1.2, 0.1, 1.5), True),
+        ((0, 0, 0.8), (1.2, 0.4, 1.5), False),
+        ((0, 0, 1.2), (0.9, 0.06, 0.5), False),
+        ((0, 0, 0.3), (1.2, 0.1, 0.6), False),
+        ((0, 0, 1.9), (0.8, 0.14, 0.5), True),
+        ((0, 0, 1.7), (0.8, 0.04, 0.5), False),
+    ],
+    ids=["a wall between two doors", "a wardrobe", "a television", "a bench", "the wall over a door", "a picture"],
+)
+def test_an_upright_slab_above_the_waist_is_a_piece_of_wall(center, size, verdict):
+    slab = track(1, box_surface(center, size), sightings=6)
+    assert is_structure(slab, 0.0, LifecycleConfig()) is verdict
+    assert not is_structure(slab, None, LifecycleConfig())
+
+
+def test_a_slender_strip_at_a_wall_is_its_edge_and_a_lamp_is_not():
+    y, z = (grid.ravel() for grid in np.meshgrid(np.arange(0, 2, 0.02), np.arange(0, 2.5, 0.02)))
+    keys = np.unique(keys_of_points(np.stack([np.full(len(y), 1.0), y, z], axis=1).astype(np.float32), 0.05))
+    state = empty_space(0.05)
+    for _ in range(2):
+        state = add(state, space(structure=keys))
+    assert is_edge(state, track(1, box_surface((1.0, -0.03, 1.2), (0.06, 0.05, 0.8))).box)
+    assert not is_edge(state, track(2, box_surface((0.6, 0.5, 0.8), (0.05, 0.05, 1.4))).box)
+    assert not is_edge(state, track(3, box_surface((0.96, 0.5, 1.0), (0.08, 0.08, 0.3))).box)  # a bottle
+
+
+def test_a_flat_thing_is_wall_only_where_the_wall_surrounds_it():
+    y, z = (grid.ravel() for grid in np.meshgrid(np.arange(-2, 2, 0.02), np.arange(0, 2.5, 0.02)))
+    wall = np.stack([np.full(len(y), 1.0), y, z], axis=1).astype(np.float32)
+    keys = np.unique(keys_of_points(wall, 0.05))
+    state = empty_space(0.05)
+    for _ in range(2):
+        state = add(state, space(structure=keys))
+    patch = track(1, box_surface((1.0, 0.0, 1.0), (0.04, 0.8, 0.6)))
+    television = track(2, box_surface((0.85, 0.0, 1.0), (0.04, 0.8, 0.6)))
+    assert is_flush(state, patch.box)
+    assert not is_flush(state, television.box)
+    assert not is_flush(empty_space(0.05), patch.box)
+    assert not is_flush(with_room(empty_space(0.05), keys), patch.box)  # tracks set aside, not seen walls

@@ -1,0 +1,160 @@
+import numpy as np
+import pytest
+from hickory_stream.geometry.rigid import apply
+from hickory_stream.geometry.voxels import keys_of_points
+from hickory_stream.mapping.entities.observed_space import SpaceState, add, as_record, empty_space, known_space
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.rules.support_graph import Relation, Support, SupportGraph
+from tests.mapping.mapping_fixtures import box_surface, graph_of, space, track
+
+SPACE_M = 0.05
+
+
+def table(track_id: int = 1) -> Track:
+    """A table whose top is at 0.74 m."""
+    legs = [box_surface((x, y, 0.35), (0.06, 0.06, 0.7)) for x in (-0.5, 0.5) for y in (-0.3, 0.3)]
+    return track(track_id, np.concatenate([box_surface((0, 0, 0.72), (1.2, 0.8, 0.04)), *legs]))
+
+
+def mug(bottom_m: float, x: float = 0.2, track_id: int = 2) -> Track:
+    return track(track_id, box_surface((x, 0.1, bottom_m + 0.05), (0.08, 0.08, 0.1)))
+
+
+def room() -> SpaceState:
+    """A room with its floor at 0 that is free up to a wall at x = 0.9."""
+    steps = np.arange(-1.0, 1.0, 0.025)
+    grid = np.stack(np.meshgrid(steps, steps, np.arange(0.1, 1.5, 0.025), indexing="ij"), axis=-1).reshape(-1, 3)
+    is_wall = np.abs(grid[:, 0] - 0.9) < 0.02
+    free, wall = (keys_of_points(points.astype(np.float32), SPACE_M) for points in (grid[~is_wall], grid[is_wall]))
+    state = empty_space(SPACE_M)
+    for _ in range(2):
+        state = add(state, space(free=free, structure=wall, floor_z_m=0.0))
+    return state
+
+
+def on(body: Track, *others: Track, floor_z_m: float | None = 0.0) -> Support | None:
+    return graph_of([body, *others], floor_z_m=floor_z_m).rests_on(body)
+
+
+def test_a_mug_rests_on_the_table_that_is_under_it():
+    found = on(mug(0.74), table())
+    assert (found.body, found.relation, found.by) == (2, Relation.RESTS_ON, 1)
+    assert found.height_m == pytest.approx(0.74, abs=0.01)
+
+
+def test_a_mug_with_an_unseen_lower_rim_rests_on_the_table():
+    found = on(mug(0.78), table())
+    assert found.height_m == pytest.approx(0.74, abs=0.01)
+
+
+def test_a_mug_beside_the_table_does_not_rest_on_it():
+    assert on(mug(0.74, x=0.9), table()) is None
+
+
+def test_a_table_rests_on_the_floor_and_not_on_its_mug():
+    assert on(table(), mug(0.74), floor_z_m=-0.02) == Support(
+        body=1, relation=Relation.RESTS_ON, by=None, height_m=-0.02
+    )
+
+
+def test_what_hangs_or_has_no_floor_below_rests_on_nothing():
+    assert on(track(3, box_surface((0, 0, 2.0))), table()) is None
+    assert on(table(), floor_z_m=None) is None
+
+
+def test_of_two_things_under_it_an_object_rests_on_the_higher():
+    book = track(3, box_surface((0.2, 0.1, 0.755), (0.3, 0.3, 0.03)))
+    found = on(mug(0.77), table(), book)
+    assert found.by == 3
+    assert found.height_m == pytest.approx(0.77, abs=0.01)
+
+
+POT = track(1, box_surface((0.0, 0.0, 0.3), (0.3, 0.3, 0.6)))
+BRANCH = track(2, box_surface((0.32, 0.0, 0.75), (0.16, 0.12, 0.12)))
+PICTURE = track(3, box_surface((0.86, 0.0, 1.0), (0.04, 0.4, 0.3)))
+
+
+def test_a_branch_in_free_space_hangs_from_the_pot_it_touches():
+    graph = graph_of([POT, BRANCH, PICTURE], room())
+    assert graph.hangs_from(BRANCH) == Support(body=2, relation=Relation.HANGS_FROM, by=1)
+    assert graph.hangs_from(BRANCH, [PICTURE]) is None
+    assert graph.hangs_from(POT) is None
+
+
+def test_a_picture_leans_on_the_wall_and_so_hangs_from_nothing():
+    graph = graph_of([POT, BRANCH, PICTURE], room())
+    assert graph.leans_on(PICTURE) == Support(body=3, relation=Relation.LEANS_ON, by=None)
+    assert graph.leans_on(BRANCH) is None
+    assert graph.hangs_from(PICTURE) is None
+
+
+def test_a_space_that_was_saved_supports_as_it_did():
+    saved = known_space(as_record(room()))
+    before, after = (graph_of([POT, BRANCH, PICTURE], state).edges() for state in (room(), saved))
+    assert before == after
+
+
+SEAT = track(1, box_surface((0.0, 0.0, 0.5), (0.46, 0.46, 0.1)))
+FOOT = track(
+    2, np.concatenate([box_surface((0, 0, 0.05), (0.4, 0.4, 0.08)), box_surface((0, 0, 0.25), (0.04, 0.04, 0.36))])
+)
+DESK = track(
+    3, np.concatenate([box_surface((0, 0, 0.72), (0.6, 1.2, 0.04)), box_surface((0, -0.59, 0.36), (0.6, 0.02, 0.72))])
+)
+PEDESTAL = track(4, box_surface((0.0, 0.4, 0.34), (0.4, 0.3, 0.66)))
+
+
+@pytest.mark.parametrize(("a", "b"), [(SEAT, FOOT), (FOOT, SEAT)])
+def test_the_foot_is_part_of_the_seat_whichever_is_named_first(a, b):
+    expected = Support(body=2, relation=Relation.PART_OF, by=1, reason="the lower is the foot of the upper")
+    assert graph_of([SEAT, FOOT]).foot_of(a, b) == expected
+
+
+def test_a_pedestal_is_part_of_the_desk_that_hides_its_upper_end():
+    graph = graph_of([DESK, PEDESTAL])
+    part = graph.part_of(PEDESTAL, DESK, [])
+    assert (part.body, part.by, part.reason) == (4, 3, "the smaller stands under the larger like a leg")
+    assert graph.hidden_by(PEDESTAL, DESK) == Support(body=4, relation=Relation.HIDDEN_BY, by=3)
+
+
+def test_a_mug_on_a_table_is_neither_part_of_it_nor_hidden_by_it():
+    graph = graph_of([table(), mug(0.74)])
+    assert graph.part_of(mug(0.74), table(), [table()]) is None
+    assert graph.hidden_by(mug(0.74), table()) is None
+
+
+def test_a_former_part_stays_a_part_unless_it_rests_on_something():
+    panel = track(5, box_surface((-0.27, 0.0, 0.5), (0.02, 1.0, 0.36)))
+    graph = graph_of([DESK, panel])
+    assert graph.still_part_of(panel, DESK, [], inside=0.55, max_volume=0.5) is not None
+    assert graph.still_part_of(panel, DESK, [], inside=0.55, max_volume=0.0) is None
+    board = track(6, box_surface((-0.27, 0.0, 0.29), (0.3, 1.2, 0.06)))
+    assert graph.still_part_of(panel, DESK, [board], inside=0.55, max_volume=0.5) is None
+
+
+def test_the_edges_of_a_room_equal_those_asked_one_by_one():
+    graph = graph_of([table(), mug(0.74)], floor_z_m=0.0)
+    table_edge, mug_edge = graph.edges()
+    assert (table_edge.body, table_edge.relation, table_edge.by) == (1, Relation.RESTS_ON, None)
+    assert mug_edge == graph.rests_on(mug(0.74))
+    assert graph.edges([2]) == (mug_edge,)
+    whole = graph_of([SEAT, FOOT, *(track(i, apply(SHIFT, t.solid.points)) for i, t in ((3, DESK), (4, PEDESTAL)))])
+    found = {(edge.body, edge.relation, edge.by) for edge in whole.edges()}
+    assert found == {
+        (1, Relation.RESTS_ON, 2),
+        (2, Relation.PART_OF, 1),
+        (4, Relation.PART_OF, 3),
+        (4, Relation.HIDDEN_BY, 3),
+    }
+
+
+SHIFT = np.eye(4)
+SHIFT[0, 3] = 3.0
+
+
+def test_the_graph_follows_the_bodies_that_it_was_made_of():
+    bodies = {1: table(), 2: mug(0.74)}
+    graph = graph_of(bodies, floor_z_m=0.0)
+    assert isinstance(graph, SupportGraph)
+    del bodies[1]
+    assert graph.rests_on(bodies[2]) is None

@@ -1,0 +1,225 @@
+"""Merging: duplicates become one with both histories, and one bad frame welds nothing."""
+
+from dataclasses import replace
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.mapping.entities.cloud import Cloud, cloud_of
+from hickory_stream.mapping.entities.track import Track
+from hickory_stream.mapping.entities.track_table import TrackTable
+from hickory_stream.mapping.entities.views import ViewConfig
+from hickory_stream.mapping.rules.merging import (
+    DUPLICATE_SHARE,
+    SURE_SHARE,
+    MergeConfig,
+    VoteBook,
+    Votes,
+    find_pair,
+    merge,
+    pairs_that_meet,
+    points_on_others,
+)
+from hickory_stream.records import Phase
+from tests.mapping.mapping_fixtures import SECOND_NS, VOXEL_M, box_surface, graph_of, shape, track, view
+
+CONFIG = MergeConfig()
+VIEWS = ViewConfig()
+
+pairs = st.tuples(st.integers(1, 5), st.integers(1, 5)).filter(lambda pair: pair[0] != pair[1])
+
+
+@st.composite
+def vote_books(draw: st.DrawFn) -> VoteBook:
+    book = VoteBook()
+    for pair in draw(st.lists(pairs, max_size=12)):
+        book = book.plus([pair], together=draw(st.integers(0, 3)), apart=draw(st.integers(0, 3)))
+    return book
+
+
+def cloud(points: np.ndarray) -> Cloud:
+    return cloud_of(points, np.zeros((len(points), 3), dtype=np.uint8), VOXEL_M)
+
+
+def found(book: VoteBook, *tracks: Track) -> tuple[int, int] | None:
+    known = TrackTable({t.id: t for t in tracks})
+    pair = find_pair(known, known, book, graph_of(known), CONFIG)
+    return pair[:2] if pair is not None else None
+
+
+@given(vote_books(), pairs)
+def test_the_votes_of_a_pair_do_not_depend_on_its_order(book, pair):
+    assert book.of(*pair) == book.of(*reversed(pair))
+
+
+@given(vote_books(), pairs, st.integers(0, 3), st.integers(0, 3))
+def test_a_vote_counts_for_its_pair_alone(book, pair, together, apart):
+    after = book.plus([pair], together=together, apart=apart)
+    for a in range(1, 6):
+        for b in range(a + 1, 6):
+            more = (together, apart) if {a, b} == set(pair) else (0, 0)
+            before = book.of(a, b)
+            assert after.of(a, b) == Votes(before.together + more[0], before.apart + more[1])
+
+
+@given(vote_books(), pairs)
+def test_after_a_merge_the_kept_track_has_the_votes_of_both(book, pair):
+    kept, gone = pair
+    after = book.merged(kept, gone)
+    for other in set(range(1, 6)) - {kept, gone}:
+        mine, theirs = book.of(kept, other), book.of(gone, other)
+        assert after.of(kept, other) == Votes(mine.together + theirs.together, mine.apart + theirs.apart)
+    assert after.of(kept, gone) == Votes()
+    assert not any(gone in known for known in after.votes)
+
+
+@given(vote_books(), st.integers(1, 5))
+def test_a_dropped_track_leaves_no_votes_and_takes_no_others(book, gone):
+    after = book.without(gone)
+    assert not any(gone in known for known in after.votes)
+    assert all(after.votes[known] == votes for known, votes in book.votes.items() if gone not in known)
+
+
+def test_tracks_with_equal_points_are_one_with_the_lower_id():
+    points = box_surface((0, 0, 0.1))
+    assert found(VoteBook(), track(8, points), track(3, points)) == (3, 8)
+
+
+def test_a_piece_that_lies_on_a_larger_track_is_that_track():
+    table = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04))
+    assert found(VoteBook(), track(1, table), track(2, table[table[:, 0] > 0.3])) == (1, 2)
+
+
+def test_tracks_that_are_apart_or_side_by_side_are_two():
+    box = track(1, box_surface((0, 0, 0.1)))
+    assert found(VoteBook(), box, track(2, box_surface((1, 0, 0.1)))) is None
+    assert found(VoteBook(), box, track(2, box_surface((0.23, 0, 0.1)))) is None
+
+
+def test_a_mug_on_a_table_is_not_the_table():
+    table, mug = box_surface((0, 0, 0.7), (1.2, 0.8, 0.04)), box_surface((0.2, 0.1, 0.775), (0.08, 0.08, 0.1))
+    assert found(VoteBook(), track(1, table), track(2, mug)) is None
+
+
+def test_a_thing_on_a_third_is_no_part_of_the_one_around_it():
+    seat, back = box_surface((0, 0, 0.45), (0.4, 0.4, 0.04)), box_surface((0.19, 0, 0.75), (0.02, 0.4, 0.24))
+    chair = track(1, np.concatenate([seat, back]))
+    mug = track(2, box_surface((0.13, 0, 0.65), (0.08, 0.08, 0.1)))
+    table = track(3, box_surface((-0.3, 0, 0.575), (0.96, 1.0, 0.04)))
+    assert found(VoteBook(), chair, mug) == (1, 2)
+    assert found(VoteBook(), chair, mug, table) is None
+
+
+@pytest.mark.parametrize(
+    ("together", "apart", "verdict"),
+    [(2, 0, None), (3, 0, (1, 2)), (3, 2, (1, 2)), (3, 3, None), (3, 9, None), (10, 9, (1, 2)), (0, 0, None)],
+)
+def test_pieces_merge_when_seen_as_one_more_often_than_apart(together, apart, verdict):
+    book = VoteBook().plus([(1, 2)], together=together, apart=apart)
+    pieces = track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.21, 0, 0.1)))
+    assert found(book, *pieces) == verdict
+
+
+def test_votes_of_things_that_do_not_even_touch_weld_nothing():
+    book = VoteBook().plus([(1, 2)], together=50)
+    assert found(book, track(1, box_surface((0, 0, 0.1))), track(2, box_surface((0.6, 0, 0.1)))) is None
+
+
+def test_what_was_seen_apart_needs_more_overlap_to_be_one():
+    # Two sheets of equal size, one voxel thick: about six tenths of either lie on the other, between the two limits.
+    sheet = np.stack(np.meshgrid(np.arange(50), np.arange(20), [0.5]), axis=-1).reshape(-1, 3) * VOXEL_M
+    shifted = sheet + np.array([20 * VOXEL_M, 0, 0])
+    assert DUPLICATE_SHARE < 30 / 50 < 31 / 50 < SURE_SHARE
+    sheets = [track(i, (points + VOXEL_M / 2).astype(np.float32)) for i, points in ((1, sheet), (2, shifted))]
+    assert found(VoteBook(), *sheets) == (1, 2)
+    assert found(VoteBook().plus([(1, 2)], apart=1), *sheets) is None
+    assert found(VoteBook().plus([(1, 2)], apart=1, together=1), *sheets) == (1, 2)
+
+
+def test_only_pairs_with_a_changed_track_are_looked_at():
+    points = box_surface((0, 0, 0.1))
+    known = TrackTable({1: track(1, points), 2: track(2, points), 3: track(3, box_surface((2, 0, 0.1)))})
+    assert find_pair(known, [3], VoteBook(), graph_of(known), CONFIG) is None
+    assert find_pair(known, [2, 99], VoteBook(), graph_of(known), CONFIG) is not None
+
+
+def test_points_on_another_track_count_and_a_cover_is_named():
+    left, right = box_surface((0, 0, 0.1)), box_surface((0.24, 0, 0.1))
+    seen = cloud(np.concatenate([left, right]))
+    foreign, covered = points_on_others(seen, track(1, left), [track(2, right)])
+    assert covered == [2]
+    assert (seen.points[foreign][:, 0] > 0.12).all()
+    assert foreign.sum() > 0.8 * (seen.points[:, 0] > 0.14).sum()
+
+
+def test_points_that_lie_on_the_own_track_too_stay():
+    points = box_surface((0, 0, 0.1))
+    foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, points)])
+    assert not foreign.any()
+    assert covered == [2]
+
+
+def test_a_track_that_is_only_brushed_is_not_covered():
+    vase, table = box_surface((0, 0, 0.2), (0.08, 0.08, 0.4)), box_surface((0, 0, -0.02), (1.2, 0.8, 0.04))
+    _, covered = points_on_others(cloud(vase), track(1, vase), [track(2, table)])
+    # The vase's lowest cells are beside the table's: less than a third of it.
+    assert covered == []
+
+
+def test_nothing_is_foreign_where_no_other_track_is():
+    points = box_surface((0, 0, 0.1))
+    foreign, covered = points_on_others(cloud(points), track(1, points), [track(2, box_surface((3, 0, 0.1)))])
+    assert not foreign.any()
+    assert covered == []
+
+
+def two_tracks() -> tuple[Track, Track]:
+    kept = replace(
+        track(1, box_surface((0, 0, 0.1)), sightings=4), first_seen_ns=3 * SECOND_NS, last_seen_ns=9 * SECOND_NS,
+        seen_clock_ns=6, coverage=((2, view(3)),), best_view=view(4, score=0.3), merged_ids=(7,), seen_through=2,
+    )  # fmt: skip
+    gone = replace(
+        track(5, box_surface((0.1, 0, 0.1)), sightings=9, phase=Phase.DORMANT), first_seen_ns=1 * SECOND_NS,
+        last_seen_ns=5 * SECOND_NS, seen_clock_ns=2, coverage=((0, view(5)), (2, view(6, r_area=0.9))),
+        best_view=view(6, score=0.5, r_area=0.9), shape=shape(3), merged_ids=(6,), seen_through=1,
+    )  # fmt: skip
+    return kept, gone
+
+
+def test_a_merged_track_has_the_earliest_and_latest_stamps():
+    kept, gone = two_tracks()
+    one = merge(kept, gone, VOXEL_M)
+    assert (one.id, one.merged_ids) == (1, (5, 6, 7))
+    assert (one.first_seen_ns, one.last_seen_ns) == (1 * SECOND_NS, 9 * SECOND_NS)
+    assert (one.seen_clock_ns, one.seen_through) == (6, 1)
+
+
+def test_a_merged_track_has_the_points_of_both():
+    kept, gone = two_tracks()
+    one = merge(kept, gone, VOXEL_M)
+    assert np.array_equal(one.cloud.keys, np.union1d(kept.cloud.keys, gone.cloud.keys))
+    assert one.box.contains(one.cloud.points, VOXEL_M).all()
+
+
+def test_a_merged_track_has_the_better_view_of_every_sector():
+    kept, gone = two_tracks()
+    one = merge(kept, gone, VOXEL_M)
+    assert (one.best_view.frame_index, one.best_view.score, one.best_view.object_id) == (6, 0.5, 1)
+    assert [(sector, kept_view.frame_index) for sector, kept_view in one.coverage] == [(0, 5), (2, 6)]
+    assert {kept_view.object_id for kept_view in one.views} == {1}
+
+
+def test_a_merged_track_keeps_shape_and_phase_of_the_more_seen():
+    kept, gone = two_tracks()
+    one = merge(kept, gone, VOXEL_M)
+    assert one.shape is gone.shape
+    assert one.phase is Phase.DORMANT
+    mine = shape(9)
+    assert merge(replace(kept, shape=mine), gone, VOXEL_M).shape is mine
+
+
+def test_observations_meet_within_a_hands_width():
+    bounds = [bounds_of(box_surface((x, 0, 0), (0.2, 0.2, 0.2))) for x in (0.0, 0.3, 0.8)]
+    assert pairs_that_meet(bounds, [7, 4, 5]) == {(4, 7)}
+    assert pairs_that_meet([], []) == set()

@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+import trimesh
+from hickory_stream.pictures.rasterize import Dots, first_hits
+from hickory_stream.pictures.raycast import Scene, Surface
+from hickory_stream.pictures.viewpoint import from_above, from_corner
+
+CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (0.0, 1.0)])
+WITHIN = np.array([[0, 0], [0.375, -0.125]], dtype=np.float32)
+
+
+def surfaces() -> list[Surface]:
+    """A ball of random colours within a box, which hides a part of it."""
+    ball, box = trimesh.creation.icosphere(subdivisions=3, radius=0.6), trimesh.creation.box((1.2, 0.3, 0.8))
+    random = np.random.default_rng(3)
+    return [
+        Surface(
+            vertices=mesh.vertices + np.array([0, 0, 0.5]),
+            faces=mesh.faces,
+            colors=random.integers(0, 255, (len(mesh.vertices), 3)).astype(np.uint8),
+            owner=owner,
+        )
+        for owner, mesh in ((4, ball), (9, box))
+    ]
+
+
+@pytest.mark.parametrize(
+    "viewpoint", [from_above(CORNERS, 90, 70, 3), from_corner(CORNERS, 0.7, 0.6, 90, 70, 3)], ids=["above", "corner"]
+)
+def test_what_is_seen_first_is_what_rays_meet_first(viewpoint):
+    made = surfaces()
+    for hits, within in zip(first_hits(made, [], viewpoint, within_px=WITHIN), WITHIN, strict=True):
+        rays = Scene(made).cast(*viewpoint.rays(viewpoint.centers_px() + within))
+        assert {-1, 4, 9} == set(np.unique(rays.owners))
+        same = hits.owners == rays.owners
+        assert same.mean() > 0.999
+        met = same & (rays.owners >= 0)
+        assert np.allclose(hits.distance_m[met], rays.distance_m[met], atol=1e-4)
+        assert np.allclose(hits.colors[met], rays.colors[met], atol=0.01)
+        assert ((hits.normals * rays.normals).sum(axis=1)[met] > 0.99).mean() > 0.99
+
+
+def test_an_image_on_a_surface_shows_where_nothing_hides_it():
+    vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    image = np.zeros((4, 4, 3), np.uint8)
+    image[:, :2] = (255, 0, 0)
+    uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]])
+    floor = Surface(
+        vertices=vertices, faces=[[0, 1, 2], [0, 2, 3]], colors=np.zeros((4, 3), np.uint8), owner=1, uv=uv, image=image
+    )
+    dot = Dots(points=[[-0.5, 0.5, 0.5]], colors=np.uint8([[0, 255, 0]]), half_m=0.2, owner=2)
+    viewpoint = from_above(CORNERS, 40, 40, 0)
+    (hits,) = first_hits([floor], [dot], viewpoint)
+    colors, owners = hits.colors.reshape(40, 40, 3), hits.owners.reshape(40, 40)
+    assert colors[35, 5] == pytest.approx((1, 0, 0))
+    assert colors[35, 35] == pytest.approx((0, 0, 0))
+    assert colors[10, 10] == pytest.approx((0, 1, 0))
+    assert (owners == 2).sum() == 8 * 8
+    assert (owners == 1).sum() == 40 * 40 - 8 * 8
+
+
+def test_far_dots_leave_no_holes_and_many_are_thinned():
+    side = np.linspace(-0.9, 0.9, 300, dtype=np.float32)
+    x, y = np.meshgrid(side, side, indexing="ij")
+    points = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+    dots = Dots(points=points, colors=np.zeros((len(points), 3), np.uint8), half_m=0.004, owner=5)
+    viewpoint = from_above(CORNERS, 60, 60, 0)
+    for step in (1, 3):
+        owners = first_hits([], [dots], viewpoint, step_px=step)[0].owners.reshape(60 // step, 60 // step)
+        rim = 6 // step
+        assert (owners[rim:-rim, rim:-rim] == 5).all()
+        assert (owners[0] == -1).all()

@@ -1,0 +1,259 @@
+import json
+from pathlib import Path
+import numpy as np
+import pytest
+from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.depth_sensor import DepthSensor
+from hickory_stream.geometry.rigid import from_rotation_translation
+from players import SourceOptions, open_source
+from tests import player_scenes as scenes
+
+TRUTH = scenes.make_scene()
+REGISTERED = SourceOptions(profile="registered")
+
+
+@pytest.fixture
+def seven(tmp_path: Path) -> Path:
+    return scenes.write_seven_scenes(tmp_path / "seven", TRUTH)
+
+
+@pytest.fixture
+def tum(tmp_path: Path) -> Path:
+    return scenes.write_tum(tmp_path / "tum", TRUTH)
+
+
+@pytest.fixture
+def posed(tmp_path: Path) -> Path:
+    return scenes.write_posed_folder(tmp_path / "posed", TRUTH)
+
+
+def test_7_scenes_colour_is_a_camera_of_its_own_by_default(tmp_path):
+    depth_camera = Camera(width=160, height=120, fx=146.25, fy=146.25, cx=80.0, cy=60.0)
+    profile = tmp_path / "small.toml"
+    profile.write_text(
+        "color_from_depth_m = [-0.0343, 0.0080, 0.0]\n[color]\nfx = 131.4\nfy = 131.4\ncx = 80.9\ncy = 58.9\n"
+    )
+    color_camera = Camera(width=160, height=120, fx=131.4, fy=131.4, cx=80.9, cy=58.9)
+    color_from_depth = from_rotation_translation(np.eye(3), np.array([-0.0343, 0.0080, 0.0]))
+    frames = []
+    for truth in TRUTH:
+        # The scene's pose is the colour camera's; the folder holds the depth camera's.
+        world_from_depth = truth.world_from_camera @ color_from_depth
+        depth = scenes.cast(depth_camera, world_from_depth)[1]
+        frames.append(
+            scenes.SceneFrame(
+                stamp_ns=truth.stamp_ns,
+                world_from_camera=world_from_depth,
+                rgb=scenes.cast(color_camera, truth.world_from_camera)[0],
+                depth_mm=np.round(np.where(depth < 6, depth, 0) * 1000).astype(np.uint16),
+            )
+        )
+    folder = scenes.write_seven_scenes(tmp_path / "seven", frames, depth_camera)
+    source = open_source(folder, SourceOptions(profile=str(profile)))
+    assert source.info.camera == color_camera
+    for raw, truth in zip(source.frames(), TRUTH, strict=True):
+        np.testing.assert_allclose(raw.world_from_camera, truth.world_from_camera, atol=1e-6)
+        depth_m, expected = raw.decode().depth_m, scenes.cast(color_camera, truth.world_from_camera)[1]
+        both = np.isfinite(depth_m) & np.isfinite(expected)
+        assert (np.abs(depth_m - expected)[both] < 0.05).mean() > 0.95
+
+
+def test_the_profile_of_7_scenes_is_the_fitted_colour_camera(seven):
+    camera = open_source(seven).info.camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (525.7, 525.7, 323.6, 235.7)
+
+
+def test_7_scenes_stamps_are_file_numbers_at_30_hz(seven):
+    stamps = [frame.stamp_ns for frame in open_source(seven, REGISTERED).frames()]
+    assert stamps == [100_000_000 * i for i in range(len(TRUTH))]
+
+
+def test_the_world_is_turned_upright_by_the_gravity_file(seven):
+    upright = next(open_source(seven, REGISTERED).frames()).world_from_camera
+    (seven / "gravity-direction.txt").unlink()
+    tilted = next(open_source(seven, REGISTERED).frames()).world_from_camera
+    np.testing.assert_allclose(upright, TRUTH[0].world_from_camera, atol=1e-9)
+    assert np.degrees(np.arccos((upright @ np.linalg.inv(tilted))[2, 2])) == pytest.approx(30.0)
+
+
+def test_files_without_partners_or_poses_are_counted(seven):
+    (seven / "frame-000000.color.png").unlink()
+    (seven / "frame-000003.depth.png").unlink()
+    np.savetxt(seven / "frame-000006.pose.txt", np.full((4, 4), np.nan))
+    source = open_source(seven, REGISTERED)
+    assert len(list(source.frames())) == len(TRUTH) - 3
+    fates = {"color_without_depth": 1, "depth_without_color": 1, "no_pose": 1}
+    assert source.ledger() == {"frames": len(TRUTH) - 3, **fates}
+    account = source.account().as_dict()
+    assert account["declared"] == 2 * len(TRUTH) - 2
+    assert account["used"] == 2 * (len(TRUTH) - 3)
+    assert account["rejected"] == {"color_without_depth": 1, "depth_without_color": 1, "no_pose": 2}
+    assert (account["difference"], account["not_played"], account["is_complete"]) == (0, 0, True)
+
+
+def test_a_7_scenes_folder_without_intrinsics_is_refused(seven):
+    (seven / "camera-intrinsics.txt").unlink()
+    with pytest.raises(CalibrationError, match=r"has no camera-intrinsics\.txt; it must hold the 3x3"):
+        open_source(seven)
+
+
+def test_7_scenes_without_its_own_poses_is_refused(seven):
+    for file in seven.glob("*.pose.txt"):
+        file.unlink()
+    with pytest.raises(RecordingError, match=r"no frame has colour, depth and a pose; found 6 no_pose"):
+        open_source(seven, SourceOptions(odometry="topic"))
+
+
+@pytest.mark.parametrize("text", ["1 2 3", "a b c", "0 0 0 0 0 0 0 0 1"])
+def test_intrinsics_that_are_none_are_refused(seven, text):
+    (seven / "camera-intrinsics.txt").write_text(text)
+    with pytest.raises((CalibrationError, RecordingError), match=r"camera-intrinsics\.txt"):
+        open_source(seven)
+
+
+def test_a_torn_image_fails_when_it_is_decoded_and_only_then(seven):
+    torn = seven / "frame-000006.depth.png"
+    torn.write_bytes(torn.read_bytes()[:-30])
+    source = open_source(seven, REGISTERED)
+    frames = list(source.frames())
+    with pytest.raises(RecordingError, match=r"frame-000006\.depth\.png is torn"):
+        frames[2].decode()
+    assert source.ledger() == {"frames": len(TRUTH), "unreadable_image": 1}
+
+
+def test_a_frame_of_another_size_is_counted_and_skipped(seven):
+    scenes.write_png(seven / "frame-000006.color.png", np.zeros((30, 40, 3), dtype=np.uint8))
+    source = open_source(seven, REGISTERED)
+    assert [frame.index for frame in source.frames()] == list(range(len(TRUTH) - 1))
+    assert source.ledger() == {"frames": len(TRUTH) - 1, "frame_of_other_size": 1}
+
+
+def test_depth_without_a_single_return_is_a_frame_and_counted(seven):
+    scenes.write_png(seven / "frame-000000.depth.png", np.zeros((60, 80), dtype=np.uint16))
+    source = open_source(seven, REGISTERED)
+    assert np.isnan(next(source.frames()).decode().depth_m).all()
+    assert source.ledger()["depth_without_returns"] == 1
+
+
+def test_the_sensor_of_a_profile_bounds_the_depth_of_frames(seven, tmp_path):
+    profile = tmp_path / "mine.toml"
+    plain = next(open_source(seven, REGISTERED).frames()).decode()
+    farthest_m = float(np.nanmedian(plain.depth_m))
+    profile.write_text(f"[sensor]\nnoise_per_m = 0.0019\nmax_m = {farthest_m!r}\nbias_m = 0.1\n")
+    frame = next(open_source(seven, SourceOptions(profile=str(profile))).frames()).decode()
+    assert frame.sensor == DepthSensor(noise_per_m=0.0019, max_m=farthest_m, bias_m=0.1)
+    expected = np.where(plain.depth_m - 0.1 <= farthest_m, plain.depth_m - np.float32(0.1), np.nan)
+    np.testing.assert_allclose(frame.depth_m, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("depth_unit = 3", "unexpected keyword argument 'depth_unit'"),
+        ("[color]\nfx = 3.0", "missing"),
+        ("frame_rate_hz = 0", "frame_rate_hz is 0; expected 1 to 1000 Hz"),
+        ("[sensor]\nmax_m = -5", "max_m is -5; expected 0.01 to 10000 m"),
+        ("depth_units_per_m = nan", "depth_units_per_m is nan; expected 0.001 to 1000000000 1/m"),
+        ("color_from_depth_m = [0, inf, 0]", "color_from_depth_m is .*inf.*; expected -100 to 100 m"),
+        ("[color]\nfx = nan\nfy = 1\ncx = 1\ncy = 1", "fx is nan; expected 0.001 to 1000000 px"),
+        ("[time]\nsync_tolerance_ms = nan", "sync_tolerance_ms is nan; expected 0.001 to 3600000 ms"),
+        ("[time]\njump_m = inf", "jump_m is inf; expected 0.001 to 1000 m"),
+        (
+            '[rig]\nbody = "a"\ncolor = "b"\ndepth = "b"\n'
+            '[[rig.links]]\nparent = "a"\nchild = "b"\ntranslation_m = [0, nan, 0]',
+            "translation_m is .*nan.*; expected -1000 to 1000 m",
+        ),
+        ("= 4", "Invalid"),
+    ],
+)
+def test_a_profile_with_a_mistake_is_refused(seven, tmp_path, text, message):
+    profile = tmp_path / "mine.toml"
+    profile.write_text(text)
+    with pytest.raises(CalibrationError, match=message):
+        open_source(seven, SourceOptions(profile=str(profile)))
+
+
+def test_an_unknown_profile_is_refused_with_the_known_ones(seven):
+    with pytest.raises(CalibrationError, match=r"no profile 'kinect'; there are hope, kimera_multi, .*, tum, zed"):
+        open_source(seven, SourceOptions(profile="kinect"))
+
+
+@pytest.mark.parametrize("name", ["depth.txt"])
+def test_a_tum_folder_names_the_list_that_is_missing(tum, name):
+    (tum / name).unlink()
+    with pytest.raises(RecordingError, match=f"looks like TUM RGB-D but has no {name}"):
+        open_source(tum)
+
+
+def test_a_tum_folder_without_intrinsics_uses_the_profile(tum):
+    (tum / "camera-intrinsics.txt").unlink()
+    camera = open_source(tum).info.camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (525.0, 525.0, 319.5, 239.5)
+
+
+def test_tum_poses_that_never_overlap_are_refused_with_ranges(tum):
+    (tum / "groundtruth.txt").write_text("100.5 0 0 0 0 0 0 1\n101.5 0 0 0 0 0 0 1\n")
+    with pytest.raises(
+        RecordingError, match=r"images from 1700000000\.123 s to .* poses from 100\.500 s to 101\.500 s"
+    ):
+        open_source(tum)
+
+
+def test_a_tum_trajectory_without_poses_is_refused(tum):
+    (tum / "groundtruth.txt").write_text("# nothing\n100.5 0 0 0 0 0 0 0\n")
+    with pytest.raises(RecordingError, match=r"groundtruth\.txt holds no pose"):
+        open_source(tum)
+
+
+def test_a_broken_tum_list_names_the_line(tum):
+    (tum / "rgb.txt").write_text("# list\nsoon rgb/1.png\n")
+    with pytest.raises(RecordingError, match=r"rgb\.txt, line 2: 'soon' is no stamp"):
+        open_source(tum)
+
+
+def test_a_narrow_tolerance_leaves_tum_images_unpaired(tum):
+    with pytest.raises(RecordingError, match="found 6 color_without_depth, 6 depth_without_color"):
+        open_source(tum, SourceOptions(sync_tolerance_ns=1_000_000))
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"fx": 70.0, "fy": 70.0, "cx": 39.5, "cy": 29.5, "depth_scale": 0.001},
+        {"K": scenes.CAMERA.K.tolist(), "depth_units_per_m": 1000.0},
+        {"camera": {"fx": 70.0, "fy": 70.0, "cx": 39.5, "cy": 29.5}},
+    ],
+)
+def test_cam_params_are_read_as_people_write_them(posed, parameters):
+    (posed / "cam_params.json").write_text(json.dumps(parameters))
+    source = open_source(posed)
+    assert source.info.camera == scenes.CAMERA
+    np.testing.assert_allclose(next(source.frames()).decode().depth_m, TRUTH[0].depth_m, atol=1e-6)
+
+
+def test_poses_of_twelve_numbers_are_as_good_as_of_sixteen(posed):
+    np.savetxt(posed / "camera_poses.txt", [truth.world_from_camera[:3].ravel() for truth in TRUTH])
+    for raw, truth in zip(open_source(posed).frames(), TRUTH, strict=True):
+        np.testing.assert_allclose(raw.world_from_camera, truth.world_from_camera, atol=1e-9)
+
+
+def test_as_many_poses_as_images_are_needed(posed):
+    np.savetxt(posed / "camera_poses.txt", [truth.world_from_camera.ravel() for truth in TRUTH[:-1]])
+    with pytest.raises(RecordingError, match=r"5 poses in camera_poses\.txt for 6 images"):
+        open_source(posed)
+
+
+def test_a_pose_of_another_length_names_the_line(posed):
+    (posed / "camera_poses.txt").write_text("1 2 3 4 5 6 7\n")
+    with pytest.raises(RecordingError, match=r"line 1: 7 numbers; expected 16 or 12"):
+        open_source(posed)
+
+
+def test_missing_parameters_are_a_missing_calibration(posed):
+    (posed / "cam_params.json").write_text('{"fx": 3}')
+    with pytest.raises(CalibrationError, match=r"cam_params\.json: KeyError\('fy'\); expected fx, fy"):
+        open_source(posed)
+    (posed / "cam_params.json").unlink()
+    with pytest.raises(CalibrationError, match=r"has no cam_params\.json"):
+        open_source(posed)

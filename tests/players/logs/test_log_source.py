@@ -1,0 +1,446 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+import cv2
+import numpy as np
+import pytest
+from hickory_stream.errors import CalibrationError, RecordingError
+from hickory_stream.geometry.camera import Camera
+from hickory_stream.geometry.rigid import from_rotation_translation
+from hickory_stream.ports import Source
+from players import SourceOptions, open_source
+from tests import player_scenes as scenes
+
+Change = Callable[[scenes.Message], scenes.Message | None]
+
+MS = 1_000_000
+M = scenes.Messages(ros=2)
+TRUTH = scenes.make_scene()
+LOG = scenes.scene_messages(M, TRUTH, scenes.png_images)
+RAW_LOG = scenes.scene_messages(M, TRUTH, scenes.raw_images)
+COLOR_INFO = "/cam/color/camera_info"
+DEPTH_INFO = "/cam/aligned_depth/camera_info"
+
+
+def _open(path: Path, messages: list[scenes.Message], options: SourceOptions | None = None, **settings: Any) -> Source:
+    log = scenes.write_mcap(path / "log.mcap", M, sorted(messages, key=lambda m: m.stamp_ns), **settings)
+    return open_source(log, options)
+
+
+def _changed(topic: str, change: Change, messages: list[scenes.Message] = LOG) -> list[scenes.Message]:
+    """Return the log with the messages of a topic changed, or removed where the change is None."""
+    out = [change(message) if message.topic == topic else message for message in messages]
+    return [message for message in out if message is not None]
+
+
+def _without(*topics: str) -> list[scenes.Message]:
+    return [message for message in LOG if message.topic not in topics]
+
+
+def _only(index: int, change: Change) -> Change:
+    """Apply a change to one image only."""
+    stamps = (TRUTH[index].stamp_ns, TRUTH[index].stamp_ns + 9 * MS)
+    return lambda message: change(message) if message.stamp_ns in stamps else message
+
+
+def _with_info(topic: str, info: Any) -> list[scenes.Message]:
+    return _changed(topic, lambda message: replace(message, message=info))
+
+
+def test_a_log_without_depth_lists_topics_and_the_option(tmp_path):
+    with pytest.raises(
+        RecordingError, match=r"no depth topic.*/cam/color/image_rect/compressed \(sensor_msgs.*--depth-topic"
+    ):
+        _open(tmp_path, _without(scenes.PNG_DEPTH))
+
+
+def test_a_log_without_colour_lists_topics_and_the_option(tmp_path):
+    with pytest.raises(RecordingError, match=r"no colour topic.*compressedDepth \(sensor_msgs.*--color-topic"):
+        _open(tmp_path, _without(scenes.PNG_COLOR))
+
+
+def test_a_log_without_poses_lists_its_topics(tmp_path):
+    with pytest.raises(RecordingError, match=r"no poses.*nav_msgs/msg/Odometry.*/cam/color/camera_info"):
+        _open(tmp_path, _without("/odom", "/tf_static"), SourceOptions(odometry="topic"))
+
+
+def test_a_log_without_intrinsics_names_where_they_were_sought(tmp_path):
+    with pytest.raises(CalibrationError, match=r"no intrinsics for .*/cam/color/camera_info.*none.*--color-info-topic"):
+        _open(tmp_path, _without(COLOR_INFO, DEPTH_INFO))
+
+
+def test_depth_in_the_colour_frame_needs_no_calibration(tmp_path):
+    source = _open(tmp_path, _without(DEPTH_INFO))
+    assert len(list(source.frames())) == len(TRUTH)
+    assert dict(source.info.streams)["depth_info"] == COLOR_INFO
+
+
+def test_a_camera_matrix_of_zeros_is_a_missing_calibration(tmp_path):
+    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, scenes.CAMERA)
+    zeros = replace(info, k=np.zeros(9), p=np.zeros(12))
+    with pytest.raises(CalibrationError, match=r"/cam/color/camera_info holds no intrinsics \(K = \[0"):
+        _open(tmp_path, _with_info(COLOR_INFO, zeros))
+
+
+def test_odometry_without_a_way_to_the_camera_names_both_frames(tmp_path):
+    with pytest.raises(
+        CalibrationError, match=r"no transform from base_link to the camera's frame cam_optical.*--pose-frame"
+    ):
+        _open(tmp_path, _without("/tf_static"))
+
+
+def test_depth_without_a_link_to_colour_names_both_frames(tmp_path):
+    other = M.header(TRUTH[0].stamp_ns, "depth_optical")
+
+    def move(message: scenes.Message) -> scenes.Message:
+        return replace(
+            message, message=replace(message.message, header=replace(message.message.header, frame_id=other.frame_id))
+        )
+
+    with pytest.raises(CalibrationError, match=r"depth's frame depth_optical to the colour's cam_optical"):
+        _open(tmp_path, _changed(scenes.PNG_DEPTH, move))
+
+
+def test_poses_that_never_overlap_are_refused_with_ranges(tmp_path):
+    def later(message: scenes.Message) -> scenes.Message:
+        stamp_ns = message.stamp_ns + 3_600_000 * MS
+        return replace(message, message=replace(message.message, header=M.header(stamp_ns, "odom")))
+
+    with pytest.raises(RecordingError, match=r"images from 1700000000\.123 s.*poses of /odom from 1700003600\."):
+        _open(tmp_path, _changed("/odom", later))
+
+
+def test_colour_and_depth_that_never_meet_are_refused(tmp_path):
+    def later(message: scenes.Message) -> scenes.Message:
+        header = M.header(message.stamp_ns + 40_000 * MS, scenes.OPTICAL)
+        return replace(message, message=replace(message.message, header=header))
+
+    with pytest.raises(RecordingError, match=r"within 50\.0 ms: .*from 1700000000\.123 s.*from 1700000040\.132 s"):
+        _open(tmp_path, _changed(scenes.PNG_DEPTH, later))
+
+
+def test_a_missing_topic_is_refused_with_the_existing_ones(tmp_path):
+    with pytest.raises(RecordingError, match=r"no topic /left for --color-topic; it has: /cam/aligned"):
+        _open(tmp_path, LOG, SourceOptions(color_topic="/left"))
+
+
+def test_a_log_without_messages_is_told(tmp_path):
+    with pytest.raises(RecordingError, match=r"\(MCAP\) holds no messages"):
+        _open(tmp_path, [])
+
+
+@pytest.mark.parametrize(
+    ("topic", "encoding"), [(scenes.RAW_COLOR, "jpeg2000"), (scenes.RAW_DEPTH, "64FC1"), (scenes.RAW_DEPTH, "rgb8")]
+)
+def test_an_encoding_that_is_not_known_is_refused_at_once(tmp_path, topic, encoding):
+    def recode(message: scenes.Message) -> scenes.Message:
+        return replace(message, message=replace(message.message, encoding=encoding))
+
+    with pytest.raises(RecordingError, match=rf"{topic} is encoded as '{encoding}'; .* must be one of"):
+        _open(tmp_path, _changed(topic, recode, RAW_LOG))
+
+
+def test_inverse_depth_without_parameters_is_refused(tmp_path):
+    def recode(message: scenes.Message) -> scenes.Message:
+        return replace(message, message=replace(message.message, format="32FC1; compressedDepth png"))
+
+    source = _open(tmp_path, _changed(scenes.PNG_DEPTH, recode))
+    with pytest.raises(RecordingError, match="inverse depth without parameters"):
+        next(source.frames()).decode()
+    assert source.ledger()["unreadable_image"] == 1
+
+
+@pytest.mark.parametrize("topic", [scenes.PNG_COLOR, scenes.PNG_DEPTH])
+@pytest.mark.parametrize("size", [0, 60])
+def test_a_torn_image_fails_when_it_is_decoded_and_only_then(tmp_path, topic, size):
+    def tear(message: scenes.Message) -> scenes.Message:
+        return replace(message, message=replace(message.message, data=message.message.data[:size]))
+
+    source = _open(tmp_path, _changed(topic, _only(2, tear)))
+    frames = list(source.frames())
+    assert len(frames) == len(TRUTH)
+    with pytest.raises(RecordingError, match=topic):
+        frames[2].decode()
+    frames[3].decode()
+    assert source.ledger() == {"frames": len(TRUTH), "unreadable_image": 1}
+
+
+def test_a_first_image_without_bytes_does_not_stop_the_log(tmp_path):
+    def empty(message: scenes.Message) -> scenes.Message:
+        return replace(message, message=replace(message.message, data=message.message.data[:0]))
+
+    assert len(list(_open(tmp_path, _changed(scenes.PNG_COLOR, _only(0, empty))).frames())) == len(TRUTH)
+
+
+def test_a_frame_of_another_size_is_counted_and_skipped(tmp_path):
+    small = scenes.png_bytes(np.zeros((30, 40, 3), dtype=np.uint8))
+
+    def shrink(message: scenes.Message) -> scenes.Message:
+        return replace(message, message=M.compressed(message.stamp_ns, scenes.OPTICAL, "png", small))
+
+    source = _open(tmp_path, _changed(scenes.PNG_COLOR, _only(2, shrink)))
+    stamps = [frame.stamp_ns for frame in source.frames()]
+    assert stamps == [frame.stamp_ns for i, frame in enumerate(TRUTH) if i != 2]
+    assert source.ledger() == {"frames": len(TRUTH) - 1, "frame_of_other_size": 1}
+
+
+def test_images_that_all_contradict_calibration_are_refused(tmp_path):
+    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, replace(scenes.CAMERA, width=1280, height=720))
+    with pytest.raises(CalibrationError, match=r"for 1280x720 and 80x60 pixels; no pair"):
+        _open(tmp_path, _with_info(COLOR_INFO, info))
+
+
+def test_depth_without_a_single_return_is_a_frame_and_counted(tmp_path):
+    def blind(message: scenes.Message) -> scenes.Message:
+        nothing = np.full((60, 80), np.nan, dtype=np.float32)
+        return replace(message, message=M.image(message.stamp_ns, scenes.OPTICAL, "32FC1", nothing))
+
+    source = _open(tmp_path, _changed(scenes.RAW_DEPTH, blind, RAW_LOG))
+    for raw in source.frames():
+        assert np.isnan(raw.decode().depth_m).all()
+    assert source.ledger()["depth_without_returns"] == len(TRUTH)
+
+
+def test_a_message_that_cannot_be_read_is_counted(tmp_path):
+    log = tmp_path / "log.mcap"
+    scenes.write_mcap(log, M, LOG, use_chunking=False, enable_crcs=False)
+    data = log.read_bytes()
+    start = data.index(M.store.serialize_cdr(LOG[-1].message, LOG[-1].message.__msgtype__))
+    torn = bytearray(data)
+    # A length in the header of the last odometry message that reaches beyond its end.
+    torn[start + 12 : start + 16] = b"\xff\xff\xff\x7f"
+    log.write_bytes(bytes(torn))
+    source = open_source(log)
+    assert len(list(source.frames())) == len(TRUTH)
+    assert source.ledger()["unreadable_message"] == 1
+
+
+def test_a_flipped_byte_in_a_chunk_is_noticed(tmp_path):
+    from mcap.writer import CompressionType
+
+    log = scenes.write_mcap(tmp_path / "log.mcap", M, LOG, compression=CompressionType.NONE)
+    data = bytearray(log.read_bytes())
+    data[data.index(b"IDAT") + 40] ^= 0xFF
+    log.write_bytes(bytes(data))
+    with pytest.raises(RecordingError, match=r"holds no image.*1 places of the log are damaged.*fails its checksum"):
+        open_source(log)
+
+
+def test_a_flipped_byte_costs_the_frames_of_its_chunk_only(tmp_path):
+    log = scenes.write_mcap(tmp_path / "log.mcap", M, RAW_LOG, chunk_size=40_000)
+    data = bytearray(log.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    log.write_bytes(bytes(data))
+    source = open_source(log)
+    frames = list(source.frames())
+    assert len(TRUTH) - 2 <= len(frames) < len(TRUTH)
+    for frame in frames:
+        truth = next(t for t in TRUTH if t.stamp_ns == frame.stamp_ns)
+        np.testing.assert_array_equal(frame.decode().rgb, truth.rgb)
+
+
+def test_a_pose_that_is_none_is_left_out_and_counted(tmp_path):
+    def spoil(message: scenes.Message) -> scenes.Message:
+        pose = M.pose(np.eye(4))
+        nan = replace(pose, position=replace(pose.position, x=float("nan")))
+        covered = replace(message.message.pose, pose=nan)
+        return replace(message, message=replace(message.message, pose=covered))
+
+    first = next(message for message in LOG if message.topic == "/odom")
+    source = _open(tmp_path, _changed("/odom", lambda m: spoil(m) if m is first else m))
+    list(source.frames())
+    assert source.ledger()["bad_pose"] == 1
+
+
+def test_images_in_a_gap_of_the_poses_are_counted_and_skipped(tmp_path):
+    start, end = TRUTH[2].stamp_ns - 50 * MS, TRUTH[3].stamp_ns + 50 * MS
+    gap = _changed("/odom", lambda m: None if start < m.stamp_ns < end else m)
+    source = _open(tmp_path, gap, SourceOptions(max_pose_gap_ns=100 * MS))
+    assert len(list(source.frames())) == len(TRUTH) - 2
+    assert source.ledger() == {"frames": len(TRUTH) - 2, "no_pose": 2}
+
+
+def test_a_pose_without_a_child_frame_needs_one_named(tmp_path):
+    poses = [
+        scenes.Message(
+            topic="/slam_pose", stamp_ns=s.stamp_ns, message=M.pose_stamped(s.stamp_ns, "map", s.world_from_camera)
+        )
+        for s in TRUTH
+    ]
+    with pytest.raises(
+        CalibrationError, match=r"/slam_pose .* does not say .*--pose-frame \(the camera's is cam_optical"
+    ):
+        _open(tmp_path, _without("/odom") + poses)
+    source = _open(tmp_path, _without("/odom") + poses, SourceOptions(pose_frame=scenes.OPTICAL))
+    for raw, truth in zip(source.frames(), TRUTH, strict=True):
+        np.testing.assert_allclose(raw.world_from_camera, truth.world_from_camera, atol=1e-9)
+
+
+def test_the_odometry_that_carries_the_camera_is_preferred(tmp_path):
+    stray = [
+        scenes.Message(topic="/a_odom", stamp_ns=s, message=M.odometry(s, "odom", "trailer", np.eye(4)))
+        for s in range(TRUTH[0].stamp_ns, TRUTH[-1].stamp_ns, 5 * MS)
+    ]
+    assert dict(_open(tmp_path, LOG + stray).info.streams)["pose"] == "/odom"
+
+
+def test_static_transforms_repeated_on_tf_are_static(tmp_path):
+    def moved(message: scenes.Message) -> scenes.Message:
+        return replace(message, topic="/tf")
+
+    assert len(list(_open(tmp_path, _changed("/tf_static", moved)).frames())) == len(TRUTH)
+
+
+def test_the_chain_from_the_world_to_the_camera_is_told(tmp_path):
+    assert dict(_open(tmp_path, LOG).info.streams)["frames"] == "odom <- base_link <- cam_link <- cam_optical"
+
+
+COLOR_CAMERA = Camera(width=160, height=120, fx=130.0, fy=131.0, cx=80.0, cy=58.0)
+DEPTH_CAMERA = Camera(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.5)
+COLOR_FROM_DEPTH = from_rotation_translation(np.eye(3), np.array([-0.059, 0.0, 0.001]))
+
+
+def _unregistered() -> list[scenes.Message]:
+    """Return a RealSense-like log: depth with a camera, a frame and stamps of its own, raw in millimetres."""
+
+    def images(m: scenes.Messages, frame: scenes.SceneFrame) -> list[scenes.Message]:
+        stamp_ns = frame.stamp_ns
+        rgb = scenes.cast(COLOR_CAMERA, frame.world_from_camera)[0]
+        depth = scenes.cast(DEPTH_CAMERA, frame.world_from_camera @ COLOR_FROM_DEPTH)[1]
+        depth_mm = np.round(np.where(depth < 6, depth, 0) * 1000).astype(np.uint16)
+        color = m.compressed(stamp_ns, "color_optical", "jpeg", scenes.jpeg_bytes(rgb[..., ::-1]))
+        return [
+            scenes.Message(topic="/fwd/color/image_raw/compressed", stamp_ns=stamp_ns, message=color),
+            scenes.Message(
+                topic="/fwd/depth/image_rect_raw",
+                stamp_ns=stamp_ns,
+                message=m.image(stamp_ns + 3 * MS, "depth_optical", "16UC1", depth_mm),
+            ),
+            scenes.Message(
+                topic="/fwd/color/camera_info",
+                stamp_ns=stamp_ns,
+                message=m.camera_info(stamp_ns, "color_optical", COLOR_CAMERA),
+            ),
+            scenes.Message(
+                topic="/fwd/depth/camera_info",
+                stamp_ns=stamp_ns,
+                message=m.camera_info(stamp_ns, "depth_optical", DEPTH_CAMERA),
+            ),
+        ]
+
+    statics = M.tf(
+        0,
+        ("base_link", "color_optical", scenes.BODY_FROM_CAMERA),
+        ("base_link", "depth_optical", scenes.BODY_FROM_CAMERA @ COLOR_FROM_DEPTH),
+    )
+    rest = [m for m in scenes.scene_messages(M, TRUTH, images) if not m.topic.startswith(("/cam", "/tf_static"))]
+    return [scenes.Message(topic="/tf_static", stamp_ns=scenes.START_NS - 200 * MS, message=statics), *rest]
+
+
+def test_depth_of_its_own_camera_is_registered_to_colour(tmp_path):
+    source = _open(tmp_path, _unregistered())
+    assert source.info.camera == COLOR_CAMERA
+    for raw, truth in zip(source.frames(), TRUTH, strict=True):
+        np.testing.assert_allclose(raw.world_from_camera, truth.world_from_camera, atol=1e-9)
+        depth_m = raw.decode().depth_m
+        expected = scenes.cast(COLOR_CAMERA, truth.world_from_camera)[1]
+        both = np.isfinite(depth_m) & np.isfinite(expected)
+        assert both.mean() > 0.6
+        assert (np.abs(depth_m - expected)[both] < 0.05).mean() > 0.95
+
+
+def test_a_distorted_image_is_rectified_to_a_pinhole(tmp_path):
+    distortion = (-0.25, 0.05, 0.001, -0.001, 0.0)
+    rgb = scenes.cast(COLOR_CAMERA, TRUTH[0].world_from_camera)[0]
+    size = (COLOR_CAMERA.width, COLOR_CAMERA.height)
+    # Where each distorted pixel looks in the pinhole image: the inverse of what the player does.
+    grid = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), -1).reshape(-1, 1, 2).astype(np.float64)
+    source_px = cv2.undistortPoints(grid, COLOR_CAMERA.K, np.array(distortion), P=COLOR_CAMERA.K)
+    source_px = np.asarray(source_px, dtype=np.float32).reshape(size[1], size[0], 2)
+    distorted = cv2.remap(rgb, source_px[..., 0], source_px[..., 1], cv2.INTER_LINEAR)
+
+    def swap(message: scenes.Message) -> scenes.Message:
+        data = scenes.png_bytes(np.asarray(distorted)[..., ::-1])
+        return replace(message, message=M.compressed(message.stamp_ns, "color_optical", "png", data))
+
+    log = _changed("/fwd/color/image_raw/compressed", _only(0, swap), _unregistered())
+    info = M.camera_info(scenes.START_NS, "color_optical", COLOR_CAMERA, distortion)
+    log = _changed("/fwd/color/camera_info", lambda message: replace(message, message=info), log)
+    raw = next(_open(tmp_path, log).frames())
+    assert raw.color_bytes is None
+    middle = (slice(20, -20), slice(20, -20))
+    error = np.abs(raw.decode().rgb[middle].astype(int) - rgb[middle])
+    assert np.median(error) <= 3
+    assert np.median(np.abs(np.asarray(distorted)[middle].astype(int) - rgb[middle])) > np.median(error)
+
+
+def test_messages_may_be_recorded_a_little_out_of_order(tmp_path):
+    log = tmp_path / "log.mcap"
+    scenes.write_mcap(log, M, [message for pair in zip(LOG[1::2], LOG[::2], strict=False) for message in pair])
+    assert [frame.stamp_ns for frame in open_source(log).frames()] == [frame.stamp_ns for frame in TRUTH]
+
+
+def test_images_without_partners_are_counted(tmp_path):
+    log = _changed(scenes.PNG_DEPTH, _only(1, lambda message: None))  # type: ignore[arg-type,return-value]
+    log = [m for m in log if not (m.topic == scenes.PNG_COLOR and m.stamp_ns == TRUTH[3].stamp_ns)]
+    source = _open(tmp_path, log)
+    assert len(list(source.frames())) == len(TRUTH) - 2
+    assert source.ledger() == {"frames": len(TRUTH) - 2, "color_without_depth": 1, "depth_without_color": 1}
+
+
+def test_a_topic_of_an_unknown_type_does_no_harm(tmp_path):
+    from mcap.writer import Writer
+
+    log = tmp_path / "log.mcap"
+    with log.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        strange = writer.register_schema("unitree_go/msg/LowState", "ros2msg", b"not ( a definition")
+        channel = writer.register_channel("/lowstate", "cdr", strange)
+        writer.add_message(channel, scenes.START_NS, b"\x00\x01\x02", scenes.START_NS)
+        ids: dict[str, int] = {}
+        for entry in LOG:
+            name = entry.message.__msgtype__
+            if entry.topic not in ids:
+                definition = M.store.generate_msgdef(name, ros_version=2)[0].encode()
+                ids[entry.topic] = writer.register_channel(
+                    entry.topic, "cdr", writer.register_schema(name, "ros2msg", definition)
+                )
+            data = bytes(M.store.serialize_cdr(entry.message, name))
+            writer.add_message(ids[entry.topic], entry.stamp_ns, data, entry.stamp_ns)
+        writer.finish()
+    assert len(list(open_source(log).frames())) == len(TRUTH)
+
+
+def test_the_camera_of_the_colour_is_whose_depth_is_taken(tmp_path):
+    def elsewhere(message: scenes.Message) -> scenes.Message:
+        return replace(message, topic=message.topic.replace("/cam/", "/back/"))
+
+    both = LOG + [elsewhere(message) for message in LOG if message.topic.startswith("/cam/")]
+    streams = dict(_open(tmp_path, both, SourceOptions(color_topic=scenes.PNG_COLOR)).info.streams)
+    assert streams["depth"] == scenes.PNG_DEPTH
+
+
+def test_a_calibration_elsewhere_is_found_by_its_frame(tmp_path):
+    def away(message: scenes.Message) -> scenes.Message:
+        return replace(message, topic="/calibration")
+
+    log = _changed(DEPTH_INFO, lambda message: None, _changed(COLOR_INFO, away))
+    assert dict(_open(tmp_path, log).info.streams)["color_info"] == "/calibration"
+
+
+def test_depth_of_half_size_is_scaled_to_the_colour_frame(tmp_path):
+    half = scenes.CAMERA.scaled(0.5)
+
+    def shrink(message: scenes.Message) -> scenes.Message:
+        depth = scenes.cast(half, scenes.pose_at(message.stamp_ns))[1].astype(np.float32)
+        return replace(message, message=M.image(message.stamp_ns, scenes.OPTICAL, "32FC1", depth))
+
+    info = M.camera_info(scenes.START_NS, scenes.OPTICAL, half)
+    log = _changed(scenes.RAW_DEPTH, shrink, RAW_LOG)
+    log = _changed(DEPTH_INFO, lambda message: replace(message, message=info), log)
+    for raw, truth in zip(_open(tmp_path, log).frames(), TRUTH, strict=True):
+        error = np.abs(raw.decode().depth_m - truth.depth_m)
+        assert np.nanmedian(error) < 0.02
+        assert np.isfinite(error[np.isfinite(truth.depth_m)]).mean() > 0.97

@@ -1,0 +1,58 @@
+import tracemalloc
+from pathlib import Path
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, IndexType
+from players.logs.mcap_log import McapLog
+from tests import player_scenes as scenes
+
+M = scenes.Messages(ros=2)
+
+
+def _large(path: Path, **settings: object) -> McapLog:
+    """Write 8 MB of noise in 40 images."""
+    noise = np.random.default_rng(0).integers(0, 255, 200_000, dtype=np.uint8).tobytes()
+    images = [
+        scenes.Message(topic="/image", stamp_ns=i, message=M.compressed(i, "camera", "jpeg", noise)) for i in range(40)
+    ]
+    return McapLog(scenes.write_mcap(path / "log.mcap", M, images, chunk_size=300_000, **settings))
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"compression": CompressionType.NONE}, {"index_types": IndexType.NONE}, {"use_chunking": False}]
+)
+def test_a_log_is_read_without_holding_it_in_memory(tmp_path, settings):
+    log = _large(tmp_path, **settings)
+    assert sum(1 for _ in log.messages({"/image"})) == 40  # imports what reading needs
+    tracemalloc.start()
+    count = sum(1 for _ in log.messages({"/image"}))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert count == 40
+    assert peak < 3_000_000
+
+
+def test_the_topics_are_told_with_types_and_counts(tmp_path):
+    (topic,) = _large(tmp_path).topics
+    assert (topic.name, topic.type_name, topic.num_messages) == ("/image", "sensor_msgs/msg/CompressedImage", 40)
+
+
+def test_messages_of_other_topics_are_left_out(tmp_path):
+    assert list(_large(tmp_path).messages({"/other"})) == []
+
+
+def test_several_channels_of_one_topic_are_one_topic(tmp_path):
+    from mcap.writer import Writer
+
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        for node in ("a", "b"):
+            channel = writer.register_channel("/chat", "cdr", schema, {"node": node})
+            writer.add_message(channel, 1, b"", 1)
+        writer.finish()
+    log = McapLog(path)
+    assert [(topic.name, topic.num_messages) for topic in log.topics] == [("/chat", 2)]
+    assert len(list(log.messages({"/chat"}))) == 2
