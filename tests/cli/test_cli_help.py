@@ -5,6 +5,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 import pytest
 import hickory_stream
@@ -144,3 +145,9 @@ def test_old_commands_and_options_name_their_successor(words, answer, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(words)
     assert answer in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("module", ["hickory_stream.compiled", "hickory_stream.worlds.clutter.frames"])
+def test_moved_modules_name_their_new_place(module: str) -> None:
+    with pytest.raises(ModuleNotFoundError, match="is now (hickory_stream.base|tools.worlds)"):
+        import_module(module)
