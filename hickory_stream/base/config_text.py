@@ -8,15 +8,15 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import tomllib
-import types
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 from hickory_stream.base.former_keys import refusal
 from hickory_stream.base.json_text import toml_string
 from hickory_stream.base.ranges import ranges_of
+from hickory_stream.base.type_forms import Form, form_of
 from hickory_stream.errors import ConfigError, RangeError
 
 T = TypeVar("T")
@@ -100,7 +100,8 @@ def _sections(config: Any, name: str) -> Iterator[tuple[str, str]]:
 def _allowed(kind: Any) -> dict[str, str]:
     """Return the comments that say which numbers and which words may be there."""
     told = {key: f"  # {found}" for key, found in ranges_of(kind).items()}
-    words = {key: get_args(hint) for key, hint in type_hints(kind).items() if get_origin(hint) is Literal}
+    forms = {key: form_of(hint) for key, hint in type_hints(kind).items()}
+    words = {key: parts for key, (form, parts) in forms.items() if form is Form.LITERAL}
     return told | {key: f"  # {' or '.join(map(_toml_value, found))}" for key, found in words.items()}
 
 
@@ -133,23 +134,23 @@ def _override(data: dict[str, Any], override: str) -> None:
 
 def converted(hint: Any, value: Any, where: str) -> Any:
     """Return `value` as the declared type: numbers widen to float, lists become tuples, tables dataclasses."""
-    origin = get_origin(hint)
-    if dataclasses.is_dataclass(hint):
+    form, parts = form_of(hint)
+    if form is Form.RECORD:
         if not isinstance(value, dict):
             raise ConfigError(f"{where} is a section, found {value!r}")
-        return from_dict(hint, value, f"{where}.")  # type: ignore[arg-type]
-    if origin is Literal:
-        if value not in get_args(hint):
-            raise ConfigError(f"{where} is {value!r}; expected one of {', '.join(map(repr, get_args(hint)))}")
+        return from_dict(hint, value, f"{where}.")
+    if form is Form.LITERAL:
+        if value not in parts:
+            raise ConfigError(f"{where} is {value!r}; expected one of {', '.join(map(repr, parts))}")
         return value
-    if origin in (Union, types.UnionType):
-        if value is None and type(None) in get_args(hint):  # as a map's manifest has what is not set; TOML has no null
+    if form is Form.UNION:
+        if value is None and type(None) in parts:  # as a map's manifest has what is not set; TOML has no null
             return None
-        return next((converted(part, value, where) for part in get_args(hint) if part is not type(None)), None)
-    if origin is tuple:
+        return next((converted(part, value, where) for part in parts if part is not type(None)), None)
+    if form in (Form.TUPLE_OF, Form.TUPLE):
         if not isinstance(value, list | tuple):
             raise ConfigError(f"{where} is {value!r}; expected a list")
-        return tuple(converted(get_args(hint)[0], item, where) for item in value)
+        return tuple(converted(parts[0], item, where) for item in value)
     if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
         try:
             return float(value)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import ast
 import dataclasses
 import inspect
-import types
-from collections.abc import Mapping
-from enum import Enum
 from functools import cache
 from importlib import import_module
-from typing import Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
+from typing import Any, NotRequired, get_origin, get_type_hints
 
 from hickory_stream.base.ranges import ranges_of
+from hickory_stream.base.type_forms import Form, form_of
 
 _PLAIN = {str: "string", int: "integer", bool: "boolean", type(None): "null"}
 
@@ -23,30 +21,29 @@ def schema_of(kind: Any) -> dict[str, Any]:
     Args:
         kind: a record, or what its fields may be. A float without a value is null.
     """
-    origin, parts = get_origin(kind), get_args(kind)
-    if kind is Any:
-        return {}
-    if kind in _PLAIN:
-        return {"type": _PLAIN[kind]}
-    if kind is float:
-        return {"type": ["number", "null"]}
-    if origin is NotRequired:
-        return schema_of(parts[0])
-    if origin is Literal:
-        return {"enum": list(parts)}
-    if origin in (Union, types.UnionType):
-        return {"anyOf": [schema_of(part) for part in parts]}
-    if origin in (dict, Mapping):
-        return {"type": "object", "additionalProperties": schema_of(parts[1])}
-    if origin is list or (origin is tuple and parts[-1] is Ellipsis):
-        return {"type": "array", "items": schema_of(parts[0])}
-    if origin is tuple:
-        items = [schema_of(part) for part in parts]
-        return {"type": "array", "prefixItems": items, "items": False, "minItems": len(items)}
-    if isinstance(kind, type) and issubclass(kind, Enum):
-        return {"enum": [member.value for member in kind]}
-    if dataclasses.is_dataclass(kind) or is_typeddict(kind):
-        return _record_schema(kind)
+    form, parts = form_of(kind)
+    match form:
+        case Form.ANY:
+            return {}
+        case Form.PLAIN if parts[0] is float:
+            return {"type": ["number", "null"]}
+        case Form.PLAIN if parts[0] in _PLAIN:
+            return {"type": _PLAIN[parts[0]]}
+        case Form.LITERAL:
+            return {"enum": list(parts)}
+        case Form.UNION:
+            return {"anyOf": [schema_of(part) for part in parts]}
+        case Form.MAPPING:
+            return {"type": "object", "additionalProperties": schema_of(parts[1])}
+        case Form.LIST | Form.TUPLE_OF:
+            return {"type": "array", "items": schema_of(parts[0])}
+        case Form.TUPLE:
+            items = [schema_of(part) for part in parts]
+            return {"type": "array", "prefixItems": items, "items": False, "minItems": len(items)}
+        case Form.ENUM:
+            return {"enum": [member.value for member in parts[0]]}
+        case Form.RECORD:
+            return _record_schema(parts[0])
     raise TypeError(f"no JSON is known for {kind!r}")
 
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 import dataclasses
 import types
 from collections.abc import Callable, Mapping
-from enum import Enum
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hickory_stream.base.type_forms import Form, form_of
 
 
 def checked_record(kind: type, values: Mapping[str, Any], checks: Mapping[str, Callable[[Any], bool]]) -> Any:
@@ -51,42 +52,34 @@ def field_checks(kind: type, known: Mapping[str, type]) -> dict[str, Callable[[A
 
 def _fits(hint: Any) -> Callable[[Any], bool]:
     """Return what tells whether a value is of a declared type."""
-    origin, arguments = get_origin(hint), get_args(hint)
-    if hint is Any or hint is object:
-        return lambda _: True
-    if hint is float:
-        return lambda value: type(value) in (float, int)
-    if hint in (int, bool, str, bytes):
-        return lambda value: type(value) is hint
-    if origin is Literal:
-        return lambda value: value in arguments
-    if origin in (Union, types.UnionType):
-        parts = [_fits(part) for part in arguments]
-        return lambda value: any(part(value) for part in parts)
-    if origin is tuple:
-        return _tuple_fits(arguments)
-    if origin in (dict, Mapping):
-        key_fits, value_fits = (_fits(part) for part in arguments)
-        return lambda value: (
-            isinstance(value, dict) and all(key_fits(key) and value_fits(item) for key, item in value.items())
-        )
-    if origin in (set, frozenset):
-        item_fits = _fits(arguments[0])
-        return lambda value: isinstance(value, set | frozenset) and all(item_fits(item) for item in value)
-    if origin is np.ndarray:
-        return lambda value: isinstance(value, np.ndarray)
-    if isinstance(hint, type) and (dataclasses.is_dataclass(hint) or issubclass(hint, Enum | types.NoneType)):
-        return lambda value: isinstance(value, hint)
-    raise TypeError(f"a record declares {hint}, which no journal holds")
-
-
-def _tuple_fits(arguments: tuple[Any, ...]) -> Callable[[Any], bool]:
-    if len(arguments) == 2 and arguments[1] is Ellipsis:
-        each = _fits(arguments[0])
-        return lambda value: isinstance(value, tuple) and all(each(item) for item in value)
-    parts = [_fits(part) for part in arguments]
-    return lambda value: (
-        isinstance(value, tuple)
-        and len(value) == len(parts)
-        and all(fits(item) for fits, item in zip(parts, value, strict=True))
-    )
+    form, parts = form_of(hint)
+    match form:
+        case Form.ANY:
+            return lambda _: True
+        case Form.LITERAL:
+            return lambda value: value in parts
+        case Form.ARRAY:
+            return lambda value: isinstance(value, np.ndarray)
+        case Form.ENUM | Form.RECORD:
+            return lambda value: isinstance(value, parts[0])
+        case Form.PLAIN if parts[0] is float:
+            return lambda value: type(value) in (float, int)
+        case Form.PLAIN if parts[0] in (int, bool, str, bytes, types.NoneType):
+            return lambda value: type(value) is parts[0]
+        case Form.PLAIN | Form.LIST:
+            raise TypeError(f"a record declares {hint}, which no journal holds")
+    fits = [_fits(part) for part in parts]
+    match form:
+        case Form.UNION:
+            return lambda value: any(part(value) for part in fits)
+        case Form.TUPLE_OF:
+            return lambda value: isinstance(value, tuple) and all(map(fits[0], value))
+        case Form.TUPLE:
+            return lambda value: (
+                isinstance(value, tuple)
+                and len(value) == len(fits)
+                and all(part(item) for part, item in zip(fits, value, strict=True))
+            )
+        case Form.SET:
+            return lambda value: isinstance(value, set | frozenset) and all(map(fits[0], value))
+    return lambda value: isinstance(value, dict) and all(fits[0](key) and fits[1](item) for key, item in value.items())
