@@ -1,7 +1,6 @@
 """What `tools/check --size` counts."""
 
 from pathlib import Path
-
 from hickory_stream.settings import Settings
 from tools import size
 
