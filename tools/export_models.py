@@ -10,9 +10,10 @@ import argparse
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +24,6 @@ from hickory_stream.perception.models.library import ModelEntry, add_model, mode
 from hickory_stream.perception.models.network import Network, NetworkConfig
 from hickory_stream.perception.models.preprocessing import built_in_picture, normalised
 from hickory_stream.perception.models.semantic_graph import MASK_THRESHOLD, MIN_OVERLAP, GraphSemantics, PanopticConfig
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 OPSET = 18
 LEAST_IOU = 0.99

@@ -6,10 +6,11 @@ the first trees come to. Everything is drawn from a seed.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hickory_stream.perception.regions.absolute_features import is_size
@@ -18,13 +19,7 @@ from hickory_stream.perception.regions.join import Groups, JoinConfig, rounds
 from hickory_stream.perception.regions.odds_features import odds_features
 from hickory_stream.perception.regions.pair_features import pair_features
 from hickory_stream.perception.regions.trees import Trees
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from tools.segmenter_lessons import Lesson
+from tools.segmenter_lessons import Lesson
 
 _PURE = 0.6
 _EAGER = 0.4

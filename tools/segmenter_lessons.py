@@ -6,37 +6,28 @@ A lesson keeps counts instead of the image, and from these every way of joining 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.evaluation.truth import instances_of
+from hickory_stream.evaluation.truth import Truth, instances_of
 from hickory_stream.perception.affinity.odds_split import SplitConfig, divided_by_odds
+from hickory_stream.perception.affinity.pixel_network import PixelNetwork
+from hickory_stream.perception.fragments.over_segmentation import Fragments
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.masks import enlarged_mask
-from hickory_stream.perception.regions.fragment_odds import fragment_odds
+from hickory_stream.perception.regions.fragment_odds import FragmentOdds, fragment_odds
 from hickory_stream.perception.regions.join import region_graph_of
+from hickory_stream.perception.regions.region_graph import RegionGraph
 from hickory_stream.perception.regions.trees import Trees
-from hickory_stream.records import Frame, Segmentation
+from hickory_stream.records import Frame, MapPrior, Segmentation
 from hickory_stream.worlds.depth_camera import sensed_depth
 from tools.evaluation.masks.first_layer import play_first_layer
 from tools.evaluation.masks.scores import UNKNOWN, MaskScore, score_overlaps
-from tools.network_training.frames import frames_of_scene
+from tools.network_training.frames import Scene, TrueFrame, frames_of_scene
 from tools.network_training.lessons import drawn_camera
 from tools.worlds.clutter.frames import frames_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.perception.affinity.pixel_network import PixelNetwork
-    from hickory_stream.perception.fragments.over_segmentation import Fragments
-    from hickory_stream.perception.regions.fragment_odds import FragmentOdds
-    from hickory_stream.perception.regions.region_graph import RegionGraph
-    from hickory_stream.records import MapPrior
-    from tools.network_training.frames import Scene, TrueFrame
 
 _MIN_SHARE = 0.002
 _MIN_PIXELS = 16

@@ -8,25 +8,18 @@ affinities says of a pair; only scenes that the network was not trained on, for 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.perception.regions.trees import averaged
+from hickory_stream.evaluation.truth import Truth, load_truth
+from hickory_stream.perception.affinity.pixel_network import PixelNetwork
+from hickory_stream.perception.regions.trees import Trees, averaged
 from tools.network_training.scenes import Scene, told
 from tools.segmenter_growth import EVERY, Growth, train
-from tools.segmenter_lessons import lessons_of, lessons_of_rooms, lessons_of_scene
+from tools.segmenter_lessons import Lesson, lessons_of, lessons_of_rooms, lessons_of_scene
 from tools.worlds.cache import cached_recording
 from tools.worlds.recording_config import RecordingConfig
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.perception.affinity.pixel_network import PixelNetwork
-    from hickory_stream.perception.regions.trees import Trees
-    from tools.segmenter_lessons import Lesson
 
 ROOMS = (0, 1)
 """Seeds of random rooms of the family `training`, `IMAGES` of each, for `mixed`."""

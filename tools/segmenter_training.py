@@ -11,10 +11,12 @@ import argparse
 import hashlib
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
 import sklearn
+from numpy.typing import NDArray
 
 from hickory_stream.base.caches import cache_root
 from hickory_stream.base.json_text import dumps_exactly
@@ -22,20 +24,11 @@ from hickory_stream.perception.affinity import pixel_network
 from hickory_stream.perception.affinity.pixel_network import PixelNetwork
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig
 from hickory_stream.perception.regions.join import JoinConfig, rounds
-from hickory_stream.perception.regions.trees import EMBEDDED
+from hickory_stream.perception.regions.trees import EMBEDDED, Trees
 from tools.evaluation.masks.scores import MaskScore, total
 from tools.network_training.scenes import HELD_OUT as HELD_OUT_VIEWS
-from tools.segmenter_lessons import lessons_of, lessons_of_scene, score_groups, true_groups
+from tools.segmenter_lessons import Lesson, lessons_of, lessons_of_scene, score_groups, true_groups
 from tools.segmenter_recipes import grown_mixed, grown_with_odds, name_of, recording
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.perception.regions.trees import Trees
-    from tools.segmenter_lessons import Lesson
 
 _PACKAGE = Path(__file__).resolve().parents[1] / "hickory_stream" / "perception"
 HELD_OUT = (("apartment", 38, 0), ("tabletop", 40, 0))

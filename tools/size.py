@@ -5,14 +5,12 @@ from __future__ import annotations
 import dataclasses
 import re
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.settings import Settings
 from tools.readmes import READMES, RESULTS, ROOT
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
 
 # Where tools/test notes the processor time of its last whole run.
 TEST_TIMES = ROOT / ".venv" / "test-times"

@@ -6,21 +6,15 @@ origin of map b), and the error where the maps overlap, which is the one that ma
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.alignment.answer import Alignment
+from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.answer import NoAlignment
-
 
 SUCCESS_M = 0.5
 SUCCESS_DEG = 5.0

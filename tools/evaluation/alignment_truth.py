@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.errors import RecordingError
@@ -23,13 +24,7 @@ from hickory_stream.geometry.rigid import (
     is_rigid,
     rotation_from_quaternion,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.records import MapSnapshot
 
 _MAX_GAP_NS = 500_000_000
 _MIN_POSES = 3

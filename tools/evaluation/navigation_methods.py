@@ -8,23 +8,19 @@ in whole cells, so that the methods differ in the shapes only. All are given the
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.boxes import gravity_aligned_box
+from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.navigation.free_space import FreeSpace
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.navigation.occupancy import GridFrame
-    from hickory_stream.navigation.robot import Robot
+from hickory_stream.navigation.occupancy import GridFrame
+from hickory_stream.navigation.robot import Robot
 
 MethodName = Literal["mesh-obb", "mesh-full", "layer-4"]
 METHOD_NAMES: tuple[MethodName, ...] = ("mesh-obb", "mesh-full", "layer-4")

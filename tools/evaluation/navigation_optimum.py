@@ -7,18 +7,13 @@ lower bound of theirs.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from hickory_stream.base.compiled import kernel
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.navigation.occupancy import GridFrame
+from hickory_stream.navigation.occupancy import GridFrame
 
 _HAIR = 1e-6
 

@@ -9,35 +9,27 @@ Scenes to plan in: from a truth folder, and from a saved map as boxes, meshes or
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.evaluation.evaluate import placed_mesh, true_mesh_world
 from hickory_stream.evaluation.match import meshes_of
-from hickory_stream.evaluation.truth import structure_meshes
-from hickory_stream.navigation.free_space import FreeSpace, layer_four_of, obstacles_of
+from hickory_stream.evaluation.truth import Truth, structure_meshes
+from hickory_stream.geometry.mesh import Mesh
+from hickory_stream.geometry.superquadric import Superquadrics
+from hickory_stream.map_folder.saved_map import SavedMap
+from hickory_stream.navigation.free_space import FreeSpace, UnknownSpace, layer_four_of, obstacles_of
 from hickory_stream.navigation.observed import Band, seen_columns, unknown_hulls
-from hickory_stream.navigation.occupancy import distance_field_m, frame_around
+from hickory_stream.navigation.occupancy import GridFrame, distance_field_m, frame_around
+from hickory_stream.navigation.robot import Robot
 from hickory_stream.navigation.search import Path, SearchConfig, plan
 from hickory_stream.storeys import floor_of
 from tools.evaluation.navigation_methods import METHOD_NAMES, Built, Obstacles, built, triangles
 from tools.evaluation.navigation_optimum import OptimalLengths
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.geometry.mesh import Mesh
-    from hickory_stream.geometry.superquadric import Superquadrics
-    from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.navigation.free_space import UnknownSpace
-    from hickory_stream.navigation.occupancy import GridFrame
-    from hickory_stream.navigation.robot import Robot
-
 
 _OFF_M = 0.1
 _LEAST_M = 1.0

@@ -7,35 +7,29 @@ segmenter and to the map. `association` matches every mask to the track of its t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.config import MapperConfig
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.truth import frame_at, instances_of
+from hickory_stream.evaluation.truth import Truth, frame_at, instances_of
+from hickory_stream.events import FrameObserved
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.rules.association import Match
 from hickory_stream.perception.choose import make_segmenter
+from hickory_stream.perception.fragments.over_segmentation import Fragments
 from hickory_stream.perception.geometric_segmenter import GeometricSegmenter
 from hickory_stream.perception.masks import enlarged_mask
 from hickory_stream.perception.network_segmenter import NetworkSegmenter
+from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.perception.regions.join import Joined
-from hickory_stream.records import Segmentation
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.config import MapperConfig
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.events import FrameObserved
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.mapping.entities.track import Track
-    from hickory_stream.perception.fragments.over_segmentation import Fragments
-    from hickory_stream.perception.perceive import PerceptionConfig
-    from hickory_stream.records import Frame, MapPrior, Observation
+from hickory_stream.records import Frame, MapPrior, Observation, Segmentation
 
 Rung = Literal["ours", "joins", "masks", "structure", "association"]
 RUNGS: tuple[Rung, ...] = get_args(Rung)

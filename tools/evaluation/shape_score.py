@@ -8,18 +8,14 @@ finds no partner counts as 0. The literal formula is `literal_shape_score`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 
 def shape_score(a: Superquadrics, b: Superquadrics, *, sigma_geo: float = 1.0) -> float:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from hickory_stream.evaluation.truth import Truth
+from hickory_stream.evaluation.truth import Truth
 
 _SAME_M, _SAME_TURN = 0.01, 0.02
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,9 +21,6 @@ from hickory_stream.perception.affinity.pixel_inputs import CHANNELS
 from tools.network_training.frames import frames_of_scene, rendered
 from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, RENDERED_AT, STAGES, drawn_frames, told
 from tools.network_training.stages import Schedule
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _PACKAGE = Path(pixel_network.__file__).parents[1]
 _CALIBRATED_ON = 64

@@ -5,22 +5,17 @@ What a step learns from follows from the seed and the number of the step alone, 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.utils.data import DataLoader, Dataset
 
+from tools.network_training.frames import TrueFrame
 from tools.network_training.lessons import lesson_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from tools.network_training.frames import TrueFrame
-    from tools.network_training.stages import Schedule, Stage
+from tools.network_training.stages import Schedule, Stage
 
 _USUAL_AREA_PX = 400.0
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.caches import cache_root
 from hickory_stream.evaluation.truth import load_truth
@@ -23,23 +24,15 @@ from hickory_stream.perception.affinity.odds_split import SplitConfig
 from hickory_stream.perception.affinity.pixel_network import PixelNetwork
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig, NetworkSegmenter
-from hickory_stream.records import Frame
+from hickory_stream.records import Frame, MapPrior
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
 from tools.evaluation.masks.first_layer import play_first_layer
 from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud
 from tools.evaluation.masks.scores import UNKNOWN, MaskScore, score_masks, total
 from tools.evaluation.oracle_ablation import TrueImages, truly_joined
-from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, frames_of_scene
+from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, Scene, frames_of_scene
 from tools.network_training.scenes import HELD_OUT
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapPrior
-    from tools.network_training.frames import Scene
 
 MIN_SHARE = 0.002
 _DIVIDING = 0.5

@@ -8,25 +8,19 @@ cut there that is not cut elsewhere. The graph is written node by node: what onn
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import onnx
 import torch
+from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from hickory_stream.perception.affinity.pixel_inputs import NUM_INPUTS, UNIT, ZERO
 from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO
-from tools.network_training.model import inputs_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from tools.network_training.model import AffinityNet, Layer
+from tools.network_training.model import AffinityNet, Layer, inputs_of
 
 _MOST_WEIGHT = 63
 _OPSET, _IR_VERSION = 18, 10

@@ -8,29 +8,23 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, overload
+from pathlib import Path
+from typing import overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.worlds.rendering import Renderer
-from hickory_stream.worlds.trajectory import camera_rotation
+from hickory_stream.worlds.trajectory import Trajectory, camera_rotation
 from tools.worlds.clutter.frames import frames_of
 from tools.worlds.recording_config import RecordingConfig, walkable_world
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.trajectory import Trajectory
 
 WIDTH_PX, HEIGHT_PX = 320, 240
 _NEAR_M = 0.35

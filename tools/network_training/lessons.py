@@ -8,10 +8,10 @@ half of the time, and the noise that is assumed is not the true one.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import from_rotation_translation
@@ -19,11 +19,7 @@ from hickory_stream.perception.affinity.pixel_inputs import CHANNELS, ZERO, pixe
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 from hickory_stream.records import Frame
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from tools.network_training.frames import TrueFrame
+from tools.network_training.frames import TrueFrame
 
 UNKNOWN = -1
 _COLORS = [i for i, name in enumerate(CHANNELS) if name in ("light", "green_red", "blue_yellow")]

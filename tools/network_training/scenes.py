@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import cache
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from tools.network_training.frames import Scene, frames_of_scene
+import numpy as np
+
+from tools.network_training.frames import KeptFrames, Scene, TrueFrame, frames_of_scene
 from tools.network_training.stages import Stage
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    import numpy as np
-
-    from tools.network_training.frames import KeptFrames, TrueFrame
 
 _FRAMES = 48
 OWN = (

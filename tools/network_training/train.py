@@ -9,25 +9,20 @@ from __future__ import annotations
 import math
 import sys
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from hickory_stream.perception.affinity.pixel_network import DISTANCES_PX, OFFSETS, THING
-from tools.network_training.batches import batches
-from tools.network_training.lessons import UNKNOWN
+from tools.network_training.batches import Batch, batches
+from tools.network_training.frames import TrueFrame
+from tools.network_training.lessons import UNKNOWN, Lesson
 from tools.network_training.model import AffinityNet, inputs_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from tools.network_training.batches import Batch
-    from tools.network_training.frames import TrueFrame
-    from tools.network_training.lessons import Lesson
-    from tools.network_training.stages import Schedule, Stage
+from tools.network_training.stages import Schedule, Stage
 
 
 def train(

@@ -9,7 +9,6 @@ import argparse
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -25,12 +24,9 @@ from tools.paper_tables.data_sets import DATA_SETS
 from tools.paper_tables.navigation import navigation_table
 from tools.paper_tables.plan import FULL, QUICK
 from tools.paper_tables.storage import storage_table
-from tools.paper_tables.tables import as_csv, as_json, markdown
+from tools.paper_tables.tables import Table, as_csv, as_json, markdown
 from tools.paper_tables.views import views_table
 from tools.paper_tables.workshop import Workshop
-
-if TYPE_CHECKING:
-    from tools.paper_tables.tables import Table
 
 TABLES = {
     "views": views_table, "shapes": storage_table, "alignment": alignment_table, "navigation": navigation_table,

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from hickory_stream.pictures.drawing import Drawing, Line, Text
-
-if TYPE_CHECKING:
-    from tools.paper_tables.tables import Cell, Column, Table
+from tools.paper_tables.tables import Cell, Column, Table
 
 _OURS, _PAPER, _INK, _SOFT, _RULE = (28, 98, 196), (198, 205, 217), (29, 35, 48), (102, 102, 119), (225, 228, 234)
 _LETTER, _BAR, _PANEL, _GAP, _ROW, _TOP = 8, 150, 320, 20, 34, 86

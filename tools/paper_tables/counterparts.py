@@ -7,32 +7,27 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from hickory_stream.evaluation.truth import Truth
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.worlds.recording import make_recording
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
+from tools.paper_tables.plan import Plan
 from tools.paper_tables.write_hope import write_hope
 from tools.paper_tables.write_replica_cad import write_replica_cad
 from tools.worlds.layouts import KimeraMultiLog
 from tools.worlds.outdoor.walk import outdoors
 from tools.worlds.recording_config import RecordingConfig, drawn_frame, walkable_world
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.evaluation.truth import Truth
-    from tools.paper_tables.plan import Plan
 
 _SEED = 41_000
 # Walks of the robots of each pair; odd walks go the other way round.

@@ -6,10 +6,7 @@ Nothing is downloaded. Sizes and licences are those of the data sets' own pages.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from pathlib import Path
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -9,16 +9,21 @@ cloud, in metres, by the extrinsics before it scales it to centimetres.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, TruthFrame, TruthObject, truth_record
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.records import Frame
 from hickory_stream.worlds.object_models import model_mesh
 from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.scene import World, WorldObject
@@ -26,15 +31,6 @@ from hickory_stream.worlds.visibility import SeenSurface
 from hickory_stream.worlds.zed_log import encode_png
 from players import open_source
 from tools.paper_tables.meshes import model_of_file
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.records import Frame
 
 CM_PER_M = 100.0
 # How far annotations of one object may disagree over a scene, and what may cover a pixel of an object.

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
+from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
 from hickory_stream.worlds.recording import film
 from hickory_stream.worlds.shots import Stage
 from hickory_stream.worlds.trajectory import NoWalk
 from tools.paper_tables import hope, replica_cad
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
-from tools.paper_tables.workshop import Log
+from tools.paper_tables.plan import Plan
+from tools.paper_tables.workshop import Log, Workshop
 from tools.worlds.clutter.walk import wander_through
 from tools.worlds.recording_config import RecordingConfig
 from tools.worlds.routes import clearance_of_surfaces
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.evaluation.truth import Truth
-    from tools.paper_tables.plan import Plan
-    from tools.paper_tables.workshop import Workshop
 
 _ATTEMPTS, _WALK_SECONDS = 20, 90.0
 # Where the camera sits on the quadruped was not published: it is estimated from each log.

@@ -5,19 +5,16 @@ A model's part has one plain colour: faces are grouped by their colour in steps 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.worlds.object_models import Model, Part
 from hickory_stream.worlds.textures import Texture
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 _STEP = 32
 

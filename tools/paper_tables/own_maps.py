@@ -7,20 +7,26 @@ import dataclasses
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.methods import align_by
 from hickory_stream.base.config_text import read_config
 from hickory_stream.base.json_text import dumps
 from hickory_stream.cli.maps.align import METHODS, objects_of
 from hickory_stream.cli.option_values import open_map_at, positive
+from hickory_stream.config import MapperConfig
 from hickory_stream.engine.shape_jobs.generators.choose import check_generator, generating
 from hickory_stream.engine.shape_jobs.generators.spec import find_spec, generators_folder, read_spec
 from hickory_stream.errors import ConfigError, InputError
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.navigation.robot import load_robot
-from hickory_stream.progress import ProgressPrinter
+from hickory_stream.ports import Reconstructor
+from hickory_stream.progress import ProgressPrinter, Style
 from hickory_stream.settings import Settings
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
@@ -28,17 +34,7 @@ from players import open_source
 from tools.evaluation import alignment_table, navigation_table
 from tools.evaluation.alignment_truth import read_true_trajectory, world_from_map
 from tools.evaluation.views.comparison import compare, format_comparison
-from tools.evaluation.views.trials import try_views
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.config import MapperConfig
-    from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.ports import Reconstructor
-    from hickory_stream.progress import Style
-    from tools.evaluation.views.trials import ViewTrial
+from tools.evaluation.views.trials import ViewTrial, try_views
 
 EMBEDDED: Literal["single_view"] = "single_view"
 

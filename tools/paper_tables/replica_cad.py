@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.errors import RecordingError
@@ -21,11 +23,6 @@ from hickory_stream.geometry.rigid import apply, from_rotation_translation, rota
 from hickory_stream.worlds.object_models import Model, Part
 from hickory_stream.worlds.scene import World, WorldObject
 from tools.paper_tables.meshes import joined, model_of_file
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 Z_UP_FROM_Y_UP = from_rotation_translation(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
 _UP_COSINE, _FLOOR_STEP_M, _FLOOR_SHARE = 0.95, 0.02, 0.3

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import HickoryError
-from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.evaluation.truth import Truth, load_truth
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
 from players import open_source
@@ -18,14 +18,10 @@ from tools.benchmarks.common.intervals import bootstrap, wilson
 from tools.evaluation.views.trials import STRATEGIES, try_views
 from tools.paper_tables.data_sets import HOPE, REPLICA_CAD
 from tools.paper_tables.logs import apartment_pairs, hope_logs, hope_truth
+from tools.paper_tables.plan import Plan
 from tools.paper_tables.published import VIEWS
 from tools.paper_tables.tables import Cell, Column, Table
-from tools.paper_tables.workshop import identity_of, refusal
-
-if TYPE_CHECKING:
-    from hickory_stream.evaluation.truth import Truth
-    from tools.paper_tables.plan import Plan
-    from tools.paper_tables.workshop import Log, Workshop
+from tools.paper_tables.workshop import Log, Workshop, identity_of, refusal
 
 _TITLES = {
     "initial": "Initial view",

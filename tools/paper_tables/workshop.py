@@ -10,18 +10,16 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.base.atomic_files import write_atomically
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import HickoryError, MapFolderError
 from tools.benchmarks.common.code_hashes import code_hash
 from tools.benchmarks.common.processes import ROOT
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 # What makes and measures maps.
 _CODE = ("hickory_stream", "players", "tools/evaluation", "tools/paper_tables")

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from hickory_stream.base.json_text import dumps
-from hickory_stream.evaluation.truth import mesh_of
+from hickory_stream.evaluation.truth import Truth, mesh_of
+from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.rigid import invert
 from players import open_source
 from tools.paper_tables.hope import CM_PER_M
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.geometry.mesh import Mesh
 
 _MM_PER_M = 1000.0
 

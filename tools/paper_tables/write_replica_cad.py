@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,13 +13,8 @@ from hickory_stream.evaluation.truth import moved_mesh
 from hickory_stream.geometry.mesh import Mesh, write_glb
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.worlds.object_models import model_mesh
+from hickory_stream.worlds.scene import World
 from tools.paper_tables.replica_cad import Z_UP_FROM_Y_UP
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from hickory_stream.worlds.scene import World
 
 _Y_UP_FROM_Z_UP = invert(Z_UP_FROM_Y_UP)
 

@@ -6,8 +6,8 @@ import argparse
 import signal
 import sys
 import threading
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +17,7 @@ from hickory_stream.sinks.ros_messages import goal_message
 from tools.robot.drive import drive
 from tools.robot.link import Faults, plan
 from tools.robot.prepared import prepared
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tools.robot.publishers import Publisher
+from tools.robot.publishers import Publisher
 
 ROUTES = ("zenoh-bridge", "rmw-zenoh", "foxglove", "dds", "mcap")
 _PORTS = {"zenoh-bridge": 7447, "rmw-zenoh": 7447, "foxglove": 8765}

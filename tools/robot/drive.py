@@ -5,14 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tools.robot.link import Faults, Plan
-    from tools.robot.publishers import Publisher
+from tools.robot.link import Faults, Plan
+from tools.robot.publishers import Publisher
 
 _POLL_S = 0.02
 _SETTLED_S = 0.4

@@ -7,8 +7,9 @@ import json
 import struct
 import threading
 from collections import defaultdict
+from collections.abc import Collection
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hickory_stream.base.json_text import dumps
 from hickory_stream.sinks.publish_sink import GOAL_TOPIC
@@ -16,12 +17,7 @@ from hickory_stream.sinks.ros_messages import GOAL, definition_of
 from players.logs.containers import Topic
 from players.logs.mcap_records import schema_of
 from tools.robot.heard import Heard
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from tools.robot.link import Sending
-
+from tools.robot.link import Sending
 
 _CLIENT_DATA = struct.Struct("<BI")
 _GOAL = Topic(name=GOAL_TOPIC, type_name=GOAL, definition_format="msg", definition=definition_of(GOAL))

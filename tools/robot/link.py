@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tools.robot.prepared import Due
 from tools.robot.stamps import restamped
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tools.robot.prepared import Due
 
 _MOST_QUEUED_S = 2.0
 

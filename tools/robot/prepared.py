@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from hickory_stream.errors import RecordingError
+from players.logs.containers import Topic
 from players.messages.records import TF
 from players.opening import open_container
 from tools.robot.stamps import humble
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from players.logs.containers import Topic
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

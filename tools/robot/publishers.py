@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Collection
+from pathlib import Path
+from typing import Protocol
 
+from players.logs.containers import Topic
 from players.logs.mcap_records import schema_of
 from tools.robot.heard import Heard
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-    from pathlib import Path
-
-    from players.logs.containers import Topic
-    from tools.robot.link import Sending
+from tools.robot.link import Sending
 
 
 class Publisher(Protocol):

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import struct
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from players.logs.containers import Topic
 from players.messages.records import HEADER_FIRST, TF
-
-if TYPE_CHECKING:
-    from players.logs.containers import Topic
 
 _STAMP = struct.Struct("<iI")
 _SECOND_NS = 1_000_000_000

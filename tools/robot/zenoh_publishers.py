@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection
+from typing import Any
 
 from hickory_stream.base.json_text import dumps
 from hickory_stream.sinks.publish_sink import GOAL_TOPIC
 from hickory_stream.sinks.ros_messages import GOAL
 from players.logs.containers import Topic
 from tools.robot.heard import TOPICS, Heard
+from tools.robot.link import Sending
 from tools.robot.stamps import humble
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from tools.robot.link import Sending
 
 _GID = bytes(range(16))
 

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.errors import ConfigError
-from hickory_stream.worlds.scene import World, numbered
+from hickory_stream.worlds.scene import Placement, World, numbered
 from tools.worlds.furnishing import FURNISH, Room
 from tools.worlds.routes import joins_rooms
 from tools.worlds.structure import DoorWay, apartment_structure, drawn_door
-
-if TYPE_CHECKING:
-    from hickory_stream.worlds.scene import Placement
 
 _ATTEMPTS = 60
 _WALL_M = 0.1

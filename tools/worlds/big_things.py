@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from hickory_stream.worlds.object_models import Model, Surface, ellipsoid, lathe, rounded_box, tube
+from hickory_stream.worlds.object_models import Model, Part, Surface, ellipsoid, lathe, rounded_box, tube
 from hickory_stream.worlds.palettes import coat, fabric, glaze, plain, wood
-
-if TYPE_CHECKING:
-    from hickory_stream.worlds.object_models import Part
 
 
 def armchair(rng: np.random.Generator) -> Model:

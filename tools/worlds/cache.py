@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.base import caches
 from hickory_stream.base.json_text import dumps
@@ -13,10 +15,6 @@ from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.trajectory import WalkConfig
 from tools.worlds.layouts import layout_files
 from tools.worlds.recording_config import CLUTTER, RecordingConfig
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 WORLDS_VERSION = 1
 """The version of the cache, to be raised with any change of rendered output, so that old recordings are made again."""

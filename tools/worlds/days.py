@@ -5,21 +5,17 @@ A moved object keeps its id, a new one gets one that no earlier day had.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.worlds import small_things
+from hickory_stream.worlds.object_models import Model
 from hickory_stream.worlds.scene import Placement, World, WorldObject, at_place
 from hickory_stream.worlds.support_placement import REST_M, stood_on
 from tools.worlds import big_things, table_things
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from hickory_stream.worlds.object_models import Model
 
 CHANGES_A_DAY = 8
 _ATTEMPTS = 40

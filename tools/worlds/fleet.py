@@ -7,25 +7,19 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.base.json_text import dumps_exactly, toml_string
 from hickory_stream.errors import ConfigError
-from hickory_stream.evaluation.truth import TRUTH_FILE, truth_record
+from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, truth_record
+from hickory_stream.pictures.ray_caster import CasterName
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.visibility import SeenSurface
-from tools.worlds.recording_config import MAX_ROBOTS, walkable_world
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.pictures.ray_caster import CasterName
-    from tools.worlds.recording_config import RecordingConfig
+from tools.worlds.recording_config import MAX_ROBOTS, RecordingConfig, walkable_world
 
 
 def robot_name(name: str, robot: int) -> str:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.worlds import furniture, small_things
+from hickory_stream.worlds.object_models import Model
 from hickory_stream.worlds.scene import Placement, at_place
 from hickory_stream.worlds.support_placement import REST_M, stood_on, walls_of
 from tools.worlds import big_things, table_things
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from hickory_stream.worlds.object_models import Model
 
 _DRAWS = 80
 _APART_M = 0.05

@@ -5,20 +5,17 @@ The numbers of the rigs are repeated here, so that an error in a profile of `pla
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Self
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
 from hickory_stream.worlds.zed_log import COLOR_ENCODING, DepthView, LogWriter, ZedLog, encode_jpeg
 from tools.worlds.ros_messages import RosMessages
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from types import TracebackType
-
-    from numpy.typing import NDArray
 
 LAYOUTS = ("zed", "kimera_multi", "nus_clb", "nus_clb_jpeg")
 

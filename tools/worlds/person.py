@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.pictures.ray_caster import CasterName, ray_caster
 from hickory_stream.worlds.object_models import Model, Part, ellipsoid, model_mesh, rounded_box, tube
 from hickory_stream.worlds.palettes import plain
-from hickory_stream.worlds.rendering import rays_of
+from hickory_stream.worlds.rendering import Rendered, rays_of
 from hickory_stream.worlds.shots import OCCLUDER_ID
 from hickory_stream.worlds.textures import Texture
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.worlds.rendering import Rendered
-    from hickory_stream.worlds.trajectory import Trajectory
+from hickory_stream.worlds.trajectory import Trajectory
 
 _STRIDE_HZ = 0.9
 _KEEPS_AWAY_M = 0.6

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import ConfigError
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.worlds.recording_config import RecordingConfig as PlainConfig
-from hickory_stream.worlds.recording_config import Scene, register_scene, walkable
-from hickory_stream.worlds.scene import placed_otherwise
+from hickory_stream.worlds.recording_config import Scene, Walk, register_scene, walkable
+from hickory_stream.worlds.scene import World, WorldObject, placed_otherwise
 from hickory_stream.worlds.shots import Stage, WorldChange
 from hickory_stream.worlds.trajectory import NoWalk, Trajectory, walk_round
+from hickory_stream.worlds.zed_log import LogWriter
 from tools.worlds.apartment import apartment
 from tools.worlds.building.building import BuildingSize, building
 from tools.worlds.building.route import building_walk
@@ -28,16 +31,6 @@ from tools.worlds.outdoor.walk import stroll
 from tools.worlds.person import Person
 from tools.worlds.routes import tour
 from tools.worlds.tabletop import orbit, tabletop
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.worlds.recording_config import Walk
-    from hickory_stream.worlds.scene import World, WorldObject
-    from hickory_stream.worlds.zed_log import LogWriter
 
 APARTMENT, TABLETOP, CLUTTER, OUTDOOR, BUILDING = "apartment", "tabletop", "clutter", "outdoor", "building"
 MAX_ROBOTS = 16

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.worlds import ros_messages
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 class RosMessages(ros_messages.RosMessages):

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter1d, label
 
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.worlds.clearance import CELL_M, HEAD_M, Clearance, clearance_of
-from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses, gaze
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.scene import World
-    from hickory_stream.worlds.trajectory import WalkConfig
-
+from hickory_stream.worlds.scene import World
+from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, camera_poses, gaze
 
 _STEP_M = 0.12
 

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from hickory_stream.worlds.object_models import Model, rounded_box
 from hickory_stream.worlds.room import FLOORS, PAINTS, WALL_CELL_M, WALL_M, wall_piece
-from hickory_stream.worlds.textures import Texture
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy as np
-
-    from hickory_stream.worlds.textures import Color
+from hickory_stream.worlds.textures import Color, Texture
 
 ROOM_HEIGHT_M = 2.6
 

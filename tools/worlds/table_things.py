@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from hickory_stream.worlds.furniture import vessel
-from hickory_stream.worlds.object_models import Model, ellipsoid, lathe, rounded_box, tube
+from hickory_stream.worlds.object_models import Model, Part, ellipsoid, lathe, rounded_box, tube
 from hickory_stream.worlds.palettes import coat, fabric, glaze, plain, wood
 from hickory_stream.worlds.textures import Texture
-
-if TYPE_CHECKING:
-    from hickory_stream.worlds.object_models import Part
 
 
 def television(rng: np.random.Generator) -> Model:

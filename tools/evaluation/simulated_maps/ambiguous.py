@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from tools.evaluation.simulated_maps.simulate import (
@@ -21,9 +22,6 @@ from tools.evaluation.simulated_maps.simulate import (
     SimulatedWorld,
     random_pose,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 AmbiguousKind = Literal["symmetric", "repeated", "identical-rooms", "different-rooms"]
 

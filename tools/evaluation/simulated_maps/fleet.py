@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tools.evaluation.simulated_maps.simulate import SimulatedWorld, random_pose
-
-if TYPE_CHECKING:
-    from hickory_stream.alignment.object_map import ObjectMap
-    from tools.evaluation.simulated_maps.simulate import Difficulty
+from hickory_stream.alignment.object_map import ObjectMap
+from tools.evaluation.simulated_maps.simulate import Difficulty, SimulatedWorld, random_pose
 
 _AREA_PER_OBJECT_M2, _HEIGHT_M = 2.5, 1.5
 

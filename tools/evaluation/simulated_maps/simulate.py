@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.geometry.boxes import OrientedBox
@@ -36,9 +37,6 @@ from hickory_stream.geometry.superquadric import (
     support_reach,
     taken,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 Difficulty = Literal["easy", "hard"]
 

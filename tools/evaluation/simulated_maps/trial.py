@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.alignment.methods import align_by
+from hickory_stream.alignment.methods import Method, align_by
 from hickory_stream.alignment.registration import information
 from hickory_stream.geometry.rigid import apply, invert
 from tools.evaluation.alignment_table import AlignmentError, error_of
-from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
+from tools.evaluation.simulated_maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
 from tools.evaluation.simulated_maps.variants import with_points
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.methods import Method
-    from tools.evaluation.simulated_maps.simulate import SimulatedPair
 # The median over the RMS of the length of a normally distributed vector, in three dimensions and in one.
 _MEDIAN_3, _MEDIAN_1 = 0.888, 0.6745
 _SIGMA_M = 0.05 * np.sqrt(2.0)

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
-from hickory_stream.geometry.superquadric import log_implicit_value, moved
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, moved
 from hickory_stream.geometry.superquadric_surface import surface_points
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.geometry.superquadric import Superquadrics
 
 _REACH_M = 5.0
 

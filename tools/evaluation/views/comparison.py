@@ -7,19 +7,13 @@ Of few scenes that says too little of the spread between scenes; there it is obj
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tools.evaluation.views.trials import BEST, OURS, STRATEGIES
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from tools.evaluation.views.trials import ViewTrial
+from tools.evaluation.views.trials import BEST, OURS, STRATEGIES, ViewTrial
 
 _RESAMPLES = 10_000
 _FEWEST_SCENES = 10

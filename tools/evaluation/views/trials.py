@@ -10,43 +10,36 @@ Every view that a run had of its objects, kept by a sink: what all strategies of
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.effects import crop_of
 from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.modes import Progress
 from hickory_stream.engine.play import play
 from hickory_stream.evaluation.evaluate import true_surface
-from hickory_stream.evaluation.match import meshes_of, score_map
+from hickory_stream.evaluation.match import TruthScore, meshes_of, score_map
 from hickory_stream.evaluation.placement import placed_truth
 from hickory_stream.evaluation.surface_score import SurfaceScore, TrueSurface, diameter_m, surface_score
-from hickory_stream.evaluation.truth import moved_mesh
+from hickory_stream.evaluation.truth import Truth, moved_mesh
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.inspection.supports import supports_of
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import read_crop, write_crop
+from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.rigid_motion import moved_object
 from hickory_stream.mapping.entities.views import Strategy, ViewConfig, score, view_of
 from hickory_stream.mapping.rules.support_graph import Relation
-from hickory_stream.ports import NoShape, ShapeInputs
+from hickory_stream.ports import NoShape, Reconstructor, ShapeInputs, Sink, Source
+from hickory_stream.records import FrameReport, MapSnapshot, TrackedObject, View
 from hickory_stream.shapes.mesh_validation import usable
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.config import MapperConfig, RunConfig
-    from hickory_stream.engine.modes import Progress
-    from hickory_stream.evaluation.match import TruthScore
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.ports import Reconstructor, Sink, Source
-    from hickory_stream.records import FrameReport, MapSnapshot, TrackedObject, View
 
 
 class EveryView:

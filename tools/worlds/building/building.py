@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,18 +15,11 @@ from hickory_stream.worlds.scene import Placement, World, at_place, numbered
 from hickory_stream.worlds.support_placement import stood_on
 from hickory_stream.worlds.textures import Texture
 from tools.worlds import big_things, table_things
-from tools.worlds.building.plan import drawn_outline, drawn_plan
+from tools.worlds.building.plan import Outline, StoreyPlan, drawn_outline, drawn_plan
 from tools.worlds.building.stairwell import STOREY_M, Stairwell
-from tools.worlds.furnishing import FURNISH, Room, against_wall, box_group, desk_group, filled_shelf, lay
+from tools.worlds.furnishing import FURNISH, Rectangle, Room, against_wall, box_group, desk_group, filled_shelf, lay
 from tools.worlds.routes import joins_rooms
 from tools.worlds.structure import ROOM_HEIGHT_M, drawn_paint, floor_of, inner_wall
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from tools.worlds.building.plan import Outline, StoreyPlan
-    from tools.worlds.furnishing import Rectangle
-
 
 _CELL_M = 0.3
 _PICTURE_SHARE = 0.6

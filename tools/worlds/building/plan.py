@@ -7,15 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.worlds.room import WALL_M
+from tools.worlds.furnishing import Rectangle
 from tools.worlds.structure import DoorWay, drawn_door
-
-if TYPE_CHECKING:
-    from tools.worlds.furnishing import Rectangle
 
 _SECTION_M = 5.0
 _DOORS_M = (0.95, 1.05)

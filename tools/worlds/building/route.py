@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.worlds.clearance import CELL_M, Clearance, clearance_of
-from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses, gaze
+from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, camera_poses, gaze
+from tools.worlds.building.building import Building, Storey
 from tools.worlds.building.stairwell import STOREY_M
 from tools.worlds.routes import corners_of, way_between
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.trajectory import WalkConfig
-    from tools.worlds.building.building import Building, Storey
-
 
 STAIRS = -1
 """Stands for the stairs where a storey's number is asked for."""

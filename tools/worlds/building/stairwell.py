@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.worlds.object_models import Model, rounded_box
+from hickory_stream.worlds.object_models import Model, Part, rounded_box
 from hickory_stream.worlds.room import WALL_M
 from hickory_stream.worlds.textures import Texture
+from tools.worlds.building.plan import Outline
+from tools.worlds.furnishing import Rectangle
 from tools.worlds.structure import ROOM_HEIGHT_M, drawn_paint
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.object_models import Part
-    from tools.worlds.building.plan import Outline
-    from tools.worlds.furnishing import Rectangle
 
 STOREY_M = ROOM_HEIGHT_M + 2 * WALL_M
 """From one floor to the next: a room, its ceiling and the floor above it."""

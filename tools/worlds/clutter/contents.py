@@ -16,7 +16,7 @@ from hickory_stream.worlds.support_placement import REST_M
 from tools.worlds.clutter.draws import about_x, about_y, chance, count, one_of, uniform
 from tools.worlds.clutter.footprints import Taken, corners_of
 from tools.worlds.clutter.heaps import heap as heaped
-from tools.worlds.clutter.kit import SHAPES, fitted
+from tools.worlds.clutter.kit import SHAPES, Kit, fitted
 from tools.worlds.clutter.objects.cloths import crumpled
 from tools.worlds.clutter.objects.solids import grounded
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.worlds.object_models import Model
     from hickory_stream.worlds.textures import Texture
-    from tools.worlds.clutter.kit import Kit
 
     Things = list[tuple[Model, NDArray[np.float64]]]
     Filling = Callable[[np.random.Generator, Kit, "Place"], Things]

@@ -5,28 +5,22 @@ A wall's frame has x into the room and y along it; the wall itself lies at x <= 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.worlds.clearance import is_inside
 from hickory_stream.worlds.object_models import Model, Part
 from hickory_stream.worlds.rendering import GLASS
 from hickory_stream.worlds.scene import at_place
 from hickory_stream.worlds.support_placement import Wall
-from hickory_stream.worlds.textures import Texture
+from hickory_stream.worlds.textures import Color, Texture
 from tools.worlds.clutter.draws import about_x, about_y, chance, count, log_uniform, one_of, uniform
 from tools.worlds.clutter.footprints import rectangle
+from tools.worlds.clutter.kit import Kit
 from tools.worlds.clutter.objects.solids import block, cylinder
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.textures import Color
-    from tools.worlds.clutter.kit import Kit
 
 
 def quiet(rng: np.random.Generator, kit: Kit, *, dim: float = 0.0) -> Texture:

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.object_models import Model
+from hickory_stream.worlds.object_models import Model
 
 
 def rectangle(half_m: tuple[float, float], at: tuple[float, float], yaw_rad: float) -> NDArray[np.float64]:

@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.arrays import freeze
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.worlds.clearance import is_inside
 from hickory_stream.worlds.depth_camera import sensed_depth
-from hickory_stream.worlds.rendering import Renderer
+from hickory_stream.worlds.rendering import Probe, Renderer
 from hickory_stream.worlds.trajectory import camera_rotation
 from tools.worlds.clutter.draws import chance, log_uniform, one_of, uniform
 from tools.worlds.clutter.families import FAMILIES, recipes_of
-from tools.worlds.clutter.room import clutter_room
+from tools.worlds.clutter.room import ClutterRoom, clutter_room
 from tools.worlds.clutter.sensors import random_camera, random_color_camera, random_depth_camera
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.worlds.rendering import Probe
-    from tools.worlds.clutter.room import ClutterRoom
-
 
 _DRAWS = 40
 _PROBE_PX = 48

@@ -5,10 +5,11 @@ A group's frame has x away from the wall (its back is at x = 0) and y along it.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.worlds.object_models import Model, Surface
@@ -18,18 +19,10 @@ from tools.worlds.clutter.contents import CONTENTS, Place
 from tools.worlds.clutter.draws import about_y, chance, count, one_of, uniform
 from tools.worlds.clutter.footprints import Taken, corners_of, do_overlap
 from tools.worlds.clutter.heaps import heap
-from tools.worlds.clutter.kit import SHAPES
+from tools.worlds.clutter.kit import SHAPES, Kit
 from tools.worlds.clutter.objects.cloths import curtain, hung_cloth, rail, tablecloth
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import block, stretched
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from tools.worlds.clutter.kit import Kit
-    from tools.worlds.clutter.objects.materials import Skin
-
 
 # A support with an open top is accessible from all sides, so that a cloth can hang down its sides.
 _OPEN_M = 0.9

@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.worlds import furniture, small_things
-from hickory_stream.worlds.object_models import Part
+from hickory_stream.worlds.object_models import Model, Part
+from hickory_stream.worlds.textures import Texture
 from tools.worlds import big_things, table_things
 from tools.worlds.clutter.draws import chance, one_of, uniform
-from tools.worlds.clutter.families import recipes_of
+from tools.worlds.clutter.families import Recipes, recipes_of
 from tools.worlds.clutter.objects.bodies import BODIES
-from tools.worlds.clutter.objects.materials import CALM, MATERIALS
+from tools.worlds.clutter.objects.materials import CALM, MATERIALS, Skin
 from tools.worlds.clutter.objects.small_frames import SMALL_FRAMES
 from tools.worlds.clutter.objects.small_solids import SMALL_SOFT, SMALL_SOLIDS
 from tools.worlds.clutter.objects.solids import stretched
 from tools.worlds.clutter.objects.supports import SUPPORTS
 from tools.worlds.clutter.objects.units import SEATS, UNITS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.worlds.object_models import Model
-    from hickory_stream.worlds.textures import Texture
-    from tools.worlds.clutter.families import Recipes
-    from tools.worlds.clutter.objects.materials import Skin
-
 
 _MOST_M = 3.0
 _SMALL = (

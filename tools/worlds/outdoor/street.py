@@ -5,10 +5,12 @@ Objects with separate feet or wheels tilt with the ground. Crowns of trees and f
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.arrays import freeze
@@ -21,12 +23,6 @@ from hickory_stream.worlds.textures import Texture
 from tools.worlds.clutter.draws import chance, count, uniform
 from tools.worlds.clutter.objects.solids import block, rough, sheet
 from tools.worlds.outdoor import street_things as things
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
 
 _CELL_M = 0.2
 _THICK_M = 0.4

@@ -5,21 +5,14 @@ Trunks and posts go on below it by `SUNK_M`, so that they meet ground that slope
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.worlds.object_models import Model, ellipsoid, lathe, rounded_box, tube
+from hickory_stream.worlds.object_models import Model, Part, ellipsoid, lathe, rounded_box, tube
 from hickory_stream.worlds.palettes import plain, wood
-from hickory_stream.worlds.textures import Texture
+from hickory_stream.worlds.textures import Color, Texture
 from tools.worlds.clutter.draws import about_x, about_y, chance, count, one_of, uniform
 from tools.worlds.clutter.objects.solids import block, cylinder, rough, superellipsoid, sweep, warped
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.object_models import Part
-    from hickory_stream.worlds.textures import Color
 
 SUNK_M = 0.12
 _PAINTS: tuple[Color, ...] = (

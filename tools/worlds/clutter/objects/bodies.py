@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from hickory_stream.worlds.furniture import vessel
 from hickory_stream.worlds.object_models import Model, Surface, lathe, tube
 from tools.worlds.clutter.draws import about_x, about_y, about_z, chance, count, log_uniform, one_of, uniform
 from tools.worlds.clutter.objects.cloths import crumpled
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import (
     block,
     cylinder,
@@ -22,11 +23,6 @@ from tools.worlds.clutter.objects.solids import (
     sweep,
     torus,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from tools.worlds.clutter.objects.materials import Skin
 
 
 def big_carton(rng: np.random.Generator, skin: Skin) -> Model:

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.worlds.textures import Texture
+from hickory_stream.worlds.textures import Color, Pattern, Texture
 from tools.worlds.clutter.draws import chance, log_uniform, uniform
-
-if TYPE_CHECKING:
-    from hickory_stream.worlds.textures import Color, Pattern
 
 Skin = Callable[[np.random.Generator], Texture]
 """Draws one material."""

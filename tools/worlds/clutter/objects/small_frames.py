@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
 from hickory_stream.worlds.object_models import Model, Part, Surface, lathe, tube
+from hickory_stream.worlds.textures import Texture
 from tools.worlds.clutter.draws import about_x, about_y, about_z, chance, count, log_uniform, one_of, uniform
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import (
     block,
     cylinder,
@@ -19,12 +21,6 @@ from tools.worlds.clutter.objects.solids import (
     sweep,
     torus,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.worlds.textures import Texture
-    from tools.worlds.clutter.objects.materials import Skin
 
 
 def open_vessel(rng: np.random.Generator, skin: Skin) -> Model:

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.worlds.object_models import Model, Part, Surface, lathe
+from hickory_stream.worlds.textures import Texture
 from tools.worlds.clutter.draws import about_x, about_y, about_z, chance, count, log_uniform, one_of, uniform
 from tools.worlds.clutter.objects.cloths import crumpled
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import block, cylinder, grounded, prism, rough, superellipsoid, torus, warped
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.textures import Texture
-    from tools.worlds.clutter.objects.materials import Skin
 
 
 def carton(rng: np.random.Generator, skin: Skin) -> Model:

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.worlds.object_models import Model, Surface
 from tools.worlds.clutter.draws import about_x, chance, count, log_uniform, uniform
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import block, cylinder, open_box, regular, sweep, warped
 from tools.worlds.clutter.objects.units import FREE_M, four_legs, fronts, level_top
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from tools.worlds.clutter.objects.materials import Skin
 
 
 def table(rng: np.random.Generator, skin: Skin) -> Model:

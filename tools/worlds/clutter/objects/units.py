@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
 from hickory_stream.worlds.object_models import Model, Part, Surface, tube
+from hickory_stream.worlds.textures import Texture
 from tools.worlds.clutter.draws import about_y, chance, count, log_uniform, one_of, uniform
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import block, cylinder, grounded, regular, sheet, superellipsoid, sweep, torus
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.worlds.textures import Texture
-    from tools.worlds.clutter.objects.materials import Skin
-
 
 FREE_M = 1.0
 """The height above an open top that things may take."""
