@@ -18,12 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.geometry.rigid import (
-    from_rotation_translation,
-    interpolate,
-    is_rigid,
-    rotation_from_quaternion,
-)
+from hickory_stream.geometry.rigid import from_rotation_translation, interpolate, is_rigid, rotation_from_quaternion
 from hickory_stream.records import MapSnapshot
 
 _MAX_GAP_NS = 500_000_000

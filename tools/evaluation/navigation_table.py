@@ -89,10 +89,7 @@ def true_scene(
     is_occupied = space.blocked()[0, 0]
     is_reachable = largest_piece(space)
     return TrueScene(
-        space=space,
-        is_occupied=is_occupied,
-        is_reachable=is_reachable,
-        optimum=OptimalLengths(~is_reachable, frame),
+        space=space, is_occupied=is_occupied, is_reachable=is_reachable, optimum=OptimalLengths(~is_reachable, frame)
     )
 
 

@@ -89,12 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "trained_with": f"{kept['device']}, lessons by {max(kept['processes'], 1)} processes",
         "licence": LICENCE,
         "torch": torch.__version__,
-        "trained_on": {
-            "own": told(OWN),
-            "broad": told(BROAD),
-            "own_share": OWN_SHARE,
-            "rendered_at": RENDERED_AT,
-        },
+        "trained_on": {"own": told(OWN), "broad": told(BROAD), "own_share": OWN_SHARE, "rendered_at": RENDERED_AT},
         "schedule": dataclasses.asdict(schedule),
         "inputs": list(CHANNELS),
         "weights": sum(p.numel() for p in net.parameters()),

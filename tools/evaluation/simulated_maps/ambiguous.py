@@ -176,9 +176,4 @@ def _rooms(place: _Place, config: AmbiguousConfig) -> _Seen:
     return objects, of < config.num_rooms, of >= config.num_rooms - shared
 
 
-_PLACES = {
-    "symmetric": _symmetric,
-    "repeated": _repeated,
-    "identical-rooms": _rooms,
-    "different-rooms": _rooms,
-}
+_PLACES = {"symmetric": _symmetric, "repeated": _repeated, "identical-rooms": _rooms, "different-rooms": _rooms}
