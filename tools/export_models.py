@@ -268,7 +268,6 @@ def reference_classes(
 def _export(
     module: Any, example: Any, file: Path, outputs: list[str], axes: dict[str, dict[int, str]], *, sizes_are_open: bool
 ) -> None:
-    """Trace a module into a graph: the exporter by tracing keeps open sizes where the newer one specialises them."""
     import torch
 
     if sizes_are_open:
@@ -291,7 +290,6 @@ def _export(
 
 
 def _use_single_precision(file: Path) -> None:
-    """Make the places that a graph samples float: the tracer gives them as double, which no provider takes."""
     import onnx
 
     model = onnx.load(str(file))

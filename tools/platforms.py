@@ -1,8 +1,6 @@
-"""`tools/check --platforms`: whether every runtime dependency has a wheel for the machines that a robot has.
-
-The package index is asked through pip (a dry run that installs nothing) for Linux on x86_64 and aarch64, Python 3.11 to
-3.13. Markers are evaluated for the machine that is asked for, which pip itself does not do.
-"""
+"""`tools/check --platforms`: whether every runtime dependency has a wheel for the machines that a robot has."""
+# The package index is asked through pip (a dry run that installs nothing) for Linux on x86_64 and aarch64, Python 3.11
+# to 3.13. Markers are evaluated for the machine that is asked for, which pip itself does not do.
 
 from __future__ import annotations
 
@@ -51,10 +49,8 @@ class Target:
 
 
 def dependencies(target: Target) -> list[str]:
-    """Return what the project needs there to run, and what that needs, as requirements sorted by name.
-
-    What is not installed here (a dependency of another machine alone) is taken without its own.
-    """
+    """Return what the project needs there to run, and what that needs, as requirements sorted by name."""
+    # What is not installed here (a dependency of another machine alone) is taken without its own.
     found: dict[str, Requirement] = {}
     waiting = [(_PROJECT, "")]
     seen: set[tuple[str, str]] = set()

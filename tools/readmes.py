@@ -17,13 +17,10 @@ READMES = (
 
 
 def filled(text: str, opening: str, closing: str, write: Callable[[re.Match[str]], str]) -> str:
-    """Return a text with the lines between two marks replaced.
-
-    Args:
-        text: of a README.
-        opening: pattern of the line before; `write` gets its named groups, and the present lines as `body`.
-        closing: the line after.
-        write: returns the new lines, without line breaks at their ends.
-    """
+    """Return a text with the lines between two marks replaced."""
+    # text: of a README.
+    # opening: pattern of the line before; `write` gets its named groups, and the present lines as `body`.
+    # closing: the line after.
+    # write: returns the new lines, without line breaks at their ends.
     block = re.compile(rf"(?P<opening>{opening})\n(?P<body>.*?)\n?{re.escape(closing)}", re.DOTALL)
     return block.sub(lambda found: f"{found['opening']}\n{write(found)}\n{closing}", text)

@@ -1,8 +1,6 @@
-"""Trees grown from lessons: which pairs of fragments, and of groups partly joined, are one thing by the truth.
-
-A forest is grown twice: on pairs of fragments and of groups partly joined by the truth, then also on the groups that
-the first trees come to. Everything is drawn from a seed.
-"""
+"""Trees grown from lessons: which pairs of fragments, and of groups partly joined, are one thing by the truth."""
+# A forest is grown twice: on pairs of fragments and of groups partly joined by the truth, then also on the groups that
+# the first trees come to. Everything is drawn from a seed.
 
 from __future__ import annotations
 
@@ -54,10 +52,8 @@ class Growth:
 def train(
     kinds: Sequence[Sequence[Lesson]], growth: Growth, shares: Sequence[float] | None = None
 ) -> tuple[Trees, int]:
-    """Return trees grown on the lessons of kinds of rooms, and on how many pairs.
-
-    `shares` is what each kind weighs; None: all count alike.
-    """
+    """Return trees grown on the lessons of kinds of rooms, and on how many pairs."""
+    # `shares` is what each kind weighs; None: all count alike.
     shares = shares or [1.0] * len(kinds)
     random = np.random.default_rng(growth.seed)
     kinds = [_partly_mute(kind) for kind in kinds] if growth.with_odds else kinds
@@ -75,7 +71,6 @@ def train(
 
 
 def _partly_mute(lessons: Sequence[Lesson]) -> list[Lesson]:
-    """Return the lessons, some without what the network says of them: trees learn to do without it, too."""
     return [replace(lesson, odds=None) if i % _MUTE_EVERY == 0 else lesson for i, lesson in enumerate(lessons)]
 
 
@@ -96,7 +91,6 @@ def _features_of(
 
 
 def _samples_of_truth(lesson: Lesson, share: float, names: tuple[str, ...], random: np.random.Generator) -> Samples:
-    """Return the pairs that are left when about this share of the true joins is made."""
     numbers = np.arange(len(lesson.shown))
     pairs, features = _features_of(lesson, numbers)
     if share > 0:
@@ -114,7 +108,6 @@ def _samples_of_rounds(
     names: tuple[str, ...],
     probabilities: Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]],
 ) -> Iterable[Samples]:
-    """Yield the pairs of each round of joining by given probabilities, more eagerly than a segmenter joins."""
     for step in rounds(lesson.measures, probabilities, JoinConfig(probability=_EAGER), lesson.odds):
         yield _samples(lesson, step.numbers, step.pairs, step.features, names)
 
@@ -122,7 +115,6 @@ def _samples_of_rounds(
 def _truth_of(
     lesson: Lesson, numbers: NDArray[np.int64], pairs: NDArray[np.int64]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64]]:
-    """Return (K,) which pairs are one thing, which count (both are mostly of one owner, one of a thing), and pixels."""
     shown = np.zeros((int(numbers.max()) + 1, len(lesson.owners)))
     np.add.at(shown, numbers, lesson.shown)
     most, pixels = shown.argmax(axis=1), np.maximum(shown.sum(axis=1), 1)
@@ -173,17 +165,14 @@ def _grown(
 
 
 def _direction(name: str) -> int:
-    """Return 1 where more of an input can only make one thing likelier, -1 for the opposite, else 0.
-
-    What the network says of a pair is held to what it means, lest trees learn from where it is wrong in our rooms.
-    """
+    # Return 1 where more of an input can only make one thing likelier, -1 for the opposite, else 0. What the network
+    # says of a pair is held to what it means, lest trees learn from where it is wrong in our rooms.
     if name.startswith("odds_") and name not in ("odds_near_share", "odds_far_share"):
         return -1 if name.endswith(("_apart", "_below_even")) else 1
     return -1 if name.endswith("_odds_below_best") else 0
 
 
 def _alike(samples: Sequence[Samples]) -> NDArray[np.float64]:
-    """Return the weights of a kind's samples, that together weigh one."""
     weight = np.concatenate([sample.weight for sample in samples])
     return np.asarray(weight / weight.sum())
 

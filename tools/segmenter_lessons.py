@@ -1,7 +1,5 @@
-"""What the trees of the default segmenter learn from: the fragments of images, and what each of them shows in truth.
-
-A lesson keeps counts instead of the image, and from these every way of joining its fragments can be scored.
-"""
+"""What the trees of the default segmenter learn from: the fragments of images, and what each of them shows in truth."""
+# A lesson keeps counts instead of the image, and from these every way of joining its fragments can be scored.
 
 from __future__ import annotations
 
@@ -35,12 +33,10 @@ _MIN_PIXELS = 16
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Lesson:
-    """An image to learn from: its fragments, and how many pixels (fragments, owners) of each show which `owners`.
+    """An image to learn from: its fragments, and how many pixels (fragments, owners) of each show which `owners`."""
 
-    Owner 0 is what is no thing. Row 0 is empty: what belongs to no fragment. `in_image` (owners,): all pixels of each.
-    `odds`: what the network of affinities says of the fragments, where it was asked.
-    """
-
+    # Owner 0 is what is no thing. Row 0 is empty: what belongs to no fragment. `in_image` (owners,): all pixels of
+    # each. `odds`: what the network of affinities says of the fragments, where it was asked.
     measures: RegionGraph
     shown: NDArray[np.float64]
     owners: NDArray[np.int64]
@@ -121,10 +117,8 @@ def lessons_of_rooms(seed: int, family: str, count: int) -> list[Lesson]:
 
 
 def lessons_of_scene(scene: Scene, folder: Path, network: PixelNetwork | None) -> list[Lesson]:
-    """Return the lessons of single views of a scene, without a map; rendered if they are not kept in `folder` yet.
-
-    Depth has the defects that the scene's own camera has, or those of cameras drawn from its seed.
-    """
+    """Return the lessons of single views of a scene, without a map; rendered if they are not kept in `folder` yet."""
+    # Depth has the defects that the scene's own camera has, or those of cameras drawn from its seed.
     segmenter = GeometricSegmenter(GeometricConfig(), _NO_TREES)
     rng = np.random.default_rng([scene.seed, 5])
     lessons: list[Lesson] = []
@@ -171,10 +165,8 @@ def score_groups(lesson: Lesson, numbers: NDArray[np.int64]) -> MaskScore:
 
 
 def lesson_of_pieces(pieces: Fragments, shown: NDArray[np.int32], network: PixelNetwork | None = None) -> list[Lesson]:
-    """Return the lesson of an image in pieces of which each pixel (H, W) shows what; none where there are no pieces.
-
-    A network divides the pieces further, as it does where maps are made.
-    """
+    """Return the lesson of an image in pieces of which each pixel (H, W) shows what; none where there are no pieces."""
+    # A network divides the pieces further, as it does where maps are made.
     said = None if network is None else network.odds(pieces.surface, None)
     if said is not None:
         pieces = replace(pieces, labels=divided_by_odds(pieces.labels, said, SplitConfig()))

@@ -1,9 +1,7 @@
-"""The recipe of each forest of the package: its training examples and its inputs.
-
-`mixed`: two forests whose log-odds are averaged, one on our apartments and table-tops, with all inputs, and one on
-random rooms as well, which count as much as these, with inputs that know no sizes. `odds`: also what the network of
-affinities says of a pair; only scenes that the network was not trained on, for of those it is too sure.
-"""
+"""The recipe of each forest of the package: its training examples and its inputs."""
+# `mixed`: two forests whose log-odds are averaged, one on our apartments and table-tops, with all inputs, and one on
+# random rooms as well, which count as much as these, with inputs that know no sizes. `odds`: also what the network of
+# affinities says of a pair; only scenes that the network was not trained on, for of those it is too sure.
 
 from __future__ import annotations
 

@@ -80,14 +80,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _held_out(network: PixelNetwork | None, frames: Path) -> dict[str, list[Lesson]]:
-    """Return by name lessons from which nothing was grown; logs are seen with the map of their true masks."""
     scenes = HELD_OUT if network is None else HELD_OUT[:1]
     logs = {name_of(*scene): lessons_of(*recording(*scene), network=network) for scene in scenes}
     return logs | {scene.name: lessons_of_scene(scene, frames, network) for scene in HELD_OUT_VIEWS}
 
 
 def _scores(lessons: Sequence[Lesson], trees: Trees, join: JoinConfig) -> dict[str, dict[str, float]]:
-    """Return the scores of masks with our joins and with true ones."""
     return {
         "ours": _told(total(score_groups(lesson, joined(lesson, trees, join)) for lesson in lessons)),
         "true_joins": _told(total(score_groups(lesson, true_groups(lesson)) for lesson in lessons)),

@@ -1,8 +1,6 @@
-"""Seeded damage to logs, as disks, networks and killed recorders cause it.
-
-For tests and `tools/bench damage`: `damaged(...)` returns the bytes that it changed, so that the messages that must
-still be readable follow from the sound log rather than from the reader under test.
-"""
+"""Seeded damage to logs, as disks, networks and killed recorders cause it."""
+# For tests and `tools/bench damage`: `damaged(...)` returns the bytes that it changed, so that the messages that must
+# still be readable follow from the sound log rather than from the reader under test.
 
 from __future__ import annotations
 
@@ -101,7 +99,6 @@ def _with(data: bytes, patches: dict[int, bytes]) -> tuple[bytes, list[Span]]:
 
 
 def _shuffled(data: bytes, spans: list[Span], rng: np.random.Generator) -> bytes:
-    """Return the file with its pieces, each with the bytes behind it, in another order; the index is unchanged."""
     starts = [start for start, _ in spans]
     ends = [*starts[1:], spans[-1][1]]
     blocks = [data[start:end] for start, end in zip(starts, ends, strict=True)]
@@ -110,13 +107,11 @@ def _shuffled(data: bytes, spans: list[Span], rng: np.random.Generator) -> bytes
 
 
 def _chunks_of(log: McapLog | Ros1Log) -> list[tuple[Span, int]]:
-    """Return the chunks of a log with how many messages are in each, by its own index."""
     with log.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         return log.chunk_spans(data)
 
 
 def _rows_of(log: SqliteLog) -> list[Part]:
-    """Return the rows of a database; page 1, with the header, is needed by all of them."""
     pages = PageFile(log.path)
     names = {number: row[0] for number, row in log.topic_rows.items()}
     parts = []

@@ -1,8 +1,6 @@
-"""The paper's table of alignments: pairs, translation and rotation for each scene and method, means and success.
-
-Two errors are given: that of the paper, which is the error of the transform itself (its translation is measured at the
-origin of map b), and the error where the maps overlap, which is the one that matters to a robot.
-"""
+"""The paper's table of alignments: pairs, translation and rotation for each scene and method, means and success."""
+# Two errors are given: that of the paper, which is the error of the transform itself (its translation is measured at
+# the origin of map b), and the error where the maps overlap, which is the one that matters to a robot.
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""Occupancy of one scene by three obstacle models, boxes, meshes and layer 4, and the time to build each.
-
-Mesh-OBB is the convex hull of each object's gravity-aligned box, Mesh-Full all triangles of all meshes, none left out.
-Both keep the margin that layer 4 has built in. All are rasterised by the same kernel, exactly over the height band and
-in whole cells, so that the methods differ in the shapes only. All are given the same walls, which belong to no object.
-"""
+"""Occupancy of one scene by three obstacle models, boxes, meshes and layer 4, and the time to build each."""
+# Mesh-OBB is the convex hull of each object's gravity-aligned box, Mesh-Full all triangles of all meshes, none left
+# out. Both keep the margin that layer 4 has built in. All are rasterised by the same kernel, exactly over the height
+# band and in whole cells, so that the methods differ in the shapes only. All are given the same walls, which belong to
+# no object.
 
 from __future__ import annotations
 
@@ -29,11 +28,9 @@ _MIN_HALF_EXTENT_M = 0.001
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Obstacles:
-    """The obstacles of a scene: `meshes` in the world and `inflated`, both by object; walls, and unobserved space.
+    """The obstacles of a scene: `meshes` in the world and `inflated`, both by object; walls, and unobserved space."""
 
-    `load` reads the meshes and is part of the measured time, since a map has them on disk.
-    """
-
+    # `load` reads the meshes and is part of the measured time, since a map has them on disk.
     load: Callable[[], Mapping[int, Mesh]]
     inflated: Mapping[int, Superquadrics]
     walls: NDArray[np.float64]

@@ -1,9 +1,7 @@
-"""The exact shortest path over a grid (a visibility graph): the reference for the length of planned paths.
-
-The shortest path around blocked squares is taut: it bends only at their convex corners, with the square on the inside
-of the bend (Lozano-Pérez and Wesley, 1979). It may touch squares, which the planners' paths may not, so its length is a
-lower bound of theirs.
-"""
+"""The exact shortest path over a grid (a visibility graph): the reference for the length of planned paths."""
+# The shortest path around blocked squares is taut: it bends only at their convex corners, with the square on the inside
+# of the bend (Lozano-Pérez and Wesley, 1979). It may touch squares, which the planners' paths may not, so its length is
+# a lower bound of theirs.
 
 from __future__ import annotations
 
@@ -52,7 +50,6 @@ class OptimalLengths:
 
 @kernel
 def _sees(blocked, x0, y0, x1, y1):
-    """Return whether a segment avoids the interior of every blocked square; it may touch their borders."""
     rows, columns = blocked.shape
     if y1 < y0:
         x0, y0, x1, y1 = x1, y1, x0, y0
@@ -87,7 +84,6 @@ def _sees(blocked, x0, y0, x1, y1):
 
 
 def _bends(blocked: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-    """Return the convex corners (N, 2) x, y; +1 if their square lies along the diagonal (1, 1), -1 if across it."""
     around = np.pad(blocked, 1, constant_values=True)
     low_left, low_right = around[:-1, :-1], around[:-1, 1:]
     high_left, high_right = around[1:, :-1], around[1:, 1:]
@@ -99,7 +95,6 @@ def _bends(blocked: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.
 
 @kernel
 def _is_taut(side, dx, dy):
-    """Return whether a path in this direction can bend around the square of a corner."""
     return side * dx * dy <= 0.0
 
 

@@ -1,11 +1,8 @@
-"""Planning among a scene's boxes, meshes and layer 4: the paper's table of success and efficiency, and more.
-
-All methods are given the same robot, the same margin and the same seeded list of starts and goals. These are connected
-in the true scene and keep a small distance from its obstacles, as robots do. The true scene is every true triangle,
-those of walls included.
-
-Scenes to plan in: from a truth folder, and from a saved map as boxes, meshes or layer 4.
-"""
+"""Planning among a scene's boxes, meshes and layer 4: the paper's table of success and efficiency, and more."""
+# All methods are given the same robot, the same margin and the same seeded list of starts and goals. These are
+# connected in the true scene and keep a small distance from its obstacles, as robots do. The true scene is every true
+# triangle, those of walls included. Scenes to plan in: from a truth folder, and from a saved map as boxes, meshes or
+# layer 4.
 
 from __future__ import annotations
 
@@ -47,15 +44,13 @@ class TrueScene:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MethodScore:
-    """One method on one scene.
+    """One method on one scene."""
 
-    `success` is the share of pairs with a path; `efficiency` is straight-line distance over path length, `over_optimum`
-    path length over the shortest path of the true scene, both means over the successes, None without any. `free_space`
-    is the share of all cells in the largest connected piece. `missed_cells` are called free but touch the true scene;
-    `lost_cells` are reachable in the true scene but not called free. Seconds are CPU seconds; `query_s` is the mean per
-    pair.
-    """
-
+    # `success` is the share of pairs with a path; `efficiency` is straight-line distance over path length,
+    # `over_optimum` path length over the shortest path of the true scene, both means over the successes, None without
+    # any. `free_space` is the share of all cells in the largest connected piece. `missed_cells` are called free but
+    # touch the true scene; `lost_cells` are reachable in the true scene but not called free. Seconds are CPU seconds;
+    # `query_s` is the mean per pair.
     name: str
     pairs: int
     success: float
@@ -78,10 +73,8 @@ def true_scene(
     floor_z_m: float,
     r_safe_m: float,
 ) -> TrueScene:
-    """Return the truth of a scene: `objects` and `structure` are (F, 3, 3) triangles in the world.
-
-    The robot is round, in one posture.
-    """
+    """Return the truth of a scene: `objects` and `structure` are (F, 3, 3) triangles in the world."""
+    # The robot is round, in one posture.
     space = FreeSpace(robot, frame, floor_z_m, hull_margin_m=r_safe_m)
     for object_id, hulls in objects.items():
         space.put_hulls(object_id, hulls)
@@ -235,10 +228,8 @@ def score_saved_map(
     trials: int,
     seeds: Sequence[int],
 ) -> list[MethodScore]:
-    """Return the table of a map that the pipeline made; all methods are given its observed walls and unknown space.
-
-    The map must be in the frame of the truth, as it is if its log was played with true poses.
-    """
+    """Return the table of a map that the pipeline made; all methods are given its observed walls and unknown space."""
+    # The map must be in the frame of the truth, as it is if its log was played with true poses.
     robot = first_posture(robot)
     snapshot = saved.snapshot
     floor = floor_of(snapshot)

@@ -1,9 +1,7 @@
-"""Oracle experiments: the same pipeline with more and more of it replaced by truth, to locate the loss.
-
-Each rung keeps the replacements of the rung below. `ours` is the product. `joins` joins our fragments by the true
-object that they belong to. `masks` uses the true masks. `structure` gives the true structure of the room to the
-segmenter and to the map. `association` matches every mask to the track of its true object, and merges no tracks.
-"""
+"""Oracle experiments: the same pipeline with more and more of it replaced by truth, to locate the loss."""
+# Each rung keeps the replacements of the rung below. `ours` is the product. `joins` joins our fragments by the true
+# object that they belong to. `masks` uses the true masks. `structure` gives the true structure of the room to the
+# segmenter and to the map. `association` matches every mask to the track of its true object, and merges no tracks.
 
 from __future__ import annotations
 
@@ -163,7 +161,6 @@ def mapping_of(rung: Rung, config: MappingConfig) -> MappingConfig:
 
 
 def _dense(ids: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return ids >= 0 renumbered without gaps; 0 stays 0, whether there is one or not."""
     _, dense = np.unique(np.concatenate([[0], ids.ravel()]), return_inverse=True)
     return dense[1:].reshape(ids.shape).astype(np.int32)
 

@@ -1,10 +1,8 @@
-"""How alike two objects are by their superquadrics: the paper's s_geo, computed so that equal shapes score 1.
-
-The paper compares the k-th primitive of one object with the k-th of the other. The order of a fit is no invariant, and
-neither are its parameters: a primitive with e1 = e2 has six equal forms, a square column two. Here primitives are
-matched one to one so that the score is highest, every pair is compared over all orders of its axes, and volume that
-finds no partner counts as 0. The literal formula is `literal_shape_score`.
-"""
+"""How alike two objects are by their superquadrics: the paper's s_geo, computed so that equal shapes score 1."""
+# The paper compares the k-th primitive of one object with the k-th of the other. The order of a fit is no invariant,
+# and neither are its parameters: a primitive with e1 = e2 has six equal forms, a square column two. Here primitives are
+# matched one to one so that the score is highest, every pair is compared over all orders of its axes, and volume that
+# finds no partner counts as 0. The literal formula is `literal_shape_score`.
 
 from __future__ import annotations
 
@@ -19,11 +17,9 @@ from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
 
 
 def shape_score(a: Superquadrics, b: Superquadrics, *, sigma_geo: float = 1.0) -> float:
-    """Return s_geo of Eq. (sgeo) over the best one-to-one matching, in 0..1; 0 where either has no primitive.
-
-    Symmetric in `a` and `b`; independent of their poses, of the order of their primitives and of equal
-    parameterisations. A matched pair weighs the smaller of its two shares of volume.
-    """
+    """Return s_geo of Eq. (sgeo) over the best one-to-one matching, in 0..1; 0 where either has no primitive."""
+    # Symmetric in `a` and `b`; independent of their poses, of the order of their primitives and of equal
+    # parameterisations. A matched pair weighs the smaller of its two shares of volume.
     return _matched(_features(a), _features(b), sigma_geo)
 
 
@@ -39,10 +35,8 @@ def shape_scores(
 def literal_shape_score(
     a: Superquadrics, b: Superquadrics, *, sigma_geo: float = 1.0, count: int | None = None
 ) -> float:
-    """Return Eq. (sgeo) as it is written: the k-th primitive with the k-th, weights from `a`, for comparison.
-
-    `count` is K; by default that of the object with fewer primitives.
-    """
+    """Return Eq. (sgeo) as it is written: the k-th primitive with the k-th, weights from `a`, for comparison."""
+    # `count` is K; by default that of the object with fewer primitives.
     k = min(len(a), len(b)) if count is None else min(count, len(a), len(b))
     if k == 0:
         return 0.0
@@ -57,7 +51,6 @@ def _ratios(a: Superquadrics, b: Superquadrics, k: int) -> NDArray[np.float64]:
 
 
 def _features(primitives: Superquadrics) -> NDArray[np.float64]:
-    """Return (N, 6): e1, e2, the semi-axes, and the share of the object's volume."""
     volumes = volumes_m3(primitives)
     return np.column_stack([primitives.exponents, primitives.semi_axes_m, volumes / max(volumes.sum(), 1e-300)])
 
@@ -72,7 +65,6 @@ def _matched(a: NDArray[np.float64], b: NDArray[np.float64], sigma_geo: float) -
 
 @kernel
 def _pair_scores(a, b, sigma):
-    """Return the (A, B) terms of Eq. (sgeo), each over the order of axes, and the dual, that suits it best."""
     out = np.zeros((len(a), len(b)))
     for i in range(len(a)):
         for j in range(len(b)):
@@ -92,12 +84,10 @@ def _pair_scores(a, b, sigma):
 
 @kernel
 def _over_orders(e1, e2, axes, f1, f2, other, sigma):
-    """Return the best term over the six ways to lay the axes of one primitive on those of the other.
-
-    The outline in the plane of x and y is drawn by e2, that in the two others by e1: |de1| + |de2| of the paper is, for
-    axes in the same order, the mean difference over the two upright planes plus that in the level one. Written so, it
-    has a meaning for any order, and is the paper's for primitives whose exponents are equal.
-    """
+    # Return the best term over the six ways to lay the axes of one primitive on those of the other. The outline in the
+    # plane of x and y is drawn by e2, that in the two others by e1: |de1| + |de2| of the paper is, for axes in the same
+    # order, the mean difference over the two upright planes plus that in the level one. Written so, it has a meaning
+    # for any order, and is the paper's for primitives whose exponents are equal.
     best = 0.0
     for z in range(3):
         # The axis of the other that lies on z, and the two orders of the rest.

@@ -13,11 +13,9 @@ _SAME_M, _SAME_TURN = 0.01, 0.02
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrueChanges:
-    """Ids of the objects that stayed, that were moved, that are gone and that are new, each sorted.
+    """Ids of the objects that stayed, that were moved, that are gone and that are new, each sorted."""
 
-    `exchanged` are pairs of one that is gone and a new one in its very place; they are in `gone` and `new` as well.
-    """
-
+    # `exchanged` are pairs of one that is gone and a new one in its very place; they are in `gone` and `new` as well.
     stayed: tuple[int, ...]
     moved: tuple[int, ...]
     gone: tuple[int, ...]

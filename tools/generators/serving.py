@@ -46,11 +46,9 @@ class Made:
 
 @dataclass(frozen=True)
 class Model:
-    """A mesh of true size whose pose is asked for, in a frame of its own.
+    """A mesh of true size whose pose is asked for, in a frame of its own."""
 
-    `vertices` (V, 3) metres, `faces` (F, 3), `colors` (V, 3) uint8 or None.
-    """
-
+    # `vertices` (V, 3) metres, `faces` (F, 3), `colors` (V, 3) uint8 or None.
     vertices: np.ndarray
     faces: np.ndarray
     colors: np.ndarray | None = None
@@ -191,10 +189,8 @@ def array_of(values: Any) -> np.ndarray:
 
 
 def squared(view: View, foreground: float, background: float) -> tuple[np.ndarray, float]:
-    """Return a square (N, N, 3) uint8 image of the object alone, its longer side `foreground` of it; and that in px.
-
-    `background` in 0..1 is the grey of what is not the object.
-    """
+    """Return a square (N, N, 3) uint8 image of the object alone, its longer side `foreground` of it; and that in px."""
+    # `background` in 0..1 is the grey of what is not the object.
     rows, columns = np.nonzero(view.mask)
     top, left = rows.min(), columns.min()
     height, width = rows.max() + 1 - top, columns.max() + 1 - left

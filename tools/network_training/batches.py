@@ -1,7 +1,5 @@
-"""Lessons in batches, made by several processes ahead of the training that takes them.
-
-What a step learns from follows from the seed and the number of the step alone, however many processes there are.
-"""
+"""Lessons in batches, made by several processes ahead of the training that takes them."""
+# What a step learns from follows from the seed and the number of the step alone, however many processes there are.
 
 from __future__ import annotations
 
@@ -35,8 +33,6 @@ class Batch:
 
 
 class _OfSteps(Dataset[Batch]):
-    """The batch of each step of a schedule."""
-
     def __init__(self, frame_of: Callable[[np.random.Generator, Stage], TrueFrame], schedule: Schedule) -> None:
         self._frame_of = frame_of
         self._schedule = schedule
@@ -74,7 +70,6 @@ def batches(
 
 
 def _weights(labels: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return (h, w) what each pixel counts: the root of how much smaller its thing is than a usual one."""
     _, place, pixels = np.unique(labels, return_inverse=True, return_counts=True)
     weights = np.clip(np.sqrt(_USUAL_AREA_PX / pixels), 0.3, 3.0)
     return np.asarray(weights[place].reshape(labels.shape), dtype=np.float32)

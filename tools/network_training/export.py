@@ -1,10 +1,9 @@
-"""From the trained network to a graph in eight bits whose every sum is exact.
-
-Batch normalisation is folded into the convolutions. Activations are bytes from 0 on, so that cutting at 0 is the ReLU;
-what is concatenated shares its scale, so that it is copied. Weights have seven bits, one scale for each output channel:
-processors without VNNI add pairs of products in sixteen bits, and 2 x 255 x 63 stays below 32768, so that nothing is
-cut there that is not cut elsewhere. The graph is written node by node: what onnxruntime runs is what is here.
-"""
+"""From the trained network to a graph in eight bits whose every sum is exact."""
+# Batch normalisation is folded into the convolutions. Activations are bytes from 0 on, so that cutting at 0 is the
+# ReLU; what is concatenated shares its scale, so that it is copied. Weights have seven bits, one scale for each output
+# channel: processors without VNNI add pairs of products in sixteen bits, and 2 x 255 x 63 stays below 32768, so that
+# nothing is cut there that is not cut elsewhere. The graph is written node by node: what onnxruntime runs is what is
+# here.
 
 from __future__ import annotations
 
@@ -59,8 +58,6 @@ def export(net: AffinityNet, inputs: Sequence[NDArray[np.uint8]], path: Path) ->
 
 
 class _Graph:
-    """An ONNX graph as it grows."""
-
     def __init__(self) -> None:
         self._nodes: list[onnx.NodeProto] = []
         self._constants: list[onnx.TensorProto] = []
@@ -150,10 +147,8 @@ def _array(tensor: torch.Tensor) -> NDArray[np.float64]:
 
 
 def _scales(net: AffinityNet, inputs: Sequence[NDArray[np.uint8]]) -> dict[int | tuple[str, int], float]:
-    """Return what one step of a byte is worth: for level i what is kept and enlarged there, and for other tensors.
-
-    The greatest activations are cut: a few in ten thousand may be over the range, for which all others are finer.
-    """
+    # Return what one step of a byte is worth: for level i what is kept and enlarged there, and for other tensors. The
+    # greatest activations are cut: a few in ten thousand may be over the range, for which all others are finer.
     found: dict[tuple[str, int], list[float]] = {}
 
     def watch(key: tuple[str, int]):  # type: ignore[no-untyped-def]

@@ -1,8 +1,6 @@
-"""Training frames, rendered without sensor defects and cached; defects are drawn anew for each lesson.
-
-Cameras stand where one can walk, but look from any height between a small robot's and a tall person's, at any pitch,
-with a little roll and a field of view of their own.
-"""
+"""Training frames, rendered without sensor defects and cached; defects are drawn anew for each lesson."""
+# Cameras stand where one can walk, but look from any height between a small robot's and a tall person's, at any pitch,
+# with a little roll and a field of view of their own.
 
 from __future__ import annotations
 
@@ -34,12 +32,11 @@ _TRIES = 4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TrueFrame:
-    """A frame without defects, and `sensed_m` (H, W) float32: depth with those of a camera, where the scene has one.
+    """A frame without defects, and `sensed_m` (H, W) float32: depth with those of a camera, where the scene has one."""
 
-    `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32, NaN without a hit; `cosine` (H, W) float32 of the angle between ray
-    and surface; `instances` (H, W) int32: a thing, 0 for structure, -1 where it is not known; the floor is at z = 0.
-    """
-
+    # `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32, NaN without a hit; `cosine` (H, W) float32 of the angle between
+    # ray and surface; `instances` (H, W) int32: a thing, 0 for structure, -1 where it is not known; the floor is at z =
+    # 0.
     rgb: NDArray[np.uint8]
     depth_m: NDArray[np.float32]
     cosine: NDArray[np.float32]
@@ -51,11 +48,9 @@ class TrueFrame:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scene:
-    """A synthetic world and how many frames of it are learnt from.
+    """A synthetic world and how many frames of it are learnt from."""
 
-    `kind` is that of a recording, or `clutter-FAMILY`: random rooms.
-    """
-
+    # `kind` is that of a recording, or `clutter-FAMILY`: random rooms.
     kind: str
     seed: int
     frames: int
@@ -121,7 +116,6 @@ def rendered(scenes: Sequence[Scene], folder: Path, processes: int) -> None:
 
 
 def _render(scene: Scene, folder: Path) -> None:
-    """Leave the frames of a scene on the disk: what a process returned would be sent to another one."""
     frames_of_scene(scene, folder)
 
 
@@ -146,7 +140,6 @@ def _of_random_rooms(scene: Scene, family: str) -> Iterator[TrueFrame]:
 
 
 def _cosine(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Return (H, W) the cosine between ray and surface, by the neighbours to the right and below; 1 at edges."""
     points = backproject(depth_m, camera).astype(np.float64)
     right, below = np.roll(points, -1, axis=1) - points, np.roll(points, -1, axis=0) - points
     normal = np.cross(right, below)
@@ -189,7 +182,6 @@ def _camera(rng: np.random.Generator) -> Camera:
 
 
 def _pose(kind: str, trajectory: Trajectory, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return `world_from_camera` near a walk."""
     before = trajectory.pose_at(float(rng.uniform(0, trajectory.times_s[-1])))
     forward = before[:3, 2]
     yaw, pitch = np.arctan2(forward[1], forward[0]), np.arcsin(np.clip(forward[2], -1, 1))
@@ -235,7 +227,6 @@ def _write(file: Path, frames: Sequence[TrueFrame]) -> None:
 
 
 def _fifths_mm(depth_m: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return depth in a fifth of a millimetre, 0 for none."""
     return np.asarray(np.nan_to_num(np.clip(np.round(5000.0 * depth_m), 0, 65535)))
 
 

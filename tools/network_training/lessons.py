@@ -1,9 +1,7 @@
-"""A training example: a frame with defects of depth and colour drawn anew each time, and its target affinities.
-
-Depth gets the noise, holes and shadows of stereo cameras good and bad; colour is changed as light and cameras change
-it, and is left out altogether a quarter of the time, so that the network is led by depth. Height and scale are left out
-half of the time, and the noise that is assumed is not the true one.
-"""
+"""A training example: a frame with defects of depth and colour drawn anew each time, and its target affinities."""
+# Depth gets the noise, holes and shadows of stereo cameras good and bad; colour is changed as light and cameras change
+# it, and is left out altogether a quarter of the time, so that the network is led by depth. Height and scale are left
+# out half of the time, and the noise that is assumed is not the true one.
 
 from __future__ import annotations
 
@@ -30,11 +28,9 @@ _MIRRORED = CHANNELS.index("normal_right")
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Lesson:
-    """Bytes (NUM_INPUTS, H, W), and (H / 2, W / 2) the thing at each pixel of the output.
+    """Bytes (NUM_INPUTS, H, W), and (H / 2, W / 2) the thing at each pixel of the output."""
 
-    0 is structure, `UNKNOWN` what is not to be learnt.
-    """
-
+    # 0 is structure, `UNKNOWN` what is not to be learnt.
     inputs: NDArray[np.uint8]
     labels: NDArray[np.int32]
 
@@ -69,7 +65,6 @@ def lesson_of(frame: TrueFrame, rng: np.random.Generator) -> Lesson:
 def _mirrored(
     inputs: NDArray[np.uint8], width: int, labels: NDArray[np.int32]
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
-    """Return a lesson with left and right exchanged; the outputs are those of even pixels in either."""
     out, named = inputs.copy(), labels.copy()
     # One column more to the right, so that even pixels stay even.
     out[:, :, 1:width] = inputs[:, :, 1:width][:, :, ::-1]
@@ -111,7 +106,6 @@ def _defective_depth(frame: TrueFrame, rng: np.random.Generator) -> NDArray[np.f
 
 
 def _tilted(world_from_camera: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a pose whose gravity is off by a degree or so."""
     turned, _ = cv2.Rodrigues(np.array([*rng.normal(0, 0.015, 2), 0.0]))
     return from_rotation_translation(turned @ world_from_camera[:3, :3], world_from_camera[:3, 3])
 

@@ -1,9 +1,7 @@
-"""The network in torch: a small U-Net whose every layer has an exact form in eight bits.
-
-Encoder and decoder of Ronneberger et al. 2015 with skips, output at half the input's size; affinities to neighbours at
-growing distances as in Wolf et al. 2018 and Lee et al. 2017. Only convolutions with a ReLU, nearest enlargement and
-concatenation: in eight bits the first is integers and one rounding, the others are copies (`export.py`).
-"""
+"""The network in torch: a small U-Net whose every layer has an exact form in eight bits."""
+# Encoder and decoder of Ronneberger et al. 2015 with skips, output at half the input's size; affinities to neighbours
+# at growing distances as in Wolf et al. 2018 and Lee et al. 2017. Only convolutions with a ReLU, nearest enlargement
+# and concatenation: in eight bits the first is integers and one rounding, the others are copies (`export.py`).
 
 from __future__ import annotations
 

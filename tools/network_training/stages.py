@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stage:
-    """So many steps of so many lessons; the rate rises, stays and falls.
+    """So many steps of so many lessons; the rate rises, stays and falls."""
 
-    `rooms`: those of the broad scenes that are learnt from, from the first to before the last.
-    """
-
+    # `rooms`: those of the broad scenes that are learnt from, from the first to before the last.
     steps: int
     batch: int
     rooms: tuple[int, int]

@@ -32,11 +32,9 @@ def train(
     device: str = "cpu",
     processes: int = 0,
 ) -> AffinityNet:
-    """Return the network trained on frames that `frame_of(rng, stage)` draws, on the processor when it is done.
-
-    It goes on from a checkpoint if there is one. `device` is torch's; `processes` make lessons beside the training. The
-    same weights come again on a processor with as many threads; another device rounds in other places.
-    """
+    """Return the network trained on frames that `frame_of(rng, stage)` draws, on the processor when it is done."""
+    # It goes on from a checkpoint if there is one. `device` is torch's; `processes` make lessons beside the training.
+    # The same weights come again on a processor with as many threads; another device rounds in other places.
     torch.manual_seed(schedule.seed)
     net = AffinityNet().to(device, memory_format=torch.channels_last)
     optimizer = torch.optim.AdamW(net.parameters(), weight_decay=schedule.weight_decay)
@@ -89,11 +87,8 @@ def train(
 
 
 def read_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Return what training kept: `net`, `optimizer`, `step`, `elapsed_s`, `device` and `processes`.
-
-    Raises:
-        RuntimeError: the file is of an earlier version.
-    """
+    """Return what training kept: `net`, `optimizer`, `step`, `elapsed_s`, `device` and `processes`."""
+    # Raises RuntimeError: the file is of an earlier version.
     kept: dict[str, Any] = torch.load(path, weights_only=True, map_location=device)
     if "elapsed_s" not in kept:
         raise RuntimeError(f"{path}: a checkpoint of an earlier version; remove it, or name another by --checkpoint")
@@ -101,10 +96,8 @@ def read_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
 
 
 def accuracies(net: AffinityNet, lessons: Sequence[Lesson]) -> dict[str, float]:
-    """Return the mean of the shares of pairs that are one thing, and of two, that are told right, by distance.
-
-    After them the same of what is a thing and what is structure.
-    """
+    """Return the mean of the shares of pairs that are one thing, and of two, that are told right, by distance."""
+    # After them the same of what is a thing and what is structure.
     names = [f"distance {d}" for d in DISTANCES_PX] + ["thing"]
     right, all_of = np.zeros((len(names), 2)), np.zeros((len(names), 2))
     net.eval()
@@ -122,10 +115,8 @@ def accuracies(net: AffinityNet, lessons: Sequence[Lesson]) -> dict[str, float]:
 
 
 def truth_of(labels: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return for (B, h, w) labels what is to be said and where that is known, both (B, NUM_OUTPUTS, h, w) bool.
-
-    Of two pixels of structure nothing is to be said.
-    """
+    """Return for (B, h, w) labels what is to be said and where that is known, both (B, NUM_OUTPUTS, h, w) bool."""
+    # Of two pixels of structure nothing is to be said.
     true, known = [], []
     for dy, dx in OFFSETS:
         other = _moved(labels, dy, dx)
@@ -137,7 +128,6 @@ def truth_of(labels: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def _moved(image: torch.Tensor, dy: int, dx: int) -> torch.Tensor:
-    """Return (B, h, w) the value at each pixel's neighbour, `UNKNOWN` beyond the border; `dy` >= 0."""
     height, width = image.shape[1:]
     out = torch.full_like(image, UNKNOWN)
     if dy < height and abs(dx) < width:

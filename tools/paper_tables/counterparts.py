@@ -1,7 +1,5 @@
-"""Synthetic counterparts of the data sets, written in their layouts so that the same readers read them.
-
-The scenes are drawn from seeds that nothing else in the project uses. A scene that is there stays.
-"""
+"""Synthetic counterparts of the data sets, written in their layouts so that the same readers read them."""
+# The scenes are drawn from seeds that nothing else in the project uses. A scene that is there stays.
 
 from __future__ import annotations
 
@@ -52,7 +50,6 @@ def write_counterparts(plan: Plan, data: Path, told: Callable[[str], None]) -> N
 
 
 def _once(target: Path, told: Callable[[str], None], write: Callable[[Path], None]) -> None:
-    """Write a folder whole or not at all."""
     if target.is_dir():
         return
     told(f"writing {target.parent.name}/{target.name}")
@@ -73,12 +70,10 @@ def _table(plan: Plan, i: int, target: Path) -> None:
 
 
 def _data_set_folder(target: Path) -> Path:
-    """Return hope-dataset for hope-dataset/hope_video/.unfinished/scene_0000."""
     return target.parents[2]
 
 
 def _robots(plan: Plan, i: int, target: Path) -> None:
-    """Write a pair of robots' bags and their ground truth in a common frame; the first pair drive opposite ways."""
     target.mkdir()
     base = RecordingConfig(
         scene="outdoor", seed=_SEED + 200 + i, seconds=plan.robot_seconds, rate_hz=5.0, layout="kimera_multi",
@@ -114,13 +109,11 @@ def _run(base: RecordingConfig, target: Path, walk: int) -> None:
 
 
 def _side_by_side(record: Callable[[int], None], walks: tuple[int, ...]) -> None:
-    """Record walks in processes of their own: an outdoor frame takes a second of one processor."""
     with ProcessPoolExecutor(len(walks), mp_context=get_context("spawn")) as pool:
         list(pool.map(record, walks))
 
 
 def _csv_rows(truth: Truth, config: RecordingConfig, camera_from_body: NDArray[np.float64]) -> list[str]:
-    """Return `stamp_ns,x,y,z,qw,qx,qy,qz` of the body, in the frame that all robots share."""
     rows = []
     for stamp_ns, pose in _common(truth, config):
         x, y, z, (qx, qy, qz, qw) = _numbers(pose @ camera_from_body)
@@ -129,7 +122,6 @@ def _csv_rows(truth: Truth, config: RecordingConfig, camera_from_body: NDArray[n
 
 
 def _tum_rows(truth: Truth, config: RecordingConfig) -> list[str]:
-    """Return `seconds x y z qx qy qz qw` of the camera, in the frame that all runs share."""
     rows = []
     for stamp_ns, pose in _common(truth, config):
         x, y, z, (qx, qy, qz, qw) = _numbers(pose)
@@ -139,7 +131,6 @@ def _tum_rows(truth: Truth, config: RecordingConfig) -> list[str]:
 
 
 def _common(truth: Truth, config: RecordingConfig) -> list[tuple[int, NDArray[np.float64]]]:
-    """Return stamps and common_from_camera (4, 4): the true poses are in the robot's own frame."""
     robot_from_common = drawn_frame(config)
     common_from_robot = np.eye(4) if robot_from_common is None else invert(robot_from_common)
     return [(frame.stamp_ns, common_from_robot @ frame.world_from_camera) for frame in truth.frames]

@@ -1,10 +1,8 @@
-"""HOPE-Video in its published layout, as a log with truth.
-
-A scene is `NNNN_rgb.jpg`, `NNNN_depth.png` (millimetres) and `NNNN.json`: intrinsics, extrinsics (camera from world,
-metres) and, for every object, its class and its pose in the camera's frame in centimetres, as its mesh
-`meshes/eval/CLASS.obj` is. The units are those of the data set's README and of its own viewer, which turns the scene's
-cloud, in metres, by the extrinsics before it scales it to centimetres.
-"""
+"""HOPE-Video in its published layout, as a log with truth."""
+# A scene is `NNNN_rgb.jpg`, `NNNN_depth.png` (millimetres) and `NNNN.json`: intrinsics, extrinsics (camera from world,
+# metres) and, for every object, its class and its pose in the camera's frame in centimetres, as its mesh
+# `meshes/eval/CLASS.obj` is. The units are those of the data set's README and of its own viewer, which turns the
+# scene's cloud, in metres, by the extrinsics before it scales it to centimetres.
 
 from __future__ import annotations
 
@@ -50,14 +48,10 @@ def scene_folders(root: Path) -> list[Path]:
 
 
 def write_truth(scene: Path, meshes: Path, target: Path) -> Truth:
-    """Write the truth of a scene's objects into a new folder and return it.
-
-    An object is one of a class, the n-th of its json; its place is the median over all frames.
-
-    Raises:
-        RecordingError: a json or a mesh is missing or damaged, or an object does not stay in place, which means other
-            units than expected.
-    """
+    """Write the truth of a scene's objects into a new folder and return it."""
+    # An object is one of a class, the n-th of its json; its place is the median over all frames.
+    # Raises RecordingError: a json or a mesh is missing or damaged, or an object does not stay in place, which means
+    # other units than expected.
     numbers = sorted(int(file.name[:4]) for file in scene.glob("[0-9][0-9][0-9][0-9].json"))
     objects = _objects(scene, numbers, meshes)
     world = World(objects=objects, structure=(), rooms_m=((-2.0, -2.0, 2.0, 2.0),), middle_m=(0.0, 0.0))
@@ -150,7 +144,6 @@ def _objects(scene: Path, numbers: list[int], meshes: Path) -> tuple[WorldObject
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], list[_Annotated]]:
-    """Return world_from_camera and the objects of a frame, in metres."""
     try:
         record: Any = json.loads(path.read_bytes())
         camera_from_world = np.array(record["camera"]["extrinsics"], dtype=np.float64).reshape(4, 4)

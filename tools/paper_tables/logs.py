@@ -43,11 +43,8 @@ def hope_logs(data: Path, plan: Plan) -> list[Log]:
 
 
 def hope_truth(data: Path, log: Log, shop: Workshop) -> Truth:
-    """Return the truth of a scene of HOPE-Video, made once.
-
-    Raises:
-        RecordingError: a json or a mesh is missing or damaged.
-    """
+    """Return the truth of a scene of HOPE-Video, made once."""
+    # Raises RecordingError: a json or a mesh is missing or damaged.
     root, target = HOPE.folder(data), shop.folder / "truth" / log.label
     assert root is not None
     if not (target / TRUTH_FILE).is_file():
@@ -57,11 +54,8 @@ def hope_truth(data: Path, log: Log, shop: Workshop) -> Truth:
 
 
 def apartment_pairs(data: Path, plan: Plan, shop: Workshop) -> list[Pair]:
-    """Return two walks through each of the first apartments of ReplicaCAD, rendered by our own renderer, once.
-
-    Raises:
-        RecordingError: a file of an apartment is missing or damaged, or nobody can walk through it.
-    """
+    """Return two walks through each of the first apartments of ReplicaCAD, rendered by our own renderer, once."""
+    # Raises RecordingError: a file of an apartment is missing or damaged, or nobody can walk through it.
     root = REPLICA_CAD.folder(data)
     names = [] if root is None else replica_cad.scene_names(root)[: plan.apartments]
     pairs = []
@@ -131,7 +125,6 @@ def _ground_truth(folder: Path, robot: str) -> Path:
 
 
 def _robot_log(folder: Path, robot: str) -> Log | None:
-    """Return a robot's bag (10_14_ROBOT.bag or ROBOT.bag) with that of its odometry; None if one is missing."""
     bags = [file for file in sorted(folder.glob(f"*{robot}.bag")) if file.stem in (robot, *_dated(file.stem, robot))]
     odometry = folder / f"{robot}_vio.bag"
     if not bags or not odometry.is_file():
@@ -140,7 +133,6 @@ def _robot_log(folder: Path, robot: str) -> Log | None:
 
 
 def _dated(stem: str, robot: str) -> tuple[str, ...]:
-    """Return the stem if it is MM_DD_ROBOT: acl_jackal2 is not a bag of jackal2."""
     date = stem.removesuffix(f"_{robot}").replace("_", "")
     return (stem,) if stem.endswith(f"_{robot}") and date.isdigit() else ()
 

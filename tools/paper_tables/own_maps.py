@@ -40,11 +40,8 @@ EMBEDDED: Literal["single_view"] = "single_view"
 
 
 def main(arguments: list[str]) -> int:
-    """Compare on the named logs or maps, and print the table.
-
-    Raises:
-        HickoryError: a log, map or truth cannot be read, or does not fit the others.
-    """
+    """Compare on the named logs or maps, and print the table."""
+    # Raises HickoryError: a log, map or truth cannot be read, or does not fit the others.
     parser = argparse.ArgumentParser(prog="tools/paper", description=__doc__)
     commands = parser.add_subparsers(required=True)
     views = commands.add_parser("views", help="compare the strategies of choosing views on logs")
@@ -102,11 +99,8 @@ def _views(options: argparse.Namespace) -> None:
 
 
 def reconstructors_of(names: list[str] | None, config: MapperConfig) -> dict[str, Reconstructor]:
-    """Return the reconstructors by name; without `names`, the embedded one and every generator that starts.
-
-    Raises:
-        ConfigError: a named one cannot be used.
-    """
+    """Return the reconstructors by name; without `names`, the embedded one and every generator that starts."""
+    # Raises ConfigError: a named one cannot be used.
     found: dict[str, Reconstructor] = {}
     for name in names or [EMBEDDED, *sorted(str(path) for path in generators_folder().glob("*.toml"))]:
         if name == EMBEDDED:

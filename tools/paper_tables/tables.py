@@ -12,11 +12,9 @@ from typing import Any
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cell:
-    """A measured figure: `low` and `high` are its 95 % interval, `num` of how many it is the mean or the share.
+    """A measured figure: `low` and `high` are its 95 % interval, `num` of how many it is the mean or the share."""
 
-    `value` None: not measured, for the reason `why`. `paper` is what the paper has there, None where it has nothing.
-    """
-
+    # `value` None: not measured, for the reason `why`. `paper` is what the paper has there, None where it has nothing.
     value: float | None
     paper: float | None = None
     low: float | None = None
@@ -38,11 +36,9 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Table:
-    """A table; every row has a title and a cell for each column. `notes` are printed below it.
+    """A table; every row has a title and a cell for each column. `notes` are printed below it."""
 
-    `groups` are how many rows each are to be compared with one another, e.g. those of one scene; (): all of them.
-    """
-
+    # `groups` are how many rows each are to be compared with one another, e.g. those of one scene; (): all of them.
     name: str
     caption: str
     columns: tuple[Column, ...]
@@ -120,7 +116,6 @@ def _best(column: Column, values: Sequence[float | None]) -> float | None:
 
 
 def _is_shown_as(value: float | None, top: float | None, digits: int) -> bool:
-    """Return whether a value has the digits of the best one: what looks the same is as good."""
     return value is not None and top is not None and f"{value:.{digits}f}" == f"{top:.{digits}f}"
 
 

@@ -69,7 +69,6 @@ def views_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table:
 
 
 def _found(name: str, data: Path, plan: Plan, shop: Workshop) -> dict[str, list[Any]] | str:
-    """Return by strategy [F1, ADD-S over the diameter or None] of every true object that counts, or why it is empty."""
     try:
         logs = _logs(name, data, plan, shop)
         rows = [row for log, truth in logs for row in _objects(log, truth, shop)]

@@ -1,8 +1,6 @@
-"""The folder of a run: what was measured stays, so that the same command goes on where it stopped.
-
-`results/` holds a JSON for every step, with a key of what it was made from; another key measures it again. A map is
-made by `hickory-stream play`, a process of its own; one that was interrupted is begun anew.
-"""
+"""The folder of a run: what was measured stays, so that the same command goes on where it stopped."""
+# `results/` holds a JSON for every step, with a key of what it was made from; another key measures it again. A map is
+# made by `hickory-stream play`, a process of its own; one that was interrupted is begun anew.
 
 from __future__ import annotations
 
@@ -68,11 +66,8 @@ class Workshop:
         return json.loads(dumps(value))
 
     def map_of(self, log: Log) -> Path:
-        """Return the folder of a log's map, playing the log if there is none yet.
-
-        Raises:
-            MapFolderError: the log cannot be mapped; the text is that of the command.
-        """
+        """Return the folder of a log's map, playing the log if there is none yet."""
+        # Raises MapFolderError: the log cannot be mapped; the text is that of the command.
         out = self.folder / "maps" / f"{log.label}.map"
         made_from = {"log": identity_of(log), "settings": list(log.arguments)}
         if not out.is_dir():
@@ -102,7 +97,6 @@ def identity_of(log: Log) -> list[Any]:
 
 
 def _identity(file: Path) -> list[Any]:
-    """Return name and size of a file, and of a folder its files' number and size."""
     if file.is_file():
         return [file.name, 1, file.stat().st_size]
     sizes = [each.stat().st_size for each in sorted(file.rglob("*")) if each.is_file()]

@@ -55,7 +55,6 @@ def _write_image(path: Path, image: Any) -> None:
 
 
 def _write_obj(mesh: Mesh, path: Path) -> None:
-    """Write an OBJ in centimetres with the colours of its vertices."""
     rows = np.concatenate([mesh.vertices.astype(np.float64) * CM_PER_M, mesh.colors / 255.0], axis=1)
     lines = ["v " + " ".join(f"{value:.5f}" for value in row) for row in rows]
     lines += ["f " + " ".join(str(i + 1) for i in face) for face in mesh.faces]

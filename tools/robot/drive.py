@@ -20,12 +20,10 @@ _SENT_S = 0.1
 
 @dataclass(slots=True)
 class Report:
-    """What a robot says it did: messages by topic that were sent to somebody, and that nobody had asked for.
+    """What a robot says it did: messages by topic that were sent to somebody, and that nobody had asked for."""
 
-    `heard` is what whoever maps the robot has told it, `round_trips_s` how long after each goal a path came.
-    `returned_s` is when it began to be back after a disconnection, by the clock of this machine.
-    """
-
+    # `heard` is what whoever maps the robot has told it, `round_trips_s` how long after each goal a path came.
+    # `returned_s` is when it began to be back after a disconnection, by the clock of this machine.
     sent: Counter[str] = field(default_factory=Counter)
     unheard: Counter[str] = field(default_factory=Counter)
     lost: Counter[tuple[str, str]] = field(default_factory=Counter)
@@ -64,11 +62,9 @@ def drive(
     stopped: threading.Event | None = None,
     goals: Sequence[tuple[float, bytes]] = (),
 ) -> Report:
-    """Publish what was planned, `rate` times as fast as it was recorded, and return what was sent.
-
-    `waits`: until somebody has asked for topics, and asks for no more of them. Messages of a time at which the robot is
-    disconnected are not in the plan; here it is then gone for as long. `goals`: at so many seconds, what it asks.
-    """
+    """Publish what was planned, `rate` times as fast as it was recorded, and return what was sent."""
+    # `waits`: until somebody has asked for topics, and asks for no more of them. Messages of a time at which the robot
+    # is disconnected are not in the plan; here it is then gone for as long. `goals`: at so many seconds, what it asks.
     stopped = stopped or threading.Event()
     topics = {sending.due.topic.name: sending.due.topic for sending in made.sendings}
     latched = [sending for sending in made.sendings if sending.due.is_latched]
@@ -117,7 +113,6 @@ def _send(publisher: Publisher, sending: Any, report: Report) -> None:
 
 
 def _await_subscribers(publisher: Publisher, names: list[str], stopped: threading.Event) -> None:
-    """Return when somebody listens to some topics, and to no more of them for a while."""
     heard, since_s = 0, time.monotonic()
     while not stopped.wait(_POLL_S):
         number = sum(publisher.is_heard(name) for name in names)
@@ -128,6 +123,5 @@ def _await_subscribers(publisher: Publisher, names: list[str], stopped: threadin
 
 
 def _wait(until_s: float, stopped: threading.Event) -> bool:
-    """Wait for a moment; return False where the robot was stopped before."""
     left_s = until_s - time.monotonic()
     return not (stopped.wait(left_s) if left_s > 0 else stopped.is_set())

@@ -24,11 +24,9 @@ _GOAL = Topic(name=GOAL_TOPIC, type_name=GOAL, definition_format="msg", definiti
 
 
 class FoxglovePublisher:
-    """Serves channels to any number of clients; `protocols` are those it speaks, the first that a client offers.
+    """Serves channels to any number of clients; `protocols` are those it speaks, the first that a client offers."""
 
-    `takes`: clients may publish.
-    """
-
+    # `takes`: clients may publish.
     def __init__(
         self,
         address: str,

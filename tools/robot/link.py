@@ -16,14 +16,12 @@ _MOST_QUEUED_S = 2.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Faults:
-    """What is wrong with a robot and its network.
+    """What is wrong with a robot and its network."""
 
-    `loss` is the share of messages that never arrive, `delay_s` and `jitter_s` (uniform, by which messages overtake
-    each other) how late they do, `bandwidth_mbit` what the link carries (None: everything; what would wait for over
-    2 s is dropped). `disconnects` are (at, for) in seconds. `clock_offset_s` moves all stamps; from `restart_s` on
-    they begin at zero.
-    """
-
+    # `loss` is the share of messages that never arrive, `delay_s` and `jitter_s` (uniform, by which messages overtake
+    # each other) how late they do, `bandwidth_mbit` what the link carries (None: everything; what would wait for over 2
+    # s is dropped). `disconnects` are (at, for) in seconds. `clock_offset_s` moves all stamps; from `restart_s` on they
+    # begin at zero.
     loss: float = 0.0
     delay_s: float = 0.0
     jitter_s: float = 0.0
@@ -86,7 +84,6 @@ def plan(messages: Sequence[Due], faults: Faults) -> Plan:
 
 
 def _loss(due: Due, faults: Faults, draw: float) -> str | None:
-    """Return why a message is lost, None where it is not."""
     if due.is_latched:
         return None
     if any(at_s <= due.due_ns / 1e9 < at_s + for_s for at_s, for_s in faults.disconnects):
@@ -95,7 +92,6 @@ def _loss(due: Due, faults: Faults, draw: float) -> str | None:
 
 
 def _zero(due: Due) -> int:
-    """Return by how much stamps move for this message's to be one second after zero."""
     from players.messages.header_stamp import serialized_stamp_ns
 
     stamp_ns = serialized_stamp_ns(due.topic, due.data)

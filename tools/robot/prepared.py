@@ -28,13 +28,9 @@ class Due:
 
 
 def prepared(paths: Sequence[Path], *, most_s: float | None = None, loops: int = 1) -> list[Due]:
-    """Return the messages of a log in order, `loops` times one after the other with stamps that begin again.
-
-    Messages of ROS 1 become those of ROS 2; what is latched comes first, as a robot sends it when it starts.
-
-    Raises:
-        RecordingError: there is no log, or nothing in it can be published.
-    """
+    """Return the messages of a log in order, `loops` times one after the other with stamps that begin again."""
+    # Messages of ROS 1 become those of ROS 2; what is latched comes first, as a robot sends it when it starts.
+    # Raises RecordingError: there is no log, or nothing in it can be published.
     log = open_container(*paths)
     topics = {topic.name: topic for topic in log.topics if _can_be_published(topic)}
     published = {name: _published(topic) for name, topic in topics.items()}
@@ -62,13 +58,11 @@ def prepared(paths: Sequence[Path], *, most_s: float | None = None, loops: int =
 
 
 def _can_be_published(topic: Topic) -> bool:
-    """Return whether a message can be sent as it is, or its type is also one of ROS 2."""
     known = topic.type_name in (*TF, *humble().types)
     return topic.wire in ("cdr", "protobuf", "json") or (topic.wire == "ros1" and known)
 
 
 def _published(topic: Topic) -> Topic:
-    """Return a topic as ROS 2 publishes it."""
     if topic.wire != "ros1":
         return topic
     type_name = TF[0] if topic.type_name in TF else topic.type_name

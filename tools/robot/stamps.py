@@ -31,7 +31,6 @@ def restamped(topic: Topic, data: bytes, by_ns: int) -> bytes:
 
 
 def _moved(sec: int, nanosec: int, by_ns: int) -> tuple[int, int]:
-    """Return a stamp that is moved; before the clock began there is no time."""
     return divmod(max(0, sec * _SECOND_NS + nanosec + by_ns), _SECOND_NS)
 
 

@@ -18,8 +18,6 @@ _GID = bytes(range(16))
 
 
 class _Router:
-    """A Zenoh router on one address, and the publishers declared at it; subclasses know the layout."""
-
     def __init__(self, address: str) -> None:
         self.address = address
         self.session: Any = None

@@ -25,11 +25,8 @@ class _Plan:
 
 
 def apartment(seed: int, attempt: int = 0) -> World:
-    """Return apartment number `attempt` of a seed, with 25 to 45 objects of at least 20 kinds.
-
-    Raises:
-        ConfigError: no draw fits, which no seed has shown so far.
-    """
+    """Return apartment number `attempt` of a seed, with 25 to 45 objects of at least 20 kinds."""
+    # Raises ConfigError: no draw fits, which no seed has shown so far.
     rng = np.random.default_rng([seed, 11, attempt])
     for _ in range(_ATTEMPTS):
         world = _draw(rng)

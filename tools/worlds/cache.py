@@ -37,12 +37,9 @@ def cache_folder() -> Path:
 def cached_recording(
     config: RecordingConfig, folder: Path | None = None, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> tuple[Path, Truth]:
-    """Return the log and the truth of a config, from the cache or made now.
-
-    Raises:
-        ConfigError: no world of the config can be walked through.
-        OSError: the folder cannot be written.
-    """
+    """Return the log and the truth of a config, from the cache or made now."""
+    # Raises ConfigError: no world of the config can be walked through.
+    # Raises OSError: the folder cannot be written.
     folder = cache_folder() if folder is None else folder
     name = recording_name(config)
     truth_folder, log = folder / f"{name}.truth", folder / layout_files(config.layout, name)[0]

@@ -1,7 +1,5 @@
-"""The same world on another day: things were moved, removed, added and exchanged.
-
-A moved object keeps its id, a new one gets one that no earlier day had.
-"""
+"""The same world on another day: things were moved, removed, added and exchanged."""
+# A moved object keeps its id, a new one gets one that no earlier day had.
 
 from __future__ import annotations
 
@@ -32,11 +30,8 @@ _LARGE = (big_things.basket, big_things.suitcase, big_things.stool)
 
 
 def world_of_day(world: World, seed: int, day: int, is_walkable: Callable[[World], bool]) -> World:
-    """Return the world after a number of days, each with up to eight changes, and a third of the objects at most.
-
-    Raises:
-        ConfigError: no draw of a day leaves the world walkable.
-    """
+    """Return the world after a number of days, each with up to eight changes, and a third of the objects at most."""
+    # Raises ConfigError: no draw of a day leaves the world walkable.
     for today in range(1, day + 1):
         rng = np.random.default_rng([seed, 21, today])
         first_id = 1000 * today

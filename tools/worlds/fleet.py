@@ -1,7 +1,5 @@
-"""A synthetic fleet: several robots in one world, each with a walk, a log, a frame and a clock of its own.
-
-Truths share object ids: where two frames lie follows from any object that both have.
-"""
+"""A synthetic fleet: several robots in one world, each with a walk, a log, a frame and a clock of its own."""
+# Truths share object ids: where two frames lie follows from any object that both have.
 
 from __future__ import annotations
 
@@ -37,14 +35,10 @@ def make_fleet(
     caster: CasterName | None = "open3d",
     processes: int = 1,
 ) -> Truth:
-    """Write NAME-1, NAME-2, ... with truths, NAME.truth of all in the first frame, and NAME.toml; return that truth.
-
-    Robot i goes on walk i; `progress` counts each robot's frames.
-
-    Raises:
-        ConfigError: too many robots or too few, or no world of the seed can be walked by all of them.
-        InputError: the caster is not installed.
-    """
+    """Write NAME-1, NAME-2, ... with truths, NAME.truth of all in the first frame, and NAME.toml; return that truth."""
+    # Robot i goes on walk i; `progress` counts each robot's frames.
+    # Raises ConfigError: too many robots or too few, or no world of the seed can be walked by all of them.
+    # Raises InputError: the caster is not installed.
     if not 2 <= num_robots <= MAX_ROBOTS:
         raise ConfigError(f"found {num_robots} robots, expected 2 to {MAX_ROBOTS}")
     configs = [replace(config, walk_index=i, robots=num_robots) for i in range(num_robots)]

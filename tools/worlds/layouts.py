@@ -1,7 +1,5 @@
-"""Synthetic logs in the exact layouts of public data sets, quirks included, to test the players with.
-
-The numbers of the rigs are repeated here, so that an error in a profile of `players` cannot cancel itself out.
-"""
+"""Synthetic logs in the exact layouts of public data sets, quirks included, to test the players with."""
+# The numbers of the rigs are repeated here, so that an error in a profile of `players` cannot cancel itself out.
 
 from __future__ import annotations
 
@@ -37,10 +35,8 @@ def layout_camera(layout: str, camera: Camera) -> Camera:
 
 
 def drawn_mounting(seed: int) -> NDArray[np.float64]:
-    """Return body_from_camera (4, 4) of a camera 0.4 m from the body's origin, 10 degrees off its axes, by a seed.
-
-    The pose on a Unitree B2 was not published; the camera is mostly ahead.
-    """
+    """Return body_from_camera (4, 4) of a camera 0.4 m from the body's origin, 10 degrees off its axes, by a seed."""
+    # The pose on a Unitree B2 was not published; the camera is mostly ahead.
     rng = np.random.default_rng([seed, 7])
     ahead = np.array([1.0, 0.5, 0.5]) * rng.standard_normal(3) + np.array([1.5, 0.0, 0.5])
     axis = rng.standard_normal(3)
@@ -67,12 +63,10 @@ def open_layout(
 
 
 class KimeraMultiLog:
-    """A robot's bag and, beside it, the bag of its visual odometry.
+    """A robot's bag and, beside it, the bag of its visual odometry."""
 
-    No TF, frames with another robot's prefix, bags recorded two minutes late; depth is 16UC1, unregistered, of the left
-    infrared camera; odometry is of the IMU in optical axes, at 5 Hz at most.
-    """
-
+    # No TF, frames with another robot's prefix, bags recorded two minutes late; depth is 16UC1, unregistered, of the
+    # left infrared camera; odometry is of the IMU in optical axes, at 5 Hz at most.
     robot = "acl_jackal"
     prefix = "acl_jackal2"
     log_offset_ns = 111_300_000_000
@@ -172,12 +166,10 @@ class KimeraMultiLog:
 
 
 class NusClbLog:
-    """A ROS 2 bag (sqlite3) of a Unitree B2 with a ZED 2i.
+    """A ROS 2 bag (sqlite3) of a Unitree B2 with a ZED 2i."""
 
-    Colour is bgra8, or JPEG under the raw name; depth has NaN, +inf beyond the range and -inf before it. The pose is
-    LiDAR odometry in FLU axes with a jump by a loop closure. Unitree's own types lie beside it, without definitions.
-    """
-
+    # Colour is bgra8, or JPEG under the raw name; depth has NaN, +inf beyond the range and -inf before it. The pose is
+    # LiDAR odometry in FLU axes with a jump by a loop closure. Unitree's own types lie beside it, without definitions.
     jump_at = 0.8
     after_from_before = from_rotation_translation(yaw_rotation(0.03), np.array([0.35, -0.2, 0.05]))
     _color = "/zed/zed_node/rgb/color/rect/image"

@@ -123,13 +123,9 @@ class RecordingConfig(PlainConfig):
 
 
 def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
-    """Return the first of the seed's worlds that one can walk through, on the config's day, and the walk.
-
-    The first two walks through an apartment, and those of a fleet, share one world: all must be possible.
-
-    Raises:
-        ConfigError: none of the seed's worlds can be walked.
-    """
+    """Return the first of the seed's worlds that one can walk through, on the config's day, and the walk."""
+    # The first two walks through an apartment, and those of a fleet, share one world: all must be possible.
+    # Raises ConfigError: none of the seed's worlds can be walked.
     others = {*range(config.robots), *((0, 1) if config.scene == APARTMENT else ())} - {config.walk_index}
     world, trajectory, walk = walkable(config, () if config.scene in (BUILDING, CLUTTER) else others)
     if not config.day:

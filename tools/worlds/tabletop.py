@@ -28,11 +28,8 @@ _ATTEMPTS = 40
 
 
 def tabletop(seed: int, attempt: int = 0) -> World:
-    """Return table number `attempt` of a seed: the table and 10 to 19 objects on it, some stacked.
-
-    Raises:
-        ConfigError: no draw fits, which no seed has shown so far.
-    """
+    """Return table number `attempt` of a seed: the table and 10 to 19 objects on it, some stacked."""
+    # Raises ConfigError: no draw fits, which no seed has shown so far.
     rng = np.random.default_rng([seed, 12, attempt])
     for _ in range(_ATTEMPTS):
         placed = _draw(rng)

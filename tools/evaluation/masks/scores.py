@@ -1,9 +1,7 @@
-"""Scores of the masks of one image against its truth: F1 at IoU 0.5 and the best IoU.
-
-A mask is right when its IoU with a true thing is over 0.5; no mask can be right twice, for masks do not overlap. Pixels
-of which the truth is not known, or that show things too small to count, count neither for nor against a mask; a mask
-mostly on such pixels is left out, and so is, as in COCO, a wrong mask that is itself too small to count.
-"""
+"""Scores of the masks of one image against its truth: F1 at IoU 0.5 and the best IoU."""
+# A mask is right when its IoU with a true thing is over 0.5; no mask can be right twice, for masks do not overlap.
+# Pixels of which the truth is not known, or that show things too small to count, count neither for nor against a mask;
+# a mask mostly on such pixels is left out, and so is, as in COCO, a wrong mask that is itself too small to count.
 
 from __future__ import annotations
 
@@ -25,12 +23,10 @@ UNKNOWN = -1
 
 @dataclass(frozen=True, slots=True)
 class MaskScore:
-    """Counts over one image or several: true things and masks that count, and the right ones.
+    """Counts over one image or several: true things and masks that count, and the right ones."""
 
-    `best_iou_sum` is the sum over true things of the IoU with the best mask; `num_large` of the true things are over
-    1 % of the image, and `large_found` of them have a right mask.
-    """
-
+    # `best_iou_sum` is the sum over true things of the IoU with the best mask; `num_large` of the true things are over
+    # 1 % of the image, and `large_found` of them have a right mask.
     num_things: int = 0
     num_masks: int = 0
     num_right: int = 0
@@ -55,10 +51,8 @@ class MaskScore:
 
 
 def score_masks(masks: NDArray[np.int32], truth: NDArray[np.int32], min_pixels: int) -> MaskScore:
-    """Return the score of (H, W) masks 1..n against (H, W) truth: 0 = no thing, `UNKNOWN` = not known, else a thing.
-
-    Things of fewer than `min_pixels` are too small to count.
-    """
+    """Return the score of (H, W) masks 1..n against (H, W) truth: 0 = no thing, `UNKNOWN` = not known, else a thing."""
+    # Things of fewer than `min_pixels` are too small to count.
     ids, place, pixels = np.unique(truth, return_inverse=True, return_counts=True)
     num_masks = int(masks.max(initial=0))
     shared = np.bincount(
@@ -70,10 +64,8 @@ def score_masks(masks: NDArray[np.int32], truth: NDArray[np.int32], min_pixels: 
 def score_overlaps(
     shared: NDArray[np.int64], ids: NDArray[Any], pixels: NDArray[np.int64], min_pixels: int, size: int
 ) -> MaskScore:
-    """Return the score of masks of which `shared` (masks, T) pixels show each of `ids` (T,), as in `score_masks`.
-
-    `pixels` (T,) of the image, which has `size` in all, show each.
-    """
+    """Return the score of masks of which `shared` (masks, T) pixels show each of `ids` (T,), as in `score_masks`."""
+    # `pixels` (T,) of the image, which has `size` in all, show each.
     counts = (ids > 0) & (pixels >= min_pixels)
     ignored = (ids == UNKNOWN) | ((ids > 0) & ~counts)
     aside = shared[:, ignored].sum(axis=1)

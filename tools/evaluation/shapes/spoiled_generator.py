@@ -1,9 +1,7 @@
-"""A generator that knows the truth, and spoils it by seed: `tools/bench layer2` places and judges its meshes.
-
-It turns and scales the true mesh (by 0.3 to 3), and, where it spoils, stretches it by up to 20 % along each axis,
-invents what the best view does not show, smooths it and adds noise. Instead it may give another object of the same
-class, or the mirror image. The transform of the part that is not invented stays known.
-"""
+"""A generator that knows the truth, and spoils it by seed: `tools/bench layer2` places and judges its meshes."""
+# It turns and scales the true mesh (by 0.3 to 3), and, where it spoils, stretches it by up to 20 % along each axis,
+# invents what the best view does not show, smooths it and adds noise. Instead it may give another object of the same
+# class, or the mirror image. The transform of the part that is not invented stays known.
 
 from __future__ import annotations
 
@@ -56,10 +54,8 @@ def plain_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Mesh:
 
 
 def sighted(mesh: Mesh, rng: np.random.Generator, num_views: int, *, num_held_out: int = 2) -> Sighted | None:
-    """Return an object (its mesh stands on z = 0) somewhere on a floor, seen along an arc, at times behind a box.
-
-    None where no view shows enough of it.
-    """
+    """Return an object (its mesh stands on z = 0) somewhere on a floor, seen along an arc, at times behind a box."""
+    # None where no view shows enough of it.
     turn = yaw_rotation(float(rng.uniform(0, 2 * np.pi)))
     place = np.array([*rng.uniform(-3, 3, 2), rng.uniform(0, 1)])
     vertices = mesh.vertices.astype(np.float64) @ turn.T + place
@@ -125,7 +121,6 @@ def generated(seen: Sighted, rng: np.random.Generator, *, is_spoiled: bool, othe
 def _invented(
     seen: Sighted, vertices: NDArray[np.float64], middle: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Return vertices of which those hidden from the best view are moved along it, the farther the more."""
     crop, faces = seen.made_from.crops[0], seen.mesh_world.faces
     forward, camera = crop.world_from_camera[:3, 2], crop.world_from_camera[:3, 3] - middle
     depth, rays = vertices @ forward, vertices - camera
@@ -161,7 +156,6 @@ def _smoothed(vertices: NDArray[np.float64], faces: NDArray[np.int32], rounds: i
 def _scene(
     world: Mesh, low: NDArray[np.float64], high: NDArray[np.float64], first: float, rng: np.random.Generator
 ) -> Scene:
-    """Return the object on a floor, in a third of the cases with a box before it."""
     size = float(np.linalg.norm(high - low))
     foot = np.array([*((low + high) / 2)[:2], low[2]])
     corners = np.array([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]]) + foot
@@ -184,7 +178,6 @@ def _surface(vertices: NDArray[np.float64], faces: NDArray[np.int32], owner: int
 
 
 def _crop(scene: Scene, pose: NDArray[np.float64], rng: np.random.Generator) -> Crop | None:
-    """Return the view of a depth camera with its noise; None where it shows hardly anything of the object."""
     rays = backproject(np.ones(_SIZE, np.float32), _CAMERA).reshape(-1, 3) @ pose[:3, :3].T
     lengths = np.linalg.norm(rays, axis=1)
     hits = scene.cast(np.broadcast_to(pose[:3, 3], rays.shape), rays / lengths[:, None])
@@ -209,7 +202,6 @@ def _crop(scene: Scene, pose: NDArray[np.float64], rng: np.random.Generator) -> 
 
 
 def _looking_at(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return world_from_camera of a level camera at `eye`: x right, y down, z towards the target."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0, 0, 1])
     right /= np.linalg.norm(right)

@@ -14,12 +14,10 @@ _AREA_PER_OBJECT_M2, _HEIGHT_M = 2.5, 1.5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FleetMapsConfig:
-    """`num_maps` of about `num_objects` each, each of a square at a random place.
+    """`num_maps` of about `num_objects` each, each of a square at a random place."""
 
-    The place is so large that a map overlaps about `overlaps` others; `seen` is the share of the objects there that a
-    robot has found.
-    """
-
+    # The place is so large that a map overlaps about `overlaps` others; `seen` is the share of the objects there that a
+    # robot has found.
     num_maps: int = 20
     num_objects: int = 40
     overlaps: float = 4.0

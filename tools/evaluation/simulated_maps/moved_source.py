@@ -17,11 +17,9 @@ if TYPE_CHECKING:
 
 
 class MovedSource:
-    """The frames of another source, with `new_from_old` (4, 4) applied to every pose.
+    """The frames of another source, with `new_from_old` (4, 4) applied to every pose."""
 
-    The transform must keep z up.
-    """
-
+    # The transform must keep z up.
     def __init__(self, source: Source, new_from_old: NDArray[np.float64]) -> None:
         if abs(float(new_from_old[2, 2]) - 1.0) > 1e-9:
             raise ValueError("a source may be moved and turned about the vertical, not tilted")

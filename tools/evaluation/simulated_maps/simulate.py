@@ -1,11 +1,9 @@
-"""A seeded simulator of pairs of overlapping object maps with outliers, noise and tilt.
-
-Objects stand in a square of 2.5 m^2 each, at heights of 0 to 1.5 m; each map's frame is where its robot started. Some
-are in both maps; the rest (the outliers) have no counterpart, but stand in the same square. Each map sees an object
-with its own noise: 5 cm on each axis of the centroid, exponents +-0.1, semi-axes +-6 %, primitives that are lost, a
-descriptor that is a little off. Descriptors are vectors, built so that their cosines have the wanted means and spreads:
-without the spread a threshold on the cosine alone would solve everything.
-"""
+"""A seeded simulator of pairs of overlapping object maps with outliers, noise and tilt."""
+# Objects stand in a square of 2.5 m^2 each, at heights of 0 to 1.5 m; each map's frame is where its robot started. Some
+# are in both maps; the rest (the outliers) have no counterpart, but stand in the same square. Each map sees an object
+# with its own noise: 5 cm on each axis of the centroid, exponents +-0.1, semi-axes +-6 %, primitives that are lost, a
+# descriptor that is a little off. Descriptors are vectors, built so that their cosines have the wanted means and
+# spreads: without the spread a threshold on the cosine alone would solve everything.
 
 from __future__ import annotations
 
@@ -48,13 +46,11 @@ _INSTANCE_EXPONENTS, _INSTANCE_AXES = 0.05, 0.05
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SimulationConfig:
-    """One pair of maps.
+    """One pair of maps."""
 
-    `num_objects` in each map, of which the share `outliers` has no counterpart in the other; `tilt_deg` is the angle
-    between the verticals of the two maps, about a random horizontal axis. `easy`: 25 classes, in which every object has
-    its own shape. `hard`: 6 classes of one shape each, with nearly identical instances.
-    """
-
+    # `num_objects` in each map, of which the share `outliers` has no counterpart in the other; `tilt_deg` is the angle
+    # between the verticals of the two maps, about a random horizontal axis. `easy`: 25 classes, in which every object
+    # has its own shape. `hard`: 6 classes of one shape each, with nearly identical instances.
     num_objects: int = 40
     outliers: float = 0.75
     difficulty: Difficulty = "easy"
@@ -197,7 +193,6 @@ class SimulatedWorld:
         return SimulatedObject(shape=shape, signal=self._signal(kind % self._parts.classes))
 
     def _signal(self, class_index: int) -> NDArray[np.float64]:
-        """Return what a descriptor of a new instance of a class is without noise."""
         parts = self._parts
         return np.concatenate(
             [
@@ -260,7 +255,6 @@ def real_fits() -> tuple[Superquadrics, ...]:
 
 
 def _varied(shape: Superquadrics, exponents: float, axes: float, rng: np.random.Generator) -> Superquadrics:
-    """Return the shape with normal noise on its exponents, and relative noise on its semi-axes."""
     return Superquadrics(
         exponents=np.clip(
             shape.exponents + rng.normal(0, exponents, shape.exponents.shape), MIN_EXPONENT, MAX_EXPONENT
@@ -275,7 +269,6 @@ def _centered(shape: Superquadrics, place: NDArray[np.float64]) -> Superquadrics
 
 
 def _box(shape: Superquadrics) -> OrientedBox:
-    """Return the box around a shape along the axes of its map."""
     centers, reach = shape.world_from_local[:, :3, 3], support_reach(shape, np.eye(3))
     low, high = (centers - reach).min(axis=0), (centers + reach).max(axis=0)
     return OrientedBox(
@@ -289,10 +282,8 @@ def _direction(rng: np.random.Generator, dimensions: int) -> NDArray[np.float64]
 
 
 def random_pose(tilt_deg: float, side_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return `map_from_world` of a robot that starts at a random place of the square, looking anywhere.
-
-    Its idea of gravity is off by `tilt_deg` about a random level axis.
-    """
+    """Return `map_from_world` of a robot that starts at a random place of the square, looking anywhere."""
+    # Its idea of gravity is off by `tilt_deg` about a random level axis.
     from scipy.spatial.transform import Rotation
 
     azimuth, yaw = rng.uniform(0, 2 * np.pi, 2)

@@ -77,10 +77,8 @@ def overlap_b(pair: SimulatedPair) -> NDArray[np.float64]:
 
 
 def noise_floor(config: SimulationConfig, seed: int) -> tuple[float, float]:
-    """Return the median errors (metres at the overlap, degrees) of an efficient estimate that knows all true pairs.
-
-    It is the Cramer-Rao bound, with known gravity if the maps are level.
-    """
+    """Return the median errors (metres at the overlap, degrees) of an efficient estimate that knows all true pairs."""
+    # It is the Cramer-Rao bound, with known gravity if the maps are level.
     pair = simulate_pair(config, seed)
     points = pair.common_centroids_a
     total = information(points, np.full(len(points), _SIGMA_M), points.mean(axis=0))

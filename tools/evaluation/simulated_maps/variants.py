@@ -27,10 +27,8 @@ def moved_map(objects: ObjectMap, new_from_old: NDArray[np.float64]) -> ObjectMa
 
 
 def bent_map(objects: ObjectMap, yaw_deg_per_m: float) -> ObjectMap:
-    """Return the map as made with odometry whose heading drifts along x; every object stays rigid.
-
-    An object x metres from the map's first end is rotated by x times `yaw_deg_per_m` about the vertical.
-    """
+    """Return the map as made with odometry whose heading drifts along x; every object stays rigid."""
+    # An object x metres from the map's first end is rotated by x times `yaw_deg_per_m` about the vertical.
     start = objects.centroids[:, 0].min() if len(objects) else 0.0
     poses = np.empty((len(objects), 4, 4))
     rate = np.radians(yaw_deg_per_m)
@@ -57,7 +55,6 @@ def with_points(objects: ObjectMap, count: int = 150) -> ObjectMap:
 
 
 def _cloud(shape: Superquadrics, count: int) -> NDArray[np.float32]:
-    """Return points on each primitive, in proportion to its area, without those inside another primitive."""
     shares = shape.semi_axes_m.prod(axis=1) ** (2 / 3)
     counts = np.maximum(np.round(count * shares / shares.sum()), 8).astype(np.int64)
     kept = []
@@ -71,7 +68,6 @@ def _cloud(shape: Superquadrics, count: int) -> NDArray[np.float32]:
 def _placed(
     objects: ObjectMap, new_from_old: NDArray[np.float64], submaps_new_from_old: NDArray[np.float64]
 ) -> ObjectMap:
-    """Return the map with each object moved by one of (N, 4, 4) transforms."""
     return replace(
         objects,
         centroids=np.array(

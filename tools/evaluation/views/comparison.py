@@ -1,9 +1,8 @@
-"""Strategies compared: means over true objects, and what S is better by, object by object, with its certainty.
-
-Objects of one scene are not independent of one another: they share a walk, a light, a map. So differences are drawn
-again scene by scene (the cluster bootstrap: Davison and Hinkley, Bootstrap Methods and their Application, section 3.8).
-Of few scenes that says too little of the spread between scenes; there it is object by object, and the table says so.
-"""
+"""Strategies compared: means over true objects, and what S is better by, object by object, with its certainty."""
+# Objects of one scene are not independent of one another: they share a walk, a light, a map. So differences are drawn
+# again scene by scene (the cluster bootstrap: Davison and Hinkley, Bootstrap Methods and their Application, section
+# 3.8). Of few scenes that says too little of the spread between scenes; there it is object by object, and the table
+# says so.
 
 from __future__ import annotations
 
@@ -21,11 +20,9 @@ _FEWEST_SCENES = 10
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PairedDifference:
-    """The mean difference between two figures of the same objects, its 95 % interval, and the p-value of "none".
+    """The mean difference between two figures of the same objects, its 95 % interval, and the p-value of "none"."""
 
-    `p_value` is two-sided, by the bootstrap, and never below one draw of it.
-    """
-
+    # `p_value` is two-sided, by the bootstrap, and never below one draw of it.
     mean: float
     low: float
     high: float
@@ -34,12 +31,10 @@ class PairedDifference:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StrategyScore:
-    """Means over the true objects of all logs, 0 for one without a shape; `common_` over those that the map holds.
+    """Means over the true objects of all logs, 0 for one without a shape; `common_` over those that the map holds."""
 
-    `s_minus_this` is by how much the mean F1 at 5 % of S is higher, None for S itself. The strategy `best` is the best
-    view of those that were tried, by truth.
-    """
-
+    # `s_minus_this` is by how much the mean F1 at 5 % of S is higher, None for S itself. The strategy `best` is the
+    # best view of those that were tried, by truth.
     strategy: str
     f1_5pct: float
     f1_1cm: float

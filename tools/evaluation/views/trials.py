@@ -43,11 +43,9 @@ from hickory_stream.shapes.mesh_validation import usable
 
 
 class EveryView:
-    """A sink that writes the pixels of all observations that went to an object into a folder, as `views/` has them.
+    """A sink that writes the pixels of all observations that went to an object into a folder, as `views/` has them."""
 
-    `config` is that of the run, whose own views are made by it. The sink must miss no report.
-    """
-
+    # `config` is that of the run, whose own views are made by it. The sink must miss no report.
     def __init__(self, folder: Path, config: RunConfig) -> None:
         self.folder = folder
         self._config = config
@@ -104,12 +102,10 @@ BEST = "best"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewTrial:
-    """A true object that counts, and what each choice of a view made of it.
+    """A true object that counts, and what each choice of a view made of it."""
 
-    `scores` are by strategy and, under `BEST`, of the view with the highest F1 at 5 %; None where the view gives no
-    shape. It is empty for an object that the map misses. `num_tried` views of `num_views` were reconstructed.
-    """
-
+    # `scores` are by strategy and, under `BEST`, of the view with the highest F1 at 5 %; None where the view gives no
+    # shape. It is empty for an object that the map misses. `num_tried` views of `num_views` were reconstructed.
     truth_id: int
     kind: str
     diameter_m: float
@@ -127,13 +123,9 @@ def try_views(
     saver: Callable[[MapFolder], Sink],
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> dict[str, tuple[ViewTrial, ...]]:
-    """Map a log into the folder `out`, without shapes, and return the trials of each reconstructor.
-
-    `saver` makes the sink that saves the map.
-
-    Raises:
-        HickoryError: the log, the map folder or the truth cannot be used.
-    """
+    """Map a log into the folder `out`, without shapes, and return the trials of each reconstructor."""
+    # `saver` makes the sink that saves the map.
+    # Raises HickoryError: the log, the map folder or the truth cannot be used.
     mapping = replace(
         config.mapping,
         views=replace(config.mapping.views, strategy=OURS),
@@ -162,8 +154,6 @@ def try_views(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Seen:
-    """An object in the frame of its submap, as its views are, all of these, and what it rests on."""
-
     item: TrackedObject
     views: Sequence[View]
     support_z_m: float | None
@@ -218,7 +208,6 @@ def _trial(
 def _score(
     of: _Seen, name: str, true: TrueSurface, reconstructor: Reconstructor, folder: Path, seed: int
 ) -> SurfaceScore | None:
-    """Return how the object reconstructed from one view compares with the true one; None: it gives no shape."""
     inputs = ShapeInputs(
         crops=(read_crop(folder, name),),
         points_world=of.item.points_world,

@@ -1,9 +1,7 @@
-"""Small ONNX graphs with the names and shapes of FoundationPose's, and a view of an object that has no symmetry.
-
-The graphs compute what the real networks have learned, in a way that only works on this one object: the refiner moves
-the middle of the rendered surface to the middle of the observed one, and turns its red and green parts towards the
-same parts of the other; the scorer counts differences. Inputs, outputs, channels or turns exchanged lead elsewhere.
-"""
+"""Small ONNX graphs with the names and shapes of FoundationPose's, and a view of an object that has no symmetry."""
+# The graphs compute what the real networks have learned, in a way that only works on this one object: the refiner moves
+# the middle of the rendered surface to the middle of the observed one, and turns its red and green parts towards the
+# same parts of the other; the scorer counts differences. Inputs, outputs, channels or turns exchanged lead elsewhere.
 
 from __future__ import annotations
 
@@ -48,13 +46,11 @@ def graph_fault(module: Any) -> str:
 
 
 def _some_of(turns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the one nearest to the truth and another one: all take a minute."""
     likeness = np.einsum("nij,ij->n", turns, _OWN_FROM_CAMERA.T)
     return turns[np.argsort(-likeness)[[0, 60]]]
 
 
 def _view(module: Any) -> Any:
-    """Return a picture of the object, lit as the adapter lights it."""
     rows, columns = np.mgrid[:240, :320]
     rays = np.zeros((rows.size, 6), np.float32)
     rays[:, 3:] = np.column_stack([columns.ravel(), rows.ravel(), np.ones(rows.size)]) @ np.linalg.inv(_K).T
@@ -80,8 +76,6 @@ def _view(module: Any) -> Any:
 
 
 class _Graph:
-    """The nodes of a graph, written one after the other."""
-
     def __init__(self) -> None:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
@@ -138,7 +132,6 @@ def write_graphs(folder: Path) -> None:
 
 
 def _middles(graph: _Graph, crop: str) -> list[str]:
-    """Return the middle of a crop's surface, and from there the middles of its red and its green part."""
     xyz = graph.part(crop, 3, 6)
     size = graph.of("ReduceSum", graph.of("Abs", xyz), graph.constant([3]))
     is_surface = graph.of("Cast", graph.of("Greater", size, graph.constant(0, np.float32)), to=1)

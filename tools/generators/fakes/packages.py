@@ -1,9 +1,7 @@
 # ruff: noqa: D102 -- the packages that these fake document their methods
-"""Fakes of the official packages of the generators: their names and signatures, and one object without symmetry.
-
-The object is known in the camera's axes. Each fake returns it in the axes of its package, by that package's own
-formulas as read from its sources, so that an adapter that turns one axis wrongly puts it elsewhere.
-"""
+"""Fakes of the official packages of the generators: their names and signatures, and one object without symmetry."""
+# The object is known in the camera's axes. Each fake returns it in the axes of its package, by that package's own
+# formulas as read from its sources, so that an adapter that turns one axis wrongly puts it elsewhere.
 
 from __future__ import annotations
 

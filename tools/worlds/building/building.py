@@ -180,11 +180,8 @@ class Building:
 
 
 def building(seed: int, size: BuildingSize, attempt: int = 0) -> Building:
-    """Return building number `attempt` of a seed.
-
-    Raises:
-        ConfigError: no draw fits, which no seed has shown so far.
-    """
+    """Return building number `attempt` of a seed."""
+    # Raises ConfigError: no draw fits, which no seed has shown so far.
     outline = drawn_outline(np.random.default_rng([seed, 17, attempt]), size.rooms_of(0))
     storeys = tuple(_storey(seed, attempt, floor, outline, size.rooms_of(floor)) for floor in range(size.floors))
     stairwell = Stairwell.beyond(outline)

@@ -42,10 +42,8 @@ class Route:
 
 
 def route_through(house: Building, length_m: float | None, walk_index: int, rng: np.random.Generator) -> Route | None:
-    """Return a way of at least `length_m`, None for one round; None if a room cannot be reached.
-
-    A round is every storey up and down. Odd walks visit storeys and rooms in reverse; every second begins elsewhere.
-    """
+    """Return a way of at least `length_m`, None for one round; None if a room cannot be reached."""
+    # A round is every storey up and down. Odd walks visit storeys and rooms in reverse; every second begins elsewhere.
     clearances = [clearance_of(storey.world) for storey in house.storeys]
     lines: list[NDArray[np.float64]] = []
     storeys: list[NDArray[np.int64]] = []

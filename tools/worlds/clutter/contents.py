@@ -1,7 +1,5 @@
-"""Ways of filling a horizontal surface with things: one function per recipe.
-
-Poses are in the frame of the surface: its origin is the centre, x points across it (depth), y along it.
-"""
+"""Ways of filling a horizontal surface with things: one function per recipe."""
+# Poses are in the frame of the surface: its origin is the centre, x points across it (depth), y along it.
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
-"""The recipes of each family: the one table that separates training, tuning and reporting.
-
-The families share no recipe. `reporting` is never used to choose anything.
-"""
+"""The recipes of each family: the one table that separates training, tuning and reporting."""
+# The families share no recipe. `reporting` is never used to choose anything.
 
 from __future__ import annotations
 

@@ -92,10 +92,8 @@ def random_camera(rng: np.random.Generator, width: int, height: int) -> Camera:
 
 
 def random_depth_camera(rng: np.random.Generator, focal_px: float) -> DepthCameraConfig:
-    """Return a stereo or structured-light camera, from good to poor.
-
-    Noise is 0.1 % to 0.8 % at one metre, at any focal length: small images are not noisier than large ones.
-    """
+    """Return a stereo or structured-light camera, from good to poor."""
+    # Noise is 0.1 % to 0.8 % at one metre, at any focal length: small images are not noisier than large ones.
     baseline = log_uniform(rng, 0.05, 0.2)
     sigma = log_uniform(rng, 0.0008, 0.006) * baseline * focal_px
     return DepthCameraConfig(

@@ -1,7 +1,5 @@
-"""A street from a seed: parked cars, trees and objects on pavement, road and a rolling lawn.
-
-Objects with separate feet or wheels tilt with the ground. Crowns of trees and fronts of houses are not objects.
-"""
+"""A street from a seed: parked cars, trees and objects on pavement, road and a rolling lawn."""
+# Objects with separate feet or wheels tilt with the ground. Crowns of trees and fronts of houses are not objects.
 
 from __future__ import annotations
 
@@ -188,11 +186,8 @@ class Street:
 
 
 def street(seed: int, attempt: int = 0) -> Street:
-    """Return street number `attempt` of a seed, with 22 and more objects of at least nine kinds.
-
-    Raises:
-        ConfigError: no draw fits, which no seed has shown so far.
-    """
+    """Return street number `attempt` of a seed, with 22 and more objects of at least nine kinds."""
+    # Raises ConfigError: no draw fits, which no seed has shown so far.
     rng = np.random.default_rng([seed, 31, attempt])
     for _ in range(_ATTEMPTS):
         found = _draw(rng)

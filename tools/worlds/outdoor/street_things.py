@@ -1,7 +1,5 @@
-"""Outdoor objects as composed models: fronts look along +x, the origin is on the ground.
-
-Trunks and posts go on below it by `SUNK_M`, so that they meet ground that slopes.
-"""
+"""Outdoor objects as composed models: fronts look along +x, the origin is on the ground."""
+# Trunks and posts go on below it by `SUNK_M`, so that they meet ground that slopes.
 
 from __future__ import annotations
 

@@ -107,10 +107,8 @@ def sweep(
     *,
     scale: Sequence[float] | None = None,
 ) -> Part:
-    """Return a (K, 2) outline drawn along a path, `scale` wide at each point, both ends closed.
-
-    The outline is counter-clockwise; its frame is carried along the path without twist.
-    """
+    """Return a (K, 2) outline drawn along a path, `scale` wide at each point, both ends closed."""
+    # The outline is counter-clockwise; its frame is carried along the path without twist.
     path = np.asarray(path_m, dtype=np.float64)
     tangents = np.gradient(path, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
