@@ -4,8 +4,6 @@ The check is made with what was exported: our masks, features or classes by the 
 prediction code, on a picture. A graph that differs is not kept.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

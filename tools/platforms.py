@@ -2,8 +2,6 @@
 # The package index is asked through pip (a dry run that installs nothing) for Linux on x86_64 and aarch64, Python 3.11
 # to 3.13. Markers are evaluated for the machine that is asked for, which pip itself does not do.
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The READMEs, the pages of results, and the blocks in them that are written from the code."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -2,8 +2,6 @@
 # A forest is grown twice: on pairs of fragments and of groups partly joined by the truth, then also on the groups that
 # the first trees come to. Everything is drawn from a seed.
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,8 +1,6 @@
 """What the trees of the default segmenter learn from: the fragments of images, and what each of them shows in truth."""
 # A lesson keeps counts instead of the image, and from these every way of joining its fragments can be scored.
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 # random rooms as well, which count as much as these, with inputs that know no sizes. `odds`: also what the network of
 # affinities says of a pair; only scenes that the network was not trained on, for of those it is too sure.
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ images each forest is grown, and with which inputs, is in `segmenter_recipes`. E
 optional group `train`, but no torch: the forest `odds` asks the network that is in the package.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import sys

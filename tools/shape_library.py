@@ -1,7 +1,5 @@
 """Layer 3 of real maps as `tools/evaluation/simulated_maps/shapes.npz`: what simulated objects are drawn from."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`tools/check --size`: how large the code base is, against the limits that it keeps to."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import sys

@@ -1,7 +1,5 @@
 """`tools/bench NAME`: run one benchmark, print its table, write its records."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

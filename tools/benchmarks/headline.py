@@ -4,8 +4,6 @@ A row that is as new as the code it depends on is not measured again, so that a 
 times beside the rows are those of two cores with empty caches; they add up to at most 45 minutes.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

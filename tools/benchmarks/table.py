@@ -1,7 +1,5 @@
 """The benchmarks by name: module and function, description, and the code that their figures depend on."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass

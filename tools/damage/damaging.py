@@ -2,8 +2,6 @@
 # For tests and `tools/bench damage`: `damaged(...)` returns the bytes that it changed, so that the messages that must
 # still be readable follow from the sound log rather than from the reader under test.
 
-from __future__ import annotations
-
 import mmap
 import struct
 from dataclasses import dataclass

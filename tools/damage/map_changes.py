@@ -3,8 +3,6 @@
 # Where a file is guarded (a name with a hash, a CRC, a digest), half of the changes keep the guard right, to test the
 # code behind it.
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

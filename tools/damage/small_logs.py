@@ -1,7 +1,5 @@
 """Small sound logs of every container, with the same messages: a few hundred, of several sizes, in many chunks."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path

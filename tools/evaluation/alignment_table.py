@@ -2,8 +2,6 @@
 # Two errors are given: that of the paper, which is the error of the transform itself (its translation is measured at
 # the origin of map b), and the error where the maps overlap, which is the one that matters to a robot.
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@
 # the closed form of Shah (2013) for body_i X = W camera_i. The truth of an alignment is `a_from_b` =
 # inverse(world_from_map_a) world_from_map_b.
 
-from __future__ import annotations
-
 import csv
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@
 # band and in whole cells, so that the methods differ in the shapes only. All are given the same walls, which belong to
 # no object.
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

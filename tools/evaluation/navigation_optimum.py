@@ -3,8 +3,6 @@
 # of the bend (Lozano-Pérez and Wesley, 1979). It may touch squares, which the planners' paths may not, so its length is
 # a lower bound of theirs.
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array

@@ -4,8 +4,6 @@
 # triangle, those of walls included. Scenes to plan in: from a truth folder, and from a saved map as boxes, meshes or
 # layer 4.
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any

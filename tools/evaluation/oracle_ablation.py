@@ -3,8 +3,6 @@
 # object that they belong to. `masks` uses the true masks. `structure` gives the true structure of the room to the
 # segmenter and to the map. `association` matches every mask to the track of its true object, and merges no tracks.
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal, get_args

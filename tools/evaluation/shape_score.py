@@ -4,8 +4,6 @@
 # matched one to one so that the score is highest, every pair is compared over all orders of its axes, and volume that
 # finds no partner counts as 0. The literal formula is `literal_shape_score`.
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

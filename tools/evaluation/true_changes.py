@@ -1,7 +1,5 @@
 """What changed between two truths of one world whose ids stay, as those of `worlds.days` do."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

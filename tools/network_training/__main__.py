@@ -4,8 +4,6 @@ A run that was broken off goes on from its checkpoint. Frames are rendered once 
 caches: up to 7 GB, which no cap removes.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import sys

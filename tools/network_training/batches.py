@@ -1,8 +1,6 @@
 """Lessons in batches, made by several processes ahead of the training that takes them."""
 # What a step learns from follows from the seed and the number of the step alone, however many processes there are.
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -26,7 +24,7 @@ class Batch:
     labels: torch.Tensor
     weights: torch.Tensor
 
-    def to(self, device: str) -> Batch:
+    def to(self, device: str) -> "Batch":
         """Return the batch on a device of torch."""
         inputs, labels, weights = (v.to(device, non_blocking=True) for v in (self.inputs, self.labels, self.weights))
         return Batch(inputs=inputs, labels=labels, weights=weights)

@@ -5,8 +5,6 @@ it, and synthetic rooms that nothing was trained on. Masks are scored as `tools/
 the truth would make of the same fragments, `network-joins` of those that the network divided further.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

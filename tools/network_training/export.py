@@ -5,8 +5,6 @@
 # nothing is cut there that is not cut elsewhere. The graph is written node by node: what onnxruntime runs is what is
 # here.
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -2,8 +2,6 @@
 # Cameras stand where one can walk, but look from any height between a small robot's and a tall person's, at any pitch,
 # with a little roll and a field of view of their own.
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator, Sequence

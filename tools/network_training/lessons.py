@@ -3,8 +3,6 @@
 # it, and is left out altogether a quarter of the time, so that the network is led by depth. Height and scale are left
 # out half of the time, and the noise that is assumed is not the true one.
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -3,8 +3,6 @@
 # at growing distances as in Wolf et al. 2018 and Lee et al. 2017. Only convolutions with a ReLU, nearest enlargement
 # and concatenation: in eight bits the first is integers and one rounding, the others are copies (`export.py`).
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import torch

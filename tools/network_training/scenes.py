@@ -1,7 +1,5 @@
 """Which synthetic scenes are learnt from: mostly rooms of the broad generator, beside own ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path

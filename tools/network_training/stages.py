@@ -1,7 +1,5 @@
 """The schedule of the training: steps, learning rate and batch size of each stage."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -4,8 +4,6 @@ Everything is drawn from the seed and the number of the step, so that a run that
 been. The learning rate of a stage rises, stays, and falls over its last steps (Hu et al. 2024).
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import time

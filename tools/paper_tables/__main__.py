@@ -1,8 +1,6 @@
 """Measure the paper's tables: `tools/paper [--table NAME] [--data DIR] [-o FOLDER] [--quick]`."""
 # `tools/paper views|alignment|navigation ...` compares on one's own logs and maps instead.
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

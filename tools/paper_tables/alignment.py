@@ -1,7 +1,5 @@
 """The paper's table of alignment: two maps of a place by our method and its competitors, against truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

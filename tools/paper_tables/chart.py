@@ -1,7 +1,5 @@
 """A table as a figure: for every column a group of bars, ours dark with its interval, the paper's light below it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hickory_stream.pictures.drawing import Drawing, Line, Text

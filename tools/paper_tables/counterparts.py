@@ -1,8 +1,6 @@
 """Synthetic counterparts of the data sets, written in their layouts so that the same readers read them."""
 # The scenes are drawn from seeds that nothing else in the project uses. A scene that is there stays.
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Callable

@@ -1,8 +1,6 @@
 """The four data sets: what they are called, where they come from, and what of them is missing in a folder."""
 # Nothing is downloaded. Sizes and licences are those of the data sets' own pages.
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

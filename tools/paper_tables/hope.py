@@ -4,8 +4,6 @@
 # `meshes/eval/CLASS.obj` is. The units are those of the data set's README and of its own viewer, which turns the
 # scene's cloud, in metres, by the extrinsics before it scales it to centimetres.
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The logs of the data sets below a folder, whether real or written by us."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """Meshes of others as models of our worlds: GLB and OBJ files with textures, materials or vertex colours."""
 # A model's part has one plain colour: faces are grouped by their colour in steps of 32 grey levels.
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The paper's table of navigation: boxes, meshes and layer 4 of our maps as obstacles, planned on, against truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

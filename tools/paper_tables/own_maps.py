@@ -1,7 +1,5 @@
 """The paper's comparisons on one's own logs and maps: `tools/paper views|alignment|navigation ...`."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import sys

@@ -1,7 +1,5 @@
 """What a run measures: how many scenes of each data set, how long, and how many trials."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

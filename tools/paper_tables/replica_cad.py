@@ -6,8 +6,6 @@ of the mesh's bounding box, as in Habitat. Articulated things stand as they do a
 documentation of habitat-sim's JSON attributes and from the loaders of Habitat and ManiSkill.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

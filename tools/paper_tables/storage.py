@@ -1,7 +1,5 @@
 """The paper's table of storage and time: what each layer takes on disk, and how long it takes to build."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

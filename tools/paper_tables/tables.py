@@ -1,7 +1,5 @@
 """A table of figures with the paper's own beside them: as Markdown, CSV and JSON."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

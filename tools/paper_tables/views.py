@@ -1,7 +1,5 @@
 """The paper's table of views: every strategy, each object reconstructed from its one best view, against true meshes."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

@@ -2,8 +2,6 @@
 # `results/` holds a JSON for every step, with a key of what it was made from; another key measures it again. A map is
 # made by `hickory-stream play`, a process of its own; one that was interrupted is begun anew.
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

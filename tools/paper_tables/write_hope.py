@@ -1,7 +1,5 @@
 """A recording with truth written in the layout of HOPE-Video."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A world of our own generator written in the layout of ReplicaCAD."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

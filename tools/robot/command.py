@@ -1,7 +1,5 @@
 """`tools/fake_robot LOG --via ROUTE`: the command line."""
 
-from __future__ import annotations
-
 import argparse
 import signal
 import sys

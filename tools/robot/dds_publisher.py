@@ -1,7 +1,5 @@
 """A robot whose nodes speak DDS: Cyclone, with the bytes of messages as samples, on the loopback address."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Collection

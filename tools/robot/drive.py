@@ -1,7 +1,5 @@
 """Plays a plan in real time through a publisher, and says what it sent."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter

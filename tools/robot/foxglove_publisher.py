@@ -1,7 +1,5 @@
 """A robot that runs foxglove_bridge: the server's side of Foxglove's WebSocket, from the protocol's document."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

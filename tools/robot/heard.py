@@ -1,7 +1,5 @@
 """What a robot is told by whoever maps it: messages by topic, and the answers to its goals."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter

@@ -1,7 +1,5 @@
 """A simulated link with faults: loss, delay and order of each message, drawn from a seed before the run."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The messages of a log as a robot publishes them: CDR bytes with their definitions, and when each is due."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How a robot publishes: what every way has in common, and the stream of an MCAP writer."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Collection
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Replaces the header stamps of serialised (CDR) messages."""
 
-from __future__ import annotations
-
 import struct
 from functools import cache
 from typing import Any

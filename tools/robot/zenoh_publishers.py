@@ -1,7 +1,5 @@
 """A robot that runs zenoh-bridge-ros2dds or rmw_zenoh: the router, its tokens and its keys, from their documents."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Collection
 from typing import Any

@@ -1,7 +1,5 @@
 """An apartment from a seed: four rooms around a crossing of walls, joined by open doors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

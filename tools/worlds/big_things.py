@@ -1,7 +1,5 @@
 """More objects on the floor: seats, beds, storage and luggage; fronts face +x."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hickory_stream.worlds.object_models import Model, Part, Surface, ellipsoid, lathe, rounded_box, tube

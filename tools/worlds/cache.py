@@ -1,7 +1,5 @@
 """Recordings that are made at first use, and kept."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from collections.abc import Callable

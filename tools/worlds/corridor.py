@@ -1,7 +1,5 @@
 """Scans of a LiDAR with 32 beams in an empty box: a corridor, which does not constrain motion along it, or a room."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

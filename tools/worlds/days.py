@@ -1,8 +1,6 @@
 """The same world on another day: things were moved, removed, added and exchanged."""
 # A moved object keeps its id, a new one gets one that no earlier day had.
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 """A synthetic fleet: several robots in one world, each with a walk, a log, a frame and a clock of its own."""
 # Truths share object ids: where two frames lie follows from any object that both have.
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What stands in a living room, a kitchen, a bedroom and a study."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

@@ -1,8 +1,6 @@
 """Synthetic logs in the exact layouts of public data sets, quirks included, to test the players with."""
 # The numbers of the rigs are repeated here, so that an error in a profile of `players` cannot cancel itself out.
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self

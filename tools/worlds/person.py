@@ -1,7 +1,5 @@
 """A person who walks through the images and occludes objects, without being one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

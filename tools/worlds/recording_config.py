@@ -1,7 +1,5 @@
 """Configs of recordings of all scenes, with layouts, drift, people and changes; an import registers the scenes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Messages of ROS 1 and ROS 2 for synthetic logs; they differ in the case of a few fields and in the header."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Routes over free floor, and a tour through all rooms of an apartment."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter1d, label

@@ -1,7 +1,5 @@
 """The structure of an apartment: floors, walls, ceiling, doorways, and pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """More objects on tables and shelves: kitchenware, groceries, electronics, toys."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hickory_stream.worlds.furniture import vessel

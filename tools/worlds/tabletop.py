@@ -1,7 +1,5 @@
 """A table in a small room with many small things on it, and a camera that circles it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -4,8 +4,6 @@ Simulated trials run in two processes; times are the least of three repetitions 
 apartments, in a whole run alone, are played once for each state of the mapper's code, into out/maps/.
 """
 
-from __future__ import annotations
-
 import itertools
 import multiprocessing
 from collections import Counter

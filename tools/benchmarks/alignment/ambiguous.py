@@ -6,8 +6,6 @@ two different ones are joined, and one with itself. Simulated pairs at 0 to 3 de
 units of the covariance. Seeds from 0 on were tuned on; the figures are of others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations

@@ -5,8 +5,6 @@ degrees. Own and foreign maps have exact poses; of the drifting ones one map has
 `play` does. The true place of a part follows from the camera's true poses around it: a map that drifts is not rigid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -8,8 +8,6 @@ between them are the same. And how many objects are near one another,
 in units of how many are further off, in furnished and in uniform places.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterable
 from itertools import combinations, pairwise

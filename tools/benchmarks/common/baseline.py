@@ -5,8 +5,6 @@ yet), `goal` (null: none) and `tolerance`: a figure that is worse than its value
 tolerance covers the noise of the figure; a text whose tolerance is 0, such as a digest, must stay as it is.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Results that are computed once: maps of recordings, and JSON of parts, each in a folder named by the code."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Callable

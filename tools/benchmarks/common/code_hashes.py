@@ -1,7 +1,5 @@
 """Hashes of code by its definitions: a moved definition, a comment, docstring or import changes none."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import hashlib

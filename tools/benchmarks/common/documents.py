@@ -12,8 +12,6 @@ the first cell is the format of the last one (`<!-- {found} of {things} -->`).
 A figure may be measured in parts (`--only kills`), at different times: each replaces older ones of the same name alone.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import os

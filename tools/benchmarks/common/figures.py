@@ -1,7 +1,5 @@
 """Figures: measured numbers with their denominators, printed as a table and written as JSON."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """95 % confidence intervals: Wilson's of a share, the bootstrap of a statistic of rows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

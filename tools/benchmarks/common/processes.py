@@ -1,7 +1,5 @@
 """Child processes: the command line with its time and memory, coarse runs of it, and programs that print JSON."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import signal

@@ -3,8 +3,6 @@
 A measurement is a folder named by a hash of the code that it measures: records of different code are never mixed.
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import shutil

@@ -4,8 +4,6 @@ Shares have Wilson's interval, true objects taken for independent; means, differ
 objects (over clouds for masks). Both are 95 %. A thing is large from 0.4 m between its farthest points on.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal

@@ -5,8 +5,6 @@ clouds of `mosd_report` are for reporting alone: nothing is chosen by them. Exac
 cached by its log and by the code that makes maps.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable

@@ -4,8 +4,6 @@ The folder of worlds is no part of the project: --worlds or $HICKORY_WORLDS name
 beside the checkout. Logs are kept with the other recordings ($HICKORY_CACHE), 80 to 100 MB each.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

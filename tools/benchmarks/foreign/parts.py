@@ -3,8 +3,6 @@
 A part is named by its world, walk, camera and rung (`home:A:hand:ours`), or by its subject (`kitchen`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """One part of the gate, measured: a log played as `play` does on a rung of the ladder, clouds, the kitchen, speed."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 import time

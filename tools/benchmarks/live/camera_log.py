@@ -1,7 +1,5 @@
 """A log as a depth camera of 1280x720 at 30 Hz makes it: JPEG colour, raw 16-bit depth; made from the embedded one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

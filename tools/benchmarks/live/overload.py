@@ -4,8 +4,6 @@ Three times: with perception slowed by a factor, with the embedded one as it is,
 each prints one line of JSON.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import time

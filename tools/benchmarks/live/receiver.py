@@ -1,7 +1,5 @@
 """The receiver of a live route in a process of its own: reads or maps until its standard input ends."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import sys

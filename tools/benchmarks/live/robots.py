@@ -6,8 +6,6 @@ goes away once. Storm: losses, jitter, disconnections and a restart at once, map
 with paths. Safety: how soon a robot keeps off the things that it sees.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import socket

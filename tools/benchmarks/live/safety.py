@@ -4,8 +4,6 @@ Counted from the first keyframe that shows a hundredth of a steradian of a thing
 the first snapshot in which 0.98 of its surface that keyframes have shown lies in the bodies of the collision checks.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections import defaultdict
 from dataclasses import dataclass, field

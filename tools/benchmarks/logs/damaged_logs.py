@@ -4,8 +4,6 @@ A case is a sound log of some container, a kind of damage and a seed. The messag
 sound log and the damaged bytes.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections import Counter
@@ -43,7 +41,7 @@ class Tally:
     recovered: int = 0
     worst: dict[str, list[int]] = field(default_factory=dict)
 
-    def add(self, case: Tally) -> None:
+    def add(self, case: "Tally") -> None:
         """Add the result of a case."""
         self.cases += case.cases
         self.crashes += case.crashes

@@ -4,8 +4,6 @@ A case is a small sound map, one change to it and a seed; a child process, forke
 commands on it. An audit hook of the child notes the files that it opened, the programs it ran and its connections.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -57,7 +55,7 @@ class MapTally:
     outside: list[str] = field(default_factory=list)
     peak_mb: float = 0.0
 
-    def add(self, case: MapTally) -> None:
+    def add(self, case: "MapTally") -> None:
         """Add the result of a case."""
         self.cases += case.cases
         self.refused += case.refused

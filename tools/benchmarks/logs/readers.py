@@ -1,7 +1,5 @@
 """Reading logs: against the plain readers, in memory, damaged, and in every layout and container."""
 
-from __future__ import annotations
-
 import gc
 import tempfile
 from collections.abc import Callable

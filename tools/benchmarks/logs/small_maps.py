@@ -1,7 +1,5 @@
 """A small map of an in-memory scene, with every kind of file of a map folder: the map that is damaged."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

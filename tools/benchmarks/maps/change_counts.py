@@ -1,7 +1,5 @@
 """Changes that a comparison of maps reports, counted against the true ones, and the figures of the counts."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 

@@ -4,8 +4,6 @@ Rooms (quick: one, two days) and apartments (three days each) of `worlds.days`. 
 at box IoU 0.25 is; a change counts as held by the maps if its objects are in those that can show them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

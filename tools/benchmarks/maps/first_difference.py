@@ -1,7 +1,5 @@
 """The first step in which the journals of two runs of one log differ: `python -m ...first_difference MAP MAP`."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from collections.abc import Iterator, Mapping

@@ -4,8 +4,6 @@ A change that moves a digest on purpose moves the baseline with it: `tools/bench
 are coarse, so that all of it takes seconds.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Layer 4 is made of the true meshes, so that shapes alone are compared; a whole r
 the pipeline, with unseen space as unknown.
 """
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Callable, Iterable

@@ -3,8 +3,6 @@
 An object is made of the person if at least half of its points lie off every true surface, at a place of the person.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

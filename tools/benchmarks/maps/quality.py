@@ -4,8 +4,6 @@ A scene is a truth folder NAME.truth with its log NAME.mcap beside it; it is a t
 its true objects that count is below 0.4 m, else an apartment. Pages with pictures go to out/quality/.
 """
 
-from __future__ import annotations
-
 import html
 import tempfile
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The share of the place of a true object that frames see, whether the object is there or not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ The conditions are computed from mesh geometry and mean colours here, by other c
 only where the truth is clear: every true object either fulfils it plainly or plainly does not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial

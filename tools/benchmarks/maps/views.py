@@ -4,8 +4,6 @@ Apartments and table-tops of our generator, with seeds that nothing was tuned on
 Each room's result is kept: a call that was stopped continues.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Answers of `diff MAP T1 T2` about a run in which things are moved, removed and added out of the robot's sight."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path

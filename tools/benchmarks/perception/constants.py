@@ -4,8 +4,6 @@ A number decides if another value of it can make another object of the same fram
 `NOT_DECIDING`, by the beginning of their name, with the reason.
 """
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 from collections.abc import Iterator

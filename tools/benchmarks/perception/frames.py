@@ -4,8 +4,6 @@ Clouds are single views without a map. Logs are played through layer 1: each key
 one before. Things and masks under 0.2 % of the image do not count.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

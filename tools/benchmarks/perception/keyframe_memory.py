@@ -5,8 +5,6 @@ the process before, with a frame read from the log, is subtracted. Each round ha
 work: memory that a later one takes beyond the first was not released. Linux alone.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import deque
 from dataclasses import asdict, dataclass

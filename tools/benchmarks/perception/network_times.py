@@ -1,7 +1,5 @@
 """Time of FastSAM without the network itself: part of `tools/bench perception`."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import cv2

@@ -4,8 +4,6 @@ They are compared with the maps of the same walks with exact poses. Registration
 as by default. Each result is cached under `--state` by the code; a later call continues.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -5,8 +5,6 @@ The images do not depend on the odometry: they are those of `make_recording --dr
 rendering.
 """
 
-from __future__ import annotations
-
 import runpy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

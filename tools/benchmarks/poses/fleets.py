@@ -5,8 +5,6 @@ which no frame belongs; apartments with three robots, whose merged map is compar
 as long as the three together.
 """
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections import Counter

@@ -5,8 +5,6 @@ looks round in each, and then goes back to one of them, or into a fifth that is 
 images are cast from boxes, small, so that many walks are played.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

@@ -1,7 +1,5 @@
 """Loops through rooms that look alike: how many of them are found, and how many wrong ones are accepted."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

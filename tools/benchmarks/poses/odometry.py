@@ -3,8 +3,6 @@
 Real data is read from `../shared/data` beside the checkout, or `$HICKORY_DATA`; without it there is no figure of it.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import time

@@ -6,8 +6,6 @@ Wrong loops are of three kinds, in turn: a look-alike place somewhere else, a pl
 desk (a row of like things), and one that is turned by half a turn.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ On the first seconds of the embedded recording, with coarse shapes where only th
 a smaller sample of each. A whole one takes hours: it can be stopped at any moment, and the next one continues.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random

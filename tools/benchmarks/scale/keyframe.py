@@ -6,8 +6,6 @@ files. There is no perception: only its request to the map, the prior, is made. 
 one after another. A keyframe then costs the work on the map, and the view is the same in every room.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import os

@@ -5,8 +5,6 @@ ones set all switches, and those of the workers alone. The kernels compiled by N
 them, which takes minutes.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 Processor time; the first path, which loads kernels, is not counted. Opening and the picture do count loading.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from dataclasses import asdict, dataclass

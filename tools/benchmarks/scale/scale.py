@@ -8,8 +8,6 @@ embedded recording for `stages` and few short logs for `batch`. `--only` chooses
 it, which takes hours where it is not in the cache.
 """
 
-from __future__ import annotations
-
 import heapq
 import os
 import shutil

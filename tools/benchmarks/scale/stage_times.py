@@ -5,8 +5,6 @@ load nor waiting counts. The event loop and start-up are the rest of the process
 Linux alone.
 """
 
-from __future__ import annotations
-
 import argparse
 import functools
 import json

@@ -1,7 +1,5 @@
 """Layers 3 and 4, and collision checks: how good, small, repeatable and fast they are. Seconds are CPU seconds."""
 
-from __future__ import annotations
-
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial

@@ -4,8 +4,6 @@ A mesh is closed if, with equal vertices joined, each edge has two faces. Struct
 other mesh of the rooms and scans for tuning is reported, and all of the rooms for reporting.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass

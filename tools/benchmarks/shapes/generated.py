@@ -3,8 +3,6 @@
 No network is needed: the spoiling generator takes its place, so that each step after it is measured by itself.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import time
 from concurrent.futures import ProcessPoolExecutor

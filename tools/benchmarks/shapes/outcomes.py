@@ -1,7 +1,5 @@
 """The outcome for a generated shape: blended and fused surface beside the truth, and which of the two is kept."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One object of `tools/bench shapes`: its layers 3 and 4 beside the truth, in figures and as a picture."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What shapes are compared with: occupancy and distances by ray casting, independent of the code that is measured."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The objects of `tools/bench layer2`: models of the own worlds, and single things of rooms by others."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 """Playback of a log through perception and the core in one thread: layer 1 as `play` makes it, without shapes."""
 # Masks are scored as they come in playback, each keyframe with the map as it is after the one before.
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path

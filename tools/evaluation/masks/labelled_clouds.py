@@ -2,8 +2,6 @@
 # The files hold no pose. A frame's world is z up, as a mapper expects it: up is the normal of the plane that most of
 # the cloud lies on or above, found without the labels.
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 # Pixels of which the truth is not known, or that show things too small to count, count neither for nor against a mask;
 # a mask mostly on such pixels is left out, and so is, as in COCO, a wrong mask that is itself too small to count.
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The thirteen test meshes of the shapes, and two hollow ones: made with trimesh, in metres, standing on z = 0."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

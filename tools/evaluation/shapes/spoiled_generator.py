@@ -3,8 +3,6 @@
 # invents what the best view does not show, smooths it and adds noise. Instead it may give another object of the same
 # class, or the mirror image. The transform of the part that is not invented stays known.
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal
 

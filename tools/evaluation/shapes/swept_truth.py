@@ -1,7 +1,5 @@
 """The clearance of a swept body from a superquadric by slow search: the reference of the sweep kernels."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -3,8 +3,6 @@
 # observation. `breaking` objects stand where nothing answers to them, and tell the true alignment from the others. A
 # place without any of them cannot be decided, and an answer about it is right by luck alone; two or more decide it.
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Simulated maps of many robots, each of one part of a large place: which of them overlap is known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

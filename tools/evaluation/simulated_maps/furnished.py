@@ -3,8 +3,6 @@
 # `evaluation.maps.simulate`, whose noise this is). Furniture stands as people put it: along walls, in groups, at the
 # heights of floors and tables, and two apartments have the same kinds of things. There is no observed space.
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -2,8 +2,6 @@
 # The rooms have one floor plan and one set of furniture, of which none, or one piece a room, differs. The robot's
 # odometry drifts by more than the pose graph assumes. Nothing here shares code with the search.
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@
 # descriptor that is a little off. Descriptors are vectors, built so that their cosines have the wanted means and
 # spreads: without the spread a threshold on the cosine alone would solve everything.
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -160,7 +158,7 @@ class SimulatedObject:
         """The centroid (3,)."""
         return centroid_world(self.shape)
 
-    def moved(self, there_from_here: NDArray[np.float64]) -> SimulatedObject:
+    def moved(self, there_from_here: NDArray[np.float64]) -> "SimulatedObject":
         """Return the same model at another place: `there_from_here` (4, 4)."""
         return SimulatedObject(shape=moved(self.shape, there_from_here), signal=self.signal)
 
@@ -176,7 +174,7 @@ class SimulatedWorld:
         self._classes = [_direction(rng, self._parts.class_dimensions) for _ in range(self._parts.classes)]
         self._class_shapes = rng.integers(len(real_fits()), size=self._parts.classes)
 
-    def new_object(self, place: NDArray[np.float64]) -> SimulatedObject:
+    def new_object(self, place: NDArray[np.float64]) -> "SimulatedObject":
         """Return a true object whose centroid is at `place`."""
         rng = self._rng
         class_index = int(rng.integers(self._parts.classes))
@@ -188,7 +186,7 @@ class SimulatedWorld:
         turned = moved(shape, from_rotation_translation(yaw_rotation(rng.uniform(0, 2 * np.pi)), np.zeros(3)))
         return SimulatedObject(shape=_centered(turned, place), signal=signal)
 
-    def object_of(self, shape: Superquadrics, kind: int) -> SimulatedObject:
+    def object_of(self, shape: Superquadrics, kind: int) -> "SimulatedObject":
         """Return a new instance of a kind with a shape of its own; there are no more classes than the world has."""
         return SimulatedObject(shape=shape, signal=self._signal(kind % self._parts.classes))
 

@@ -1,7 +1,5 @@
 """One simulated alignment and how good it was: the errors where the maps overlap, and the floor that noise allows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

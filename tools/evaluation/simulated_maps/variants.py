@@ -1,7 +1,5 @@
 """Variants of an object map: in another frame, bent by drift, mirrored."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@
 # 3.8). Of few scenes that says too little of the spread between scenes; there it is object by object, and the table
 # says so.
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

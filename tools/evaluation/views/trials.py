@@ -7,8 +7,6 @@ is, as truth has it, of those that were tried: the strategies' and the ones that
 Every view that a run had of its objects, kept by a sink: what all strategies of choosing one can choose from.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """A building from a seed: one to eight storeys of furnished rooms along a corridor, joined by a stairwell."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,8 +1,6 @@
 """The floor plan of a storey: rooms on both sides of a corridor that leads to the stairs, and doors."""
 # The corridor runs along x from 0. Its sections are rooms for lamps and looks. The stairwell is beyond its end.
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

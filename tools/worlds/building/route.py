@@ -1,7 +1,5 @@
 """A walk through a building, storey by storey and back to the stairs; in rooms it looks at objects seen least."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

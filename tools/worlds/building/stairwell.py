@@ -1,7 +1,5 @@
 """The stairwell: from each storey a flight up to a landing half way, and a second one back up to the storey above."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +31,7 @@ class Stairwell:
     rectangle_m: Rectangle
 
     @staticmethod
-    def beyond(outline: Outline) -> Stairwell:
+    def beyond(outline: Outline) -> "Stairwell":
         """Return the stairwell at the end of the corridors."""
         x0 = outline.length_m + WALL_M
         return Stairwell(rectangle_m=(x0, 0.0, x0 + 2 * _LANDING_M + _RUN_M, outline.width_m))

@@ -1,7 +1,5 @@
 """Short functions for the random draws that recipes share."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

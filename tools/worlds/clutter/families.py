@@ -1,8 +1,6 @@
 """The recipes of each family: the one table that separates training, tuning and reporting."""
 # The families share no recipe. `reporting` is never used to choose anything.
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, get_args
 

@@ -1,8 +1,6 @@
 """Floor plans of random rooms: outlines (K, 2) counter-clockwise, walls, floor, ceiling, columns and beams."""
 # A wall's frame has x into the room and y along it; the wall itself lies at x <= 0.
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

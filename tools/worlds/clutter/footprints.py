@@ -1,7 +1,5 @@
 """Footprints (rectangles) on a horizontal surface: an exact and fast test of whether a place is free."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

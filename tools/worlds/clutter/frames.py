@@ -1,7 +1,5 @@
 """Single frames of random rooms with ground truth, without a log: training data for networks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -1,8 +1,6 @@
 """Arrangements on the floor: one function per recipe."""
 # A group's frame has x away from the wall (its back is at x = 0) and y along it.
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Heaps without physics: each thing drops onto a height map and tips about its contacts until it rests."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Random draws from the recipes of a family, and recipes of the usual objects in random proportions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

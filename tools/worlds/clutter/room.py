@@ -1,7 +1,5 @@
 """A random room of a family from a seed: a floor plan, lamps, and arrangements where they fit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Random cameras: field of view, and defects of colour and depth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

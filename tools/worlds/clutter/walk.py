@@ -1,7 +1,5 @@
 """A walk through a random room, between random free places, that looks at the objects."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label

@@ -1,8 +1,6 @@
 """A street from a seed: parked cars, trees and objects on pavement, road and a rolling lawn."""
 # Objects with separate feet or wheels tilt with the ground. Crowns of trees and fronts of houses are not objects.
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,8 +1,6 @@
 """Outdoor objects as composed models: fronts look along +x, the origin is on the ground."""
 # Trunks and posts go on below it by `SUNK_M`, so that they meet ground that slopes.
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

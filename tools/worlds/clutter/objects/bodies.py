@@ -1,7 +1,5 @@
 """Other large objects on the floor, of random make: one function per recipe; fronts look along +x."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

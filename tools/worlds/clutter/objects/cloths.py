@@ -1,7 +1,5 @@
 """Cloth: draped over a table, hung over a bar, curtains; each is one thin closed sheet."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Materials."""
 
-from __future__ import annotations
-
 import colorsys
 from collections.abc import Callable
 

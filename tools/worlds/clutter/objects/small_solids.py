@@ -1,7 +1,5 @@
 """Small things of random shape, massive or soft, 4 to 50 cm: one function per recipe, each standing on its base."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

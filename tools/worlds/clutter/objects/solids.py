@@ -1,7 +1,5 @@
 """Watertight parts that random shapes are composed of, their faces counter-clockwise seen from outside."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Furniture on which things stand, of random design; fronts face +x, `surfaces` are sorted, lowest first."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Chairs, units that stand flush in rows (back at -x), and the legs, fronts and tops that kinds of furniture share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
