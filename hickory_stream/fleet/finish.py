@@ -5,9 +5,11 @@ The frame with the most robots becomes `fleet.map`, further ones with two or mor
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.alignment.object_map import ObjectMap, object_map
@@ -20,11 +22,7 @@ from hickory_stream.merging.groups import Group, groups_of
 from hickory_stream.merging.joining import JoiningConfig, aligned_to_join
 from hickory_stream.merging.merge_maps import merge_aligned
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    Answers = Mapping[tuple[int, int], Alignment | NoAlignment]
+Answers = Mapping[tuple[int, int], Alignment | NoAlignment]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
-if TYPE_CHECKING:
-    from hickory_stream.engine.modes import Progress
-    from hickory_stream.fleet.growth import GrownMap
+from hickory_stream.engine.modes import Progress
+from hickory_stream.fleet.growth import GrownMap
 
-    Message: TypeAlias = "Opened | Moved | GrownMap | Ended"
+Message: TypeAlias = "Opened | Moved | GrownMap | Ended"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.geometry.rigid import invert
 from hickory_stream.graph.factors import tangent_covariance
+from hickory_stream.records import MapSnapshot
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapSnapshot
-
-    Answers = Mapping[tuple[int, int], Alignment | NoAlignment]
+Answers = Mapping[tuple[int, int], Alignment | NoAlignment]
 
 # An alignment that claims less is not believed: maps drift.
 _MIN_SIGMA_M, _MIN_SIGMA_RAD = 0.02, np.radians(0.3)

@@ -12,7 +12,7 @@ from hickory_stream.graph.factors import LoopEdge, OdometryEdge, PoseGraph, odom
 from hickory_stream.graph.gate import difference
 from hickory_stream.graph.gtsam_solver import Factors
 from hickory_stream.graph.solution import NoSolution, Solution
-from hickory_stream.graph.solve import node_covariances, relative_covariances, solve
+from hickory_stream.graph.solve import GATE_CHI2, INLIER_CHI2, node_covariances, relative_covariances, solve
 from tools.benchmarks.poses.pose_graphs import SimulatedGraph, simulated_graph
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,7 +32,7 @@ def libraries_weights(factors: Factors, loops: list[int]) -> np.ndarray:
     parameters.setRelativeCostTol(0.0)
     parameters.setKnownInliers(sorted(set(range(factors.graph.size())) - set(loops)))
     optimizer = gtsam.GncLMOptimizer(factors.graph, factors.values, parameters)
-    optimizer.setInlierCostThresholds(0.5 * CONFIG.inlier_chi2)
+    optimizer.setInlierCostThresholds(0.5 * INLIER_CHI2)
     optimizer.optimize()
     return np.asarray(optimizer.getWeights()).reshape(-1)[loops]
 
@@ -43,7 +43,7 @@ def test_loops_have_the_weights_that_the_library_gives_them(walk):
     for edge in walk.graph.odometry:
         factors.add_odometry(edge)
     loops = [factors.add_loop(loop) for loop in walk.graph.loops]
-    weights, _ = factors.judged(loops, CONFIG.inlier_chi2)
+    weights, _ = factors.judged(loops, INLIER_CHI2)
     assert set(weights) == {0.0, 1.0}
     assert np.array_equal(weights, libraries_weights(factors, loops))
 
@@ -151,7 +151,7 @@ def test_a_lone_loop_inside_the_gate_is_believed(surprise):
         graph.loops[0].earlier_from_later, invert(answer.world_from_node[0]) @ answer.world_from_node[5]
     )
     assert np.abs(residual).max() < 0.02
-    assert not solved(corridor((0, 5, 1.0), surprise=CONFIG.gate_chi2 + 0.1)).accepted
+    assert not solved(corridor((0, 5, 1.0), surprise=GATE_CHI2 + 0.1)).accepted
 
 
 def test_a_loop_without_rivals_is_believed_as_if_alone():

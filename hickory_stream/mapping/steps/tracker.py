@@ -6,15 +6,18 @@ only a vote, which `splitting` and `merging` count.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hickory_stream.events import Effect, FrameObserved
 from hickory_stream.geometry.bounds import bounds_of
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.cloud import Cloud, cloud_of, is_near, share_near, solid_part, without
 from hickory_stream.mapping.entities.existence import Existence, no_evidence, sighted
 from hickory_stream.mapping.entities.track import Sighting, Track, grown, new_track, with_cloud
+from hickory_stream.mapping.map_state import MapState
 from hickory_stream.mapping.rules.association import Match, associate, is_oversized
 from hickory_stream.mapping.rules.lifecycle import LifeEvent, first_phase
 from hickory_stream.mapping.rules.merge_history import after_split, recalled, restored, without_far, without_views_of
@@ -28,16 +31,9 @@ from hickory_stream.mapping.rules.merging import (
 )
 from hickory_stream.mapping.rules.splitting import MIN_VOXELS, SAME_SHARE, SplitCandidate, with_keyframe
 from hickory_stream.mapping.steps.endings import unite
+from hickory_stream.records import Observation
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from hickory_stream.events import Effect, FrameObserved
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.mapping.map_state import MapState
-    from hickory_stream.records import Observation
-
-    Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
+Associator = Callable[[FrameObserved, Mapping[int, Track]], list[Match]]
 
 
 # Maximum number of tracks, those with the best IoU, for which one observation counts as oversized.
