@@ -1,5 +1,6 @@
 """Configs of recordings of all scenes, with layouts, drift, people and changes; an import registers the scenes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.worlds.recording_config import RecordingConfig as PlainConfig
-from hickory_stream.worlds.recording_config import Scene, Walk, register_scene, walkable
+from hickory_stream.worlds.recording_config import Scene, register_scene, walkable
 from hickory_stream.worlds.scene import World, WorldObject, placed_otherwise
 from hickory_stream.worlds.shots import Stage, WorldChange
 from hickory_stream.worlds.trajectory import NoWalk, Trajectory, walk_round
@@ -32,6 +33,7 @@ from tools.worlds.tabletop import orbit, tabletop
 
 APARTMENT, TABLETOP, CLUTTER, OUTDOOR, BUILDING = "apartment", "tabletop", "clutter", "outdoor", "building"
 MAX_ROBOTS = 16
+Walk = Callable[[World, int], Trajectory | NoWalk]
 _WITHOUT_DAYS = (BUILDING, CLUTTER, OUTDOOR)
 _LEAST_CLUTTER = 6
 _ON_THE_WAY = 7_000_000

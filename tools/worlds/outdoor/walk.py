@@ -1,6 +1,9 @@
 """A walk along a street: down the pavement, over the road where the kerb is lowered, back over the lawn."""
 
+from __future__ import annotations
+
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +13,10 @@ from hickory_stream.worlds.clearance import Clearance, clearance_of
 from hickory_stream.worlds.depth_camera import D455
 from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, camera_poses, gaze
 from tools.worlds.outdoor.street import Street
-from tools.worlds.recording_config import RecordingConfig
 from tools.worlds.routes import smoothed, way_between
+
+if TYPE_CHECKING:
+    from tools.worlds.recording_config import RecordingConfig
 
 # The distance over which the camera's height follows a kerb.
 _STEP_M = 0.25
