@@ -29,7 +29,6 @@ class Target:
     python: str
 
     def environment(self, extra: str = "") -> dict[str, str]:
-        """Return what markers are evaluated in."""
         return {
             **{name: str(value) for name, value in default_environment().items()},
             "sys_platform": "linux",
@@ -42,7 +41,6 @@ class Target:
 
     @property
     def name(self) -> str:
-        """It, in words."""
         return f"Linux {self.machine}, Python {self.python}"
 
 

@@ -66,7 +66,6 @@ class TrueMasks:
         self.lessons: list[Lesson] = []
 
     def prepare(self, frame: Frame) -> object:
-        """Return the surface of a frame."""
         return self._segmenter.prepare(frame)
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
@@ -88,7 +87,6 @@ class TrueMasks:
 def lessons_of(
     log: Path, truth: Truth, max_keyframes: int | None = None, network: PixelNetwork | None = None
 ) -> list[Lesson]:
-    """Return the lessons of a log, played with its true masks."""
     teacher = TrueMasks(truth, network)
     for _ in play_first_layer(log, segmenter=teacher, max_keyframes=max_keyframes):
         pass

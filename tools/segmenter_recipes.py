@@ -97,7 +97,6 @@ def _lessons_of_views(scenes: Sequence[Scene], folder: Path, network: PixelNetwo
 
 
 def recording(scene: str, seed: int, walk: int) -> tuple[Path, Truth]:
-    """Return the log and the truth of a scene; made if they are not cached."""
     print(f"recording {name_of(scene, seed, walk)}", file=sys.stderr, flush=True)
     config = RecordingConfig(
         scene=scene, seed=seed, walk_index=walk, seconds=None, rate_hz=RATE_HZ, width=640, height=480
@@ -107,5 +106,4 @@ def recording(scene: str, seed: int, walk: int) -> tuple[Path, Truth]:
 
 
 def name_of(scene: str, seed: int, walk: int) -> str:
-    """Return the name of a log on a card."""
     return f"{scene} {seed}, walk {walk}"

@@ -35,7 +35,6 @@ _TREES = {"mixed": 120, "odds": 160}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return the exit status."""
     parser = argparse.ArgumentParser(prog="tools/train_segmenter", description=__doc__)
     parser.add_argument("--forest", choices=_TREES, default="odds", help="which one; that of sizes is older than this")
     parser.add_argument("--out", type=Path, default=(_PACKAGE / EMBEDDED["odds"]).parent, help="folder of trees, card")
@@ -91,7 +90,6 @@ def _scores(lessons: Sequence[Lesson], trees: Trees, join: JoinConfig) -> dict[s
 
 
 def joined(lesson: Lesson, trees: Trees, join: JoinConfig) -> NDArray[np.int64]:
-    """Return (fragments,) the groups that the fragments of a lesson are joined to."""
     *_, last = rounds(lesson.measures, trees.probabilities, join, lesson.odds)
     return last.numbers
 

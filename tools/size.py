@@ -29,7 +29,6 @@ class Measure:
 
 
 def measures() -> Iterator[Measure]:
-    """Yield the figures."""
     product, players, tools, tests = (sources(name) for name in ("hickory_stream", "players", "tools", "tests"))
     yield Measure(name="files of hickory_stream", value=len(product), limit=520)
     yield Measure(name="lines of hickory_stream", value=lines(product), limit=78_000)
@@ -50,17 +49,14 @@ def measures() -> Iterator[Measure]:
 
 
 def sources(folder: str) -> list[Path]:
-    """Return the Python files of a folder."""
     return sorted((ROOT / folder).rglob("*.py"))
 
 
 def lines(files: Iterable[Path]) -> int:
-    """Return how many lines the files have."""
     return sum(file.read_bytes().count(b"\n") for file in files)
 
 
 def keys(config: Any, where: str = "") -> Iterator[str]:
-    """Yield the keys of a configuration and of its sections."""
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):

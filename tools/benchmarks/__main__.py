@@ -15,7 +15,6 @@ from tools.benchmarks.table import BENCHMARKS, code_of
 
 
 def main() -> int:
-    """Parse the arguments and run."""
     parser = _parser()
     given = parser.parse_args()
     if given.name is None:

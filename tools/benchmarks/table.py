@@ -10,10 +10,9 @@ from tools.benchmarks.common.figures import Figure, Options
 
 @dataclass(frozen=True, slots=True)
 class Benchmark:
-    """A function `(Options) -> list[Figure]` of a module, and the code on which its figures depend.
+    """A function `(Options) -> list[Figure]` of a module, and the code on which its figures depend."""
 
-    Figures of a run that is not quick depend on the code of `whole`, too.
-    """
+    # Figures of a run that is not quick depend on the code of `whole`, too.
 
     module: str
     about: str

@@ -122,5 +122,4 @@ def _rows_of(log: SqliteLog) -> list[Part]:
 
 
 def open_sound(path: Path) -> McapLog | Ros1Log | SqliteLog:
-    """Return the log in a sound file, by its suffix."""
     return McapLog(path) if path.suffix == ".mcap" else Ros1Log(path) if path.suffix == ".bag" else SqliteLog(path)

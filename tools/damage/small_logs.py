@@ -16,7 +16,6 @@ OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def write_small_logs(folder: Path, num_frames: int = 40) -> dict[str, Path]:
-    """Return sound logs by name."""
     logs = {}
     for compression in ("none", "lz4", "zstd"):
         logs[f"mcap_{compression}"] = write_mcap(
@@ -53,7 +52,6 @@ def messages(m: RosMessages, num_frames: int, size: tuple[int, int] = (80, 60)) 
 
 
 def write_mcap(path: Path, log: Iterator[tuple[str, int, Any]], compression: str, chunk_bytes: int) -> Path:
-    """Write an MCAP of ROS 2 messages."""
     from mcap.writer import CompressionType, Writer
 
     m = RosMessages(2)
@@ -75,7 +73,6 @@ def write_mcap(path: Path, log: Iterator[tuple[str, int, Any]], compression: str
 def write_bag(
     path: Path, num_frames: int, compression: str, chunk_bytes: int, size: tuple[int, int] = (80, 60)
 ) -> Path:
-    """Write a ROS 1 bag."""
     from rosbags.rosbag1 import Writer
 
     m = RosMessages(1)

@@ -53,7 +53,6 @@ class Row:
 
 
 def row_of(scene: str, method: str, answer: Alignment | NoAlignment, true_a_from_b: NDArray[np.float64] | None) -> Row:
-    """Return the table row of one answer of `align`."""
     if not isinstance(answer, Alignment):
         return Row(scene=scene, method=method, num_pairs=0, error=None, refusal=answer.refusal.value)
     error = None
@@ -72,7 +71,6 @@ def format_table(rows: Sequence[Row]) -> str:
 
 
 def table_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return the rows for machines."""
     return [
         {
             "scene": row.scene,

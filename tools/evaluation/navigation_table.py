@@ -113,7 +113,6 @@ def draw_pairs(truth: TrueScene, count: int, seed: int) -> NDArray[np.float64]:
 def score(
     method: Built, truth: TrueScene, pairs: NDArray[np.float64], optimal_m: NDArray[np.float64], config: SearchConfig
 ) -> MethodScore:
-    """Return the score of a method on the pairs; pair i is searched with seed i."""
     import time
 
     straight = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1)
@@ -152,7 +151,6 @@ def table_of(
     seeds: Sequence[int],
     config: SearchConfig | None = None,
 ) -> list[MethodScore]:
-    """Return a row for each method, over `trials` pairs for each seed."""
     pairs = np.concatenate([draw_pairs(truth, trials, seed) for seed in seeds])
     optimal = np.array([truth.optimum.length_m(start, goal) for start, goal in pairs])
     frame, floor = truth.space.frame, truth.space.floor_z_m
@@ -164,12 +162,10 @@ def table_of(
 
 
 def table_json(rows: Sequence[MethodScore]) -> list[dict[str, Any]]:
-    """Return the rows for machines."""
     return [asdict(row) for row in rows]
 
 
 def format_table(rows: Sequence[MethodScore]) -> str:
-    """Return the rows for people."""
     lines = [
         f"{'method':<10} {'success':>8} {'straight/path':>14} {'path/optimum':>13} {'free':>6} {'missed':>7}"
         f" {'lost':>6} {'load s':>8} {'build s':>8} {'query ms':>9}"
@@ -192,7 +188,6 @@ R_SAFE_M = 0.02
 
 
 def first_posture(robot: Robot) -> Robot:
-    """Return a robot restricted to the first of its postures."""
     return replace(robot, postures=robot.postures[:1])
 
 

@@ -71,11 +71,9 @@ class TrueSegmenter:
         self._ours = ours
 
     def prepare(self, frame: Frame) -> object:
-        """Return the surface of a frame."""
         return self._ours.prepare(frame)
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances and the structure of a frame."""
         pieces = self._ours.fragments(frame, prior, prepared)
         shown = self._images.at(frame.stamp_ns)
         if self._rung == "joins":
@@ -113,7 +111,6 @@ class TrueAssociation:
         self._created = 0
 
     def __call__(self, event: FrameObserved, tracks: Mapping[int, Track]) -> list[Match]:
-        """Return one match per observation."""
         # The core numbers new tracks in the order of the unmatched observations; nothing else creates a track here.
         assert max(tracks, default=0) <= self._created, "a track was made that this association knows nothing of"
         shown = self._images.at(event.stamp_ns)
@@ -141,12 +138,10 @@ class TrueAssociation:
 
 
 def segmenter_of(rung: Rung, images: TrueImages, config: MapperConfig) -> TrueSegmenter | None:
-    """Return the segmenter of a rung, None for the product's own."""
     return None if rung == "ours" else TrueSegmenter(rung, images, config.perception)
 
 
 def core_of(rung: Rung, images: TrueImages, config: MapperConfig) -> MapperCore:
-    """Return the core of a rung."""
     associator = TrueAssociation(images) if rung == "association" else None
     return MapperCore(mapping_of(rung, config.mapping), associator)
 

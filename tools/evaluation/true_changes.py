@@ -22,7 +22,6 @@ class TrueChanges:
 
 
 def true_changes(a: Truth, b: Truth) -> TrueChanges:
-    """Return what changed from truth a to truth b, which are in one frame."""
     before = {item.id: item.world_from_object for item in a.objects}
     after = {item.id: item.world_from_object for item in b.objects}
     both = sorted(before.keys() & after.keys())

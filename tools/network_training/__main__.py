@@ -26,7 +26,6 @@ LICENCE = "Apache-2.0, as the project: trained on scenes of its own generators a
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return the exit status."""
     parser = argparse.ArgumentParser(prog="tools/train_network", description=__doc__)
     file = Path(pixel_network.EMBEDDED)
     parser.add_argument("--out", type=Path, default=_PACKAGE / file.parent, help="folder of the network and its card")

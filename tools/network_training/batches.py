@@ -25,7 +25,6 @@ class Batch:
     weights: torch.Tensor
 
     def to(self, device: str) -> "Batch":
-        """Return the batch on a device of torch."""
         inputs, labels, weights = (v.to(device, non_blocking=True) for v in (self.inputs, self.labels, self.weights))
         return Batch(inputs=inputs, labels=labels, weights=weights)
 

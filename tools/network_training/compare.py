@@ -52,7 +52,6 @@ SETS = ("clouds", "home", "bookstore", *(scene.name for scene in HELD_OUT))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m tools.network_training.compare", description=__doc__)
     parser.add_argument("--sets", nargs="+", choices=SETS, default=SETS)
     parser.add_argument("--ways", nargs="+", choices=("trees", "learned", "joins", "network-joins"))
@@ -86,7 +85,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def ways_of(network: PixelNetwork) -> dict[str, Callable[[Shown], NDArray[np.int32]]]:
-    """Return by name what gives the masks of a frame."""
     config = GeometricConfig()
     trees = GeometricSegmenter(config)
 
@@ -120,7 +118,6 @@ def _frames_of_set(name: str, options: argparse.Namespace) -> Iterator[Shown]:
 
 
 def of_clouds(folder: Path) -> Iterator[Shown]:
-    """Yield the labelled clouds of a folder."""
     for path in clouds_in(folder):
         cloud = load_cloud(path)
         truth = np.where(cloud.truth == 0, UNKNOWN, np.where(cloud.truth == 1, 0, cloud.truth)).astype(np.int32)
@@ -161,7 +158,6 @@ def of_scene(scene: Scene, folder: Path) -> Iterator[Shown]:
 
 
 def scored(masks: NDArray[np.int32], shown: Shown) -> MaskScore:
-    """Return the score of the masks of a frame."""
     return score_masks(masks, shown.truth, int(MIN_SHARE * shown.truth.size))
 
 
@@ -190,7 +186,6 @@ def picture(shown: Shown, masks: Mapping[str, NDArray[np.int32]], width_px: int 
 
 
 def painted(rgb: NDArray[np.uint8], masks: NDArray[np.int32]) -> NDArray[np.uint8]:
-    """Return an image with its masks in colours of their own."""
     colors = np.random.default_rng(3).integers(60, 256, (int(masks.max(initial=0)) + 1, 3))
     colors[0] = 0
     grey = np.asarray(rgb).mean(axis=2, keepdims=True)

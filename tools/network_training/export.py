@@ -64,7 +64,6 @@ class _Graph:
     def convolution(
         self, name: str, source: str, before: tuple[float, int], folded: Folded, after: tuple[float, int]
     ) -> str:
-        """Add a convolution between bytes of two scales and zeros, and return its output."""
         # The scales that are in the file: what is said of weights and bias holds for them exactly.
         x_scale, y_scale = np.float32(before[0]), np.float32(after[0])
         most = np.abs(folded.weights).max(axis=(1, 2, 3))
@@ -97,7 +96,6 @@ class _Graph:
         return name
 
     def enlarged_and_joined(self, name: str, below: str, beside: str) -> str:
-        """Add what doubles the sides of a tensor and puts another one's channels after its own; return its output."""
         self._nodes.append(
             helper.make_node(
                 "Resize",
@@ -113,7 +111,6 @@ class _Graph:
         return name
 
     def model(self) -> onnx.ModelProto:
-        """Return the graph, checked."""
         told = helper.make_tensor_value_info
         graph = helper.make_graph(
             self._nodes,

@@ -55,7 +55,6 @@ class Scene:
 
     @property
     def name(self) -> str:
-        """What its file is called."""
         return f"{self.kind}-{self.seed}-{self.frames}"
 
 
@@ -66,7 +65,6 @@ class KeptFrames(Sequence[TrueFrame]):
         self._kept = np.load(file, mmap_mode="r")
 
     def __len__(self) -> int:
-        """Return how many there are."""
         return len(self._kept)
 
     @overload
@@ -93,7 +91,6 @@ class KeptFrames(Sequence[TrueFrame]):
 
 
 def frames_of_scene(scene: Scene, folder: Path) -> KeptFrames:
-    """Return the frames of a scene; rendered if they are not kept in `folder` yet."""
     file = folder / f"{scene.name}.npy"
     if not file.is_file():
         started = time.monotonic()

@@ -34,7 +34,6 @@ class Lesson:
 
 
 def lesson_of(frame: TrueFrame, rng: np.random.Generator) -> Lesson:
-    """Return a lesson with defects that are drawn."""
     depth = _defective_depth(frame, rng)
     pose = _tilted(frame.world_from_camera, rng)
     seen = Frame(
@@ -73,7 +72,6 @@ def _mirrored(
 
 
 def drawn_camera(rng: np.random.Generator) -> DepthCameraConfig:
-    """Return a stereo camera, good or bad."""
     sigma_px = float(np.exp(rng.uniform(np.log(0.004), np.log(0.06))))
     return DepthCameraConfig(
         baseline_m=float(rng.uniform(0.05, 0.12)),

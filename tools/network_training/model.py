@@ -24,7 +24,6 @@ class Layer(nn.Module):
         self.norm = nn.BatchNorm2d(outputs)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the activations."""
         return torch.relu(self.norm(self.conv(x)))
 
 
@@ -43,7 +42,6 @@ class AffinityNet(nn.Module):
         self.head = nn.Conv2d(DECODED[0], NUM_OUTPUTS, 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the log-odds."""
         kept = []
         for down, same in zip(self.down, self.same, strict=True):
             x = same(down(x))

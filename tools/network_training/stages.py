@@ -16,7 +16,6 @@ class Stage:
     falling_share: float = 1 / 7
 
     def rate_at(self, step: int) -> float:
-        """Return the learning rate of a step of this stage."""
         falling = max(1.0, self.falling_share * self.steps)
         return self.rate * min(1.0, (step + 1) / self.rising, max(0.01, (self.steps - step) / falling))
 
@@ -34,11 +33,9 @@ class Schedule:
 
     @property
     def steps(self) -> int:
-        """Of all stages."""
         return sum(stage.steps for stage in self.stages)
 
     def at(self, step: int) -> tuple[Stage, int]:
-        """Return the stage that a step is of, and its number in it."""
         for stage in self.stages:
             if step < stage.steps:
                 return stage, step

@@ -19,11 +19,9 @@ class DataSet:
     counterpart: str
 
     def folder(self, data: Path) -> Path | None:
-        """Return the data set's folder below `data`, None if there is none."""
         return next((data / name for name in self.folders if (data / name).is_dir()), None)
 
     def missing(self, data: Path) -> list[str]:
-        """Return what is missing of the data set below `data`, a line each; [] if it is complete."""
         folder = self.folder(data)
         if folder is None:
             return [f"{self.title}: no folder {' or '.join(str(data / name) for name in self.folders)}"]
@@ -34,7 +32,6 @@ class DataSet:
         ]
 
     def how_to_get(self) -> str:
-        """Return what to download, from where, its size and licence."""
         needs = "; ".join(f"{pattern} ({what})" for pattern, what in self.needs)
         return (
             f"{self.title}: from {self.where}; {self.size}; {self.licence}. "

@@ -41,12 +41,10 @@ class _Annotated:
 
 
 def scene_folders(root: Path) -> list[Path]:
-    """Return the scenes of a data set's folder."""
     return sorted(folder for folder in (root / "hope_video").glob("scene_*") if folder.is_dir())
 
 
 def write_truth(scene: Path, meshes: Path, target: Path) -> Truth:
-    """Write the truth of a scene's objects into a new folder and return it."""
     # An object is one of a class, the n-th of its json; its place is the median over all frames.
     # Raises RecordingError: a json or a mesh is missing or damaged, or an object does not stay in place, which means
     # other units than expected.

@@ -34,7 +34,6 @@ class Pair:
 
 
 def hope_logs(data: Path, plan: Plan) -> list[Log]:
-    """Return the first scenes of HOPE-Video."""
     root = HOPE.folder(data)
     folders = [] if root is None else hope.scene_folders(root)[: plan.hope_scenes]
     return [Log(data_set=HOPE.name, scene=folder.name, name="all", files=(folder,)) for folder in folders]

@@ -71,7 +71,6 @@ def markdown(table: Table) -> str:
 
 
 def as_csv(table: Table) -> str:
-    """Return one line for each cell."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["table", "row", "column", "unit", "value", "low", "high", "num", "paper", "why"])
@@ -84,7 +83,6 @@ def as_csv(table: Table) -> str:
 
 
 def as_json(table: Table) -> dict[str, Any]:
-    """Return the table for machines."""
     return {
         "table": table.name,
         "caption": table.caption,
@@ -129,5 +127,4 @@ def _shown(cell: Cell, column: Column, *, is_best: bool) -> str:
 
 
 def mean_of(values: Sequence[float]) -> float | None:
-    """Return the mean, None of nothing."""
     return sum(values) / len(values) if values else None

@@ -33,7 +33,6 @@ class Log:
 
     @property
     def label(self) -> str:
-        """A name for files."""
         return f"{self.data_set}-{self.scene}-{self.name}"
 
 

@@ -32,7 +32,6 @@ class DdsPublisher:
         self.heard = Heard()
 
     def connect(self, topics: Collection[Topic]) -> None:
-        """Join the domain and announce the topics."""
         from cyclonedds.pub import DataWriter
         from cyclonedds.sub import DataReader
 
@@ -55,7 +54,6 @@ class DdsPublisher:
         self._thread.start()
 
     def disconnect(self) -> None:
-        """Leave the domain."""
         self._is_over.set()
         if self._thread is not None:
             self._thread.join(5.0)
@@ -68,11 +66,9 @@ class DdsPublisher:
         return name in self._latched or bool(self._writers[name].get_matched_subscriptions())
 
     def send(self, sending: Sending) -> None:
-        """Publish a message."""
         write(self._writers[sending.due.topic.name], sending.data)
 
     def ask(self, data: bytes) -> None:
-        """Publish a goal."""
         self.heard.ask()
         write(self._writers[GOAL_TOPIC], data)
 

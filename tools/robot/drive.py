@@ -33,7 +33,6 @@ class Report:
     wall_s: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it for JSON."""
         lost: dict[str, dict[str, int]] = {}
         for (topic, reason), number in sorted(self.lost.items()):
             lost.setdefault(topic, {})[reason] = number

@@ -45,7 +45,6 @@ class FoxglovePublisher:
         self._server: Any = None
 
     def connect(self, topics: Collection[Topic]) -> None:
-        """Begin to serve."""
         from websockets.sync.server import serve
 
         topics = [*topics, _GOAL]
@@ -57,7 +56,6 @@ class FoxglovePublisher:
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def disconnect(self) -> None:
-        """Be gone, with all connections."""
         self._server.shutdown()
         with self._lock:
             connections = {id(c): c for clients in self._heard.values() for c, _ in clients}
@@ -72,7 +70,6 @@ class FoxglovePublisher:
             return bool(self._heard[name]) or name.endswith("tf_static")
 
     def send(self, sending: Sending) -> None:
-        """Send a message to whoever has asked for it."""
         from websockets.exceptions import ConnectionClosed
 
         name = sending.due.topic.name
@@ -85,7 +82,6 @@ class FoxglovePublisher:
                 connection.send(struct.pack("<BIQ", 1, subscription, sending.at_ns) + sending.data)
 
     def ask(self, data: bytes) -> None:
-        """Send a goal to whoever has asked for them."""
         from websockets.exceptions import ConnectionClosed
 
         with self._lock:
@@ -96,7 +92,6 @@ class FoxglovePublisher:
                 connection.send(struct.pack("<BIQ", 1, subscription, 0) + data)
 
     def advertisement(self) -> dict[str, Any]:
-        """Return what tells a client of the channels."""
         return {
             "op": "advertise",
             "channels": [self._channel(number, self._topics[name]) for name, number in self._channels.items()],

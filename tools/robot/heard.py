@@ -28,7 +28,6 @@ class Heard:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def take(self, name: str, data: bytes) -> None:
-        """Take a message."""
         now_s = time.monotonic()
         with self.lock:
             self.counts[name] += 1

@@ -14,21 +14,13 @@ from tools.robot.link import Sending
 class Publisher(Protocol):
     """A way to publish; `connect` and `disconnect` may be called several times."""
 
-    def connect(self, topics: Collection[Topic]) -> None:
-        """Be reachable, and announce topics."""
-        ...
+    def connect(self, topics: Collection[Topic]) -> None: ...
 
-    def disconnect(self) -> None:
-        """Be gone."""
-        ...
+    def disconnect(self) -> None: ...
 
-    def is_heard(self, name: str) -> bool:
-        """Return whether somebody has asked for a topic."""
-        ...
+    def is_heard(self, name: str) -> bool: ...
 
-    def send(self, sending: Sending) -> None:
-        """Publish a message."""
-        ...
+    def send(self, sending: Sending) -> None: ...
 
     @property
     def heard(self) -> Heard:
@@ -62,7 +54,6 @@ class McapPublisher:
             self._channels[topic.name] = self._writer.register_channel(topic.name, topic.wire, schema)
 
     def disconnect(self) -> None:
-        """End the stream."""
         self._writer.finish()
         self._stream.close()
 
@@ -81,7 +72,6 @@ class McapPublisher:
     # What the writer needs of a stream.
 
     def write(self, data: bytes) -> int:
-        """Write all of some bytes."""
         view = memoryview(data)
         while view:
             view = view[self._stream.write(view) :]
@@ -89,7 +79,6 @@ class McapPublisher:
         return len(data)
 
     def tell(self) -> int:
-        """Return how much was written."""
         return self._position
 
     def flush(self) -> None:

@@ -34,7 +34,6 @@ def _moved(sec: int, nanosec: int, by_ns: int) -> tuple[int, int]:
 
 @cache
 def humble() -> Any:
-    """Return the types of ROS 2 Humble."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_HUMBLE)

@@ -27,7 +27,6 @@ class _Router:
         self._hearing: list[Any] = []
 
     def connect(self, topics: Collection[Topic]) -> None:
-        """Open the router and announce the topics."""
         import zenoh
 
         zenoh.init_log_from_env_or("off")
@@ -69,18 +68,15 @@ class _Router:
                 )
 
     def disconnect(self) -> None:
-        """Close the router."""
         self._tokens.clear()
         self._publishers.clear()
         self._hearing.clear()
         self.session.close()
 
     def is_heard(self, name: str) -> bool:
-        """Return whether there is a subscriber; what is kept reaches those that come later, too."""
         return name in self._latched or bool(self._publishers[name].matching_status.matching)
 
     def send(self, sending: Sending) -> None:
-        """Publish a message."""
         attachment = self.attachment(sending)
         publisher = self._publishers[sending.due.topic.name]
         if attachment is None:
@@ -89,26 +85,21 @@ class _Router:
             publisher.put(sending.data, attachment=attachment)
 
     def ask(self, data: bytes) -> None:
-        """Publish a goal."""
         self.heard.ask()
         self.session.put(self.key(_GOAL), data)
 
     def heard_key(self, name: str) -> str:
-        """Return the keys under which a topic of others comes."""
         raise NotImplementedError
 
     has_advanced_publishers = True
 
     def token(self, topic: Topic, number: int, *, is_latched: bool) -> str:
-        """Return the liveliness token of a publisher."""
         raise NotImplementedError
 
     def key(self, topic: Topic) -> str:
-        """Return the key of a topic's messages."""
         raise NotImplementedError
 
     def attachment(self, sending: Sending) -> bytes | None:
-        """Return what goes beside a message."""
         return None
 
 
@@ -130,11 +121,9 @@ class ZenohBridge(_Router):
             self._cache = self.session.declare_queryable(f"{space}/**", self._answer)
 
     def key(self, topic: Topic) -> str:
-        """Return the name without its first slash."""
         return self._prefix + topic.name.lstrip("/")
 
     def heard_key(self, name: str) -> str:
-        """Return the name without its first slash, in the namespace."""
         return self._prefix + name.lstrip("/")
 
     def token(self, topic: Topic, number: int, *, is_latched: bool) -> str:
@@ -168,11 +157,9 @@ class RmwZenoh(_Router):
         return f"{self._domain}/{(self._prefix + topic.name).lstrip('/')}/{_dds_type(topic)}/{_hash(topic)}"
 
     def heard_key(self, name: str) -> str:
-        """Return the name in the domain, of any type."""
         return f"{self._domain}/{(self._prefix + name).lstrip('/')}/*/*"
 
     def token(self, topic: Topic, number: int, *, is_latched: bool) -> str:
-        """Return the token of a publisher of a node `robot`."""
         name = (self._prefix + topic.name).replace("/", "%")
         qos = f":{'1' if is_latched else ''}:,10:,:,:,,"
         place = f"@ros2_lv/{self._domain}/{self.session.zid()}/0/{number}/MP/%/%/robot"

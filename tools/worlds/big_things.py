@@ -106,7 +106,6 @@ def nightstand(rng: np.random.Generator) -> Model:
 
 
 def dresser(rng: np.random.Generator) -> Model:
-    """Return a chest of drawers."""
     return _chest("dresser", rng, (float(rng.uniform(0.4, 0.48)), float(rng.uniform(0.8, 1.05))), 3, 0.26)
 
 
@@ -169,7 +168,6 @@ def bed(rng: np.random.Generator) -> Model:
 
 
 def suitcase(rng: np.random.Generator) -> Model:
-    """Return a standing suitcase with wheels and a handle."""
     depth, width, height = (
         float(rng.uniform(0.22, 0.28)),
         float(rng.uniform(0.38, 0.46)),
@@ -204,7 +202,6 @@ def basket(rng: np.random.Generator) -> Model:
 
 
 def speaker(rng: np.random.Generator) -> Model:
-    """Return a floor-standing loudspeaker."""
     width, height, case = float(rng.uniform(0.2, 0.26)), float(rng.uniform(0.75, 1.0)), wood(rng, axis=2)
     dark = plain((0.1, 0.1, 0.11))
     parts = [

@@ -19,7 +19,6 @@ from tools.worlds.recording_config import MAX_ROBOTS, RecordingConfig, walkable_
 
 
 def robot_name(name: str, robot: int) -> str:
-    """Return the name of a robot's recording, `robot` from 0."""
     return f"{name}-{robot + 1}"
 
 

@@ -235,7 +235,6 @@ def relative(
 def lay(
     rng: np.random.Generator, room: Room, support: Placement | None, models: Sequence[Model], turn_rad: float = np.pi
 ) -> None:
-    """Place models on the first surface of a support, if there is a support."""
     if support is not None:
         room.placed.extend(stood_on(rng, support, support.model.surfaces[0], models, turn_rad=turn_rad))
 

@@ -265,7 +265,6 @@ class NusClbLog:
         self._put("/lio_sam_ros2/mapping/odometry", stamp_ns, message)
 
     def write_images(self, stamp_ns: int, rgb: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> None:
-        """Write colour, depth of the same stamp, and their camera infos."""
         m = self._messages
         if self._jpeg_quality is None:
             bgra = np.dstack([rgb[..., ::-1], np.full(rgb.shape[:2], 255, dtype=np.uint8)])

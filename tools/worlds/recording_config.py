@@ -90,7 +90,6 @@ class RecordingConfig(PlainConfig):
 
     @property
     def camera(self) -> Camera:
-        """The colour camera."""
         return layout_camera(self.layout, super().camera)
 
     def stage(self) -> Stage:
@@ -113,7 +112,6 @@ class RecordingConfig(PlainConfig):
         )
 
     def log_files(self, name: str) -> tuple[str, ...]:
-        """Return the files or folders of the log, beginning with the one to play."""
         return layout_files(self.layout, name)
 
     def open_log(self, folder: Path, name: str, end_ns: int) -> LogWriter:

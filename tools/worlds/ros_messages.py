@@ -25,7 +25,6 @@ class RosMessages(ros_messages.RosMessages):
             self.store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
 
     def data(self, message: Any) -> bytes:
-        """Return the serialised bytes of a message."""
         if self.ros == 1:
             return bytes(self.store.serialize_ros1(message, message.__msgtype__))
         return super().data(message)

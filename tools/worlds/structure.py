@@ -81,7 +81,6 @@ def floor_of(rng: np.random.Generator, room: tuple[float, float, float, float]) 
 
 
 def drawn_paint(rng: np.random.Generator) -> Texture:
-    """Return the paint of a wall."""
     paint = PAINTS[int(rng.integers(len(PAINTS)))]
     darker: Color = (paint[0] * 0.93, paint[1] * 0.93, paint[2] * 0.93)
     return Texture(pattern="plain", first=paint, second=darker, period_m=0.35, grain=0.05)

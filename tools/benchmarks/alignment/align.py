@@ -1,8 +1,6 @@
-"""Alignment of maps: simulated pairs with known truth, unrelated maps, apartments, and processor time.
-
-Simulated trials run in two processes; times are the least of three repetitions of CPU time, on the hard set. The
-apartments, in a whole run alone, are played once for each state of the mapper's code, into out/maps/.
-"""
+"""Alignment of maps: simulated pairs with known truth, unrelated maps, apartments, and processor time."""
+# Simulated trials run in two processes; times are the least of three repetitions of CPU time, on the hard set. The
+# apartments, in a whole run alone, are played once for each state of the mapper's code, into out/maps/.
 
 import itertools
 import multiprocessing
@@ -164,13 +162,11 @@ def _of_times(options: Options) -> list[Figure]:
 
 
 def _seconds(size: int, seed: int) -> float:
-    """Return the CPU seconds of one alignment of hard maps, scores included: the least of three."""
     pair = simulate_pair(SimulationConfig(num_objects=size, difficulty="hard"), seed)
     return best_s(lambda: align(pair.map_a, pair.map_b), 3)
 
 
 def _of_apartments(maps: dict[int, tuple[ObjectMap, ObjectMap]]) -> list[Figure]:
-    """Return the mean error over the apartments, each mapped twice, the second map in a frame of its own."""
     errors = []
     for apartment, (map_a, map_b) in maps.items():
         b_from_world = frame_of(apartment, 1)

@@ -52,7 +52,6 @@ def write_720p(source: Path, target: Path, *, seconds: float) -> Path:
 def _at_30_hz(
     messages: list[tuple[str, int, bytes]], store: Any, first_ns: int, number: int
 ) -> Iterator[tuple[str, int, bytes]]:
-    """Yield colour and depth of so many frames: of each moment the image before it, enlarged."""
     for name, enlarge in ((_COLOR, _color), (_DEPTH, _depth)):
         images = [(at_ns, data) for topic, at_ns, data in messages if topic == name]
         for i in range(number):
@@ -86,7 +85,6 @@ def _depth(message: Any, store: Any) -> Any:
 
 
 def _scaled(topic: Topic | None, data: bytes, store: Any) -> bytes:
-    """Return a calibration for twice the width and height; other messages as they are."""
     if topic is None or topic.type_name != "sensor_msgs/msg/CameraInfo":
         return data
     info = store.deserialize_cdr(data, topic.type_name)

@@ -46,7 +46,6 @@ class Watched(SourceAround):
         self.began = self.ended = Moment(0.0, 0.0)
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames of the other one."""
         began_ns = self._inbox.clock()
         self.began = self.ended = Moment()
         for frame in self._source.frames():
@@ -68,7 +67,6 @@ class Watched(SourceAround):
 
 
 def main() -> None:
-    """Receive, and print a report."""
     parser = argparse.ArgumentParser()
     parser.add_argument("uri")
     parser.add_argument("--out", type=Path)
@@ -152,7 +150,6 @@ async def _map(mapper: Any, source: Watched, published: Any) -> None:
 
 
 def _latencies(out: Path, watched: Watched) -> list[float]:
-    """Return seconds from the last image of each keyframe to its snapshot."""
     from tools.benchmarks.live.overload import keyframe_steps
 
     found = []

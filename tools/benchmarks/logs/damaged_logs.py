@@ -1,8 +1,6 @@
-"""Damaged logs: every message outside the damage is read, none is silently wrong, and nothing crashes or hangs.
-
-A case is a sound log of some container, a kind of damage and a seed. The messages that must be read are known from the
-sound log and the damaged bytes.
-"""
+"""Damaged logs: every message outside the damage is read, none is silently wrong, and nothing crashes or hangs."""
+# A case is a sound log of some container, a kind of damage and a seed. The messages that must be read are known from
+# the sound log and the damaged bytes.
 
 import tempfile
 import time
@@ -42,7 +40,6 @@ class Tally:
     worst: dict[str, list[int]] = field(default_factory=dict)
 
     def add(self, case: "Tally") -> None:
-        """Add the result of a case."""
         self.cases += case.cases
         self.crashes += case.crashes
         self.silent += case.silent

@@ -13,11 +13,10 @@ Held = Mapping[int, int | None]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PairCounts:
-    """Counts of one pair of maps, over the changes of objects of which enough was seen.
+    """Counts of one pair of maps, over the changes of objects of which enough was seen."""
 
-    Of the verdicts that were `said` about true objects, `said_right` are right; `probability` is the sum of their
-    probabilities, `brier` the sum of the squared distances of these from 1 where right, from 0 where wrong.
-    """
+    # Of the verdicts that were `said` about true objects, `said_right` are right; `probability` is the sum of their
+    # probabilities, `brier` the sum of the squared distances of these from 1 where right, from 0 where wrong.
 
     changes: int = 0
     found: int = 0
@@ -37,7 +36,6 @@ class PairCounts:
 
 
 def sum_of(pairs: Sequence[PairCounts]) -> PairCounts:
-    """Return all counts together."""
     return PairCounts(**{field.name: sum(getattr(one, field.name) for one in pairs) for field in fields(PairCounts)})
 
 
@@ -48,15 +46,12 @@ def counts_of(
     moved: Mapping[int | None, int | None],
     new: Collection[int | None],
 ) -> PairCounts:
-    """Return how reported changes compare with the true ones.
-
-    Args:
-        true: the changes.
-        held: object of the map by true object, before and after.
-        gone: objects of the earlier map that are reported as gone.
-        moved: objects of the later map, by their number in the earlier one.
-        new: objects of the later map that are reported as new.
-    """
+    """Return how reported changes compare with the true ones."""
+    # true: the changes.
+    # held: object of the map by true object, before and after.
+    # gone: objects of the earlier map that are reported as gone.
+    # moved: objects of the later map, by their number in the earlier one.
+    # new: objects of the later map that are reported as new.
     in_a, in_b = held
     pairs = [(in_a[i], in_b[i]) for i in true.moved if i in in_a and i in in_b]
     is_held = [None not in pair for pair in pairs]

@@ -1,8 +1,6 @@
-"""Answers of `diff` about two days of one world and about a run in which things change; passers-by; questions.
-
-Rooms (quick: one, two days) and apartments (three days each) of `worlds.days`. A true object is in a map if its match
-at box IoU 0.25 is; a change counts as held by the maps if its objects are in those that can show them.
-"""
+"""Answers of `diff` about two days of one world and about a run in which things change; passers-by; questions."""
+# Rooms (quick: one, two days) and apartments (three days each) of `worlds.days`. A true object is in a map if its match
+# at box IoU 0.25 is; a change counts as held by the maps if its objects are in those that can show them.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -49,11 +47,9 @@ _RUNS = 3
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the share of changes that were found, and the time of a question.
-
-    `--only days`, `run`, `person` or `questions` measures a part; a quick run leaves out changes within a run and the
-    person.
-    """
+    """Return the share of changes that were found, and the time of a question."""
+    # `--only days`, `run`, `person` or `questions` measures a part; a quick run leaves out changes within a run and the
+    # person.
     parts = options.only or (("days", "questions") if options.quick else ("days", "run", "person", "questions"))
     first = _FIRST_SEED + 10 * options.seed
     state = state_folder(options.state, "changes")
@@ -140,10 +136,8 @@ def judged(
 
 
 def query_figures(made: Sequence[tuple[Truth, SavedMap]], count: int) -> list[Figure]:
-    """Return how often the first answer is right: of all questions, and of those whose objects the map holds.
-
-    A question without an answer is answered rightly by none.
-    """
+    """Return how often the first answer is right: of all questions, and of those whose objects the map holds."""
+    # A question without an answer is answered rightly by none.
     rows: list[tuple[bool, bool]] = []
     for k, (truth, saved) in enumerate(made):
         scored = score_map(saved.snapshot, meshes_of(saved), truth).truth

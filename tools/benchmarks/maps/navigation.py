@@ -1,8 +1,6 @@
-"""Planning on boxes, meshes and layer 4 of the four apartments; the times of grids and paths, in CPU seconds.
-
-Layer 4 is made of the true meshes, so that shapes alone are compared; a whole run makes the same table of the maps of
-the pipeline, with unseen space as unknown.
-"""
+"""Planning on boxes, meshes and layer 4 of the four apartments; the times of grids and paths, in CPU seconds."""
+# Layer 4 is made of the true meshes, so that shapes alone are compared; a whole run makes the same table of the maps of
+# the pipeline, with unseen space as unknown.
 
 import hashlib
 import time
@@ -172,10 +170,8 @@ def _speeds(obstacles: Obstacles, scene: TrueScene, robot: Robot, pairs: NDArray
 
 
 def _under_tables(truth: Truth, obstacles: Obstacles, scene: TrueScene, robot: Robot) -> list[bool]:
-    """Return, for each table that boxes close and truth does not, whether layer 4 finds a path under it.
-
-    To the place under its top with the largest distance to all true obstacles, from such a place of the whole scene.
-    """
+    # Return, for each table that boxes close and truth does not, whether layer 4 finds a path under it. To the place
+    # under its top with the largest distance to all true obstacles, from such a place of the whole scene.
     frame = scene.space.frame
     off = np.where(scene.is_reachable, distance_field_m(~scene.is_reachable, frame.cell_m), -1.0)
     centers = frame.centers_m()

@@ -18,11 +18,9 @@ _SECONDS, _CHANGE_AT_S = 60.0, 28.0
 
 
 def run_counts(state: Path, seed: int) -> PairCounts:
-    """Return the counts of a walk through a room that changes when it is half over.
-
-    The answer is about the time from just before the change to the end. A change counts if enough was seen of the
-    object, and of its place when it was not there.
-    """
+    """Return the counts of a walk through a room that changes when it is half over."""
+    # The answer is about the time from just before the change to the end. A change counts if enough was seen of the
+    # object, and of its place when it was not there.
     config = RecordingConfig(
         scene="room", seed=seed, seconds=_SECONDS, rate_hz=4.0, width=480, height=270, change_at_s=_CHANGE_AT_S
     )

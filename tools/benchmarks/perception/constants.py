@@ -1,8 +1,6 @@
-"""The numbers that were set by hand in `perception` and `mapping`, and how many of them decide.
-
-A number decides if another value of it can make another object of the same frames. The others are named in
-`NOT_DECIDING`, by the beginning of their name, with the reason.
-"""
+"""The numbers that were set by hand in `perception` and `mapping`, and how many of them decide."""
+# A number decides if another value of it can make another object of the same frames. The others are named in
+# `NOT_DECIDING`, by the beginning of their name, with the reason.
 
 import ast
 import dataclasses
@@ -56,27 +54,23 @@ _LEAST = 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Constant:
-    """A number: of the configuration (`mapping.merge.min_votes`), or of a module (`mapping/merging.py:_MEET_M`).
+    """A number: of the configuration (`mapping.merge.min_votes`), or of a module (`mapping/merging.py:_MEET_M`)."""
 
-    A module is named by its package and file, without the folders between; `[i]` is the place in a tuple.
-    """
+    # A module is named by its package and file, without the folders between; `[i]` is the place in a tuple.
 
     name: str
     value: float
 
     @property
     def is_configured(self) -> bool:
-        """Whether the number is of the configuration."""
         return ":" not in self.name
 
     @property
     def decides(self) -> bool:
-        """Whether another value can make another object."""
         return not any(self.name.startswith(prefix) for prefix in NOT_DECIDING)
 
 
 def measure(_options: Options) -> list[Figure]:
-    """Return the counts of numbers that decide."""
     every = [constant for constant in constants() if constant.decides]
     configured = sum(constant.is_configured for constant in every)
     inline = "numbers with a fraction within functions, which have no name"
@@ -103,11 +97,9 @@ def constants() -> list[Constant]:
 
 
 def inline_numbers() -> list[str]:
-    """Return the numbers with a fraction in functions of the two packages: `mapping/cloud.py:395 0.9`.
-
-    Whole numbers and halves are not counted, which mostly are indices, axes, or the halves of formulas; nor are those
-    so small that they only keep a division finite.
-    """
+    """Return the numbers with a fraction in functions of the two packages: `mapping/cloud.py:395 0.9`."""
+    # Whole numbers and halves are not counted, which mostly are indices, axes, or the halves of formulas; nor are those
+    # so small that they only keep a division finite.
     found = []
     for name, tree in _modules():
         if not any(name.startswith(prefix) for prefix in NOT_DECIDING if ":" not in prefix):
@@ -124,7 +116,6 @@ def inline_numbers() -> list[str]:
 
 
 def _modules() -> Iterator[tuple[str, ast.Module]]:
-    """Yield the modules of the two packages; optional networks, in `models`, decide nothing."""
     for package in PACKAGES:
         folder: Path = ROOT / "hickory_stream" / package
         for path in sorted(folder.rglob("*.py")):

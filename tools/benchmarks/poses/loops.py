@@ -51,7 +51,6 @@ def loop_figures(options: Options) -> list[Figure]:
 
 
 def _accepted(rooms: list[SeenRoom]) -> list[Loop]:
-    """Search the last submap in the others and solve the graph; return the accepted loops."""
     config, later = GraphConfig(), len(rooms) - 1
     submaps = [_surveyed(i, room) for i, room in enumerate(rooms)]
     predicted = predictions(submaps, (), config, least_apart=LoopConfig().least_apart)

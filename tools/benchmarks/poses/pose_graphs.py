@@ -1,10 +1,7 @@
-"""The pose graph's solver on simulated graphs with known truth: time, loops accepted and rejected, drift removed.
-
-The graphs are rounds through a building by odometry that drifts, with true loops, and wrong ones.
-
-Wrong loops are of three kinds, in turn: a look-alike place somewhere else, a place seen again but off by a shelf or a
-desk (a row of like things), and one that is turned by half a turn.
-"""
+"""The pose graph's solver on simulated graphs with known truth: time, loops accepted and rejected, drift removed."""
+# The graphs are rounds through a building by odometry that drifts, with true loops, and wrong ones. Wrong loops are of
+# three kinds, in turn: a look-alike place somewhere else, a place seen again but off by a shelf or a desk (a row of
+# like things), and one that is turned by half a turn.
 
 import time
 from dataclasses import dataclass
@@ -48,10 +45,8 @@ def simulated_graph(
     drift: float = 1.0,
     start_ns: int = 0,
 ) -> SimulatedGraph:
-    """Return a graph; `drift` multiplies the drift of `tools.worlds.drift`.
-
-    A loop is found when its later node is, and a node is every five seconds from `start_ns` on.
-    """
+    """Return a graph; `drift` multiplies the drift of `tools.worlds.drift`."""
+    # A loop is found when its later node is, and a node is every five seconds from `start_ns` on.
     true = _walked(num_nodes)
     poses = _by_odometry(true, drift, rng)
     odometry = tuple(
@@ -80,7 +75,6 @@ def simulated_graph(
 
 
 def _walked(num_nodes: int) -> NDArray[np.float64]:
-    """Return the poses (N, 4, 4) along rounds of the route, a node every few metres."""
     ends = np.concatenate([_ROUTE, _ROUTE[:1]])
     lengths = np.linalg.norm(np.diff(ends, axis=0), axis=1)
     marks = np.concatenate([[0.0], np.cumsum(lengths)])

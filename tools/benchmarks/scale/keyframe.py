@@ -1,10 +1,8 @@
-"""The cost of a keyframe in a map of so many objects: one recorded walk, again and again, in a grid of rooms.
-
-The events of a short recorded run are given to the core room after room, each time `_PITCH_M` further; the files of the
-engine are written: the journal with its checkpoints, and the map folder as the disk sink saves it, views as empty
-files. There is no perception: only its request to the map, the prior, is made. Shapes are those of the recorded run,
-one after another. A keyframe then costs the work on the map, and the view is the same in every room.
-"""
+"""The cost of a keyframe in a map of so many objects: one recorded walk, again and again, in a grid of rooms."""
+# The events of a short recorded run are given to the core room after room, each time `_PITCH_M` further; the files of
+# the engine are written: the journal with its checkpoints, and the map folder as the disk sink saves it, views as empty
+# files. There is no perception: only its request to the map, the prior, is made. Shapes are those of the recorded run,
+# one after another. A keyframe then costs the work on the map, and the view is the same in every room.
 
 import argparse
 import itertools
@@ -77,12 +75,10 @@ class Walk:
 
     @property
     def first_ns(self) -> int:
-        """The stamp of the first keyframe."""
         return self.keyframes[0][0].stamp_ns
 
 
 def read_walk(folder: Path) -> Walk:
-    """Return the walk of a map folder."""
     keyframes: list[FrameObserved] = []
     features: defaultdict[int, Features] = defaultdict(dict)
     shapes: list[ObjectShape] = []
@@ -105,7 +101,6 @@ def read_walk(folder: Path) -> Walk:
 
 
 def keyframes_in(walk: Walk, room: int) -> Iterator[tuple[FrameObserved, Features]]:
-    """Yield the keyframes of the walk in a room, and the features of their masks."""
     # To and fro, so that the path from room to room is short.
     row, column = divmod(room, _ROOMS_WIDE)
     column = column if row % 2 == 0 else _ROOMS_WIDE - 1 - column
@@ -168,12 +163,11 @@ def _features(effect: ComputeFeatures, features: Features) -> FeaturesReady:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cost:
-    """The cost of the keyframes of one room, with so many objects in the map before it.
+    """The cost of the keyframes of one room, with so many objects in the map before it."""
 
-    Processor milliseconds a keyframe: of the core and its prior, of journal and checkpoints, and of all; a save of the
-    changes of 20 keyframes; and one of the changes of the next one, in no other figure. Megabytes: of the process, of
-    the folder.
-    """
+    # Processor milliseconds a keyframe: of the core and its prior, of journal and checkpoints, and of all; a save of
+    # the changes of 20 keyframes; and one of the changes of the next one, in no other figure. Megabytes: of the
+    # process, of the folder.
 
     objects: int
     keyframes: int
@@ -205,12 +199,10 @@ class Mapped:
 
     @property
     def snapshot(self) -> MapSnapshot:
-        """The map as it was published last."""
         assert self._published is not None
         return self._published.snapshot
 
     def room(self, index: int) -> Cost:
-        """Map one more room; return its cost."""
         self._times_s.clear()
         self._num_saves = 0
         objects = len(self.snapshot.objects) if self._published is not None else 0
@@ -231,7 +223,6 @@ class Mapped:
         )
 
     def close(self) -> None:
-        """Finish the journal, and the map."""
         self._journal.close()
         self._folder.save(self.snapshot)
         self._folder.finish(finished_cleanly=True)
@@ -331,11 +322,9 @@ def map_rooms(walk: Walk, folder: Path, num_objects: int) -> tuple[list[Cost], f
 
 
 def keyframe_ratio(walk: Walk, few: MapperCore, many: MapperCore, room: int) -> float:
-    """Return the processor time of the core for the keyframes of a room in one map over the time in another.
-
-    Both are given the same keyframes, turn by turn, so that other load slows both. The first ones, in which the window
-    moves there and a saved state is taken up, do not count.
-    """
+    """Return the processor time of the core for the keyframes of a room in one map over the time in another."""
+    # Both are given the same keyframes, turn by turn, so that other load slows both. The first ones, in which the
+    # window moves there and a saved state is taken up, do not count.
     spent_s: dict[int, list[float]] = {id(few): [], id(many): []}
     for i, (event, features) in enumerate(keyframes_in(walk, room)):
         for core in (few, many) if i % 2 else (many, few):

@@ -1,9 +1,7 @@
-"""Portability of maps: the same log is played while libraries choose their code as on other processors.
-
-Each variant has one of the libraries choose its code as on another machine, by that library's own switch; the last
-ones set all switches, and those of the workers alone. The kernels compiled by Numba are made for any x86-64 in one of
-them, which takes minutes.
-"""
+"""Portability of maps: the same log is played while libraries choose their code as on other processors."""
+# Each variant has one of the libraries choose its code as on another machine, by that library's own switch; the last
+# ones set all switches, and those of the workers alone. The kernels compiled by Numba are made for any x86-64 in one of
+# them, which takes minutes.
 
 import os
 import sys
@@ -39,7 +37,6 @@ class Variant:
 
 
 def variants() -> tuple[Variant, ...]:
-    """Return this processor and the others that it can stand in for."""
     config = np.show_config(mode="dicts")
     assert config is not None
     # The groups of instructions for which NumPy has code beyond its least, and which this processor has.

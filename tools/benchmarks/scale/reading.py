@@ -1,7 +1,5 @@
-"""Times of readers of a large map, in a process of its own: opening, looking back, a path, a picture.
-
-Processor time; the first path, which loads kernels, is not counted. Opening and the picture do count loading.
-"""
+"""Times of readers of a large map, in a process of its own: opening, looking back, a path, a picture."""
+# Processor time; the first path, which loads kernels, is not counted. Opening and the picture do count loading.
 
 import sys
 import time
@@ -25,12 +23,11 @@ _TRIES = 20
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reading:
-    """Seconds of processor time; `space_seconds` is the grid that the paths are planned in.
+    """Seconds of processor time; `space_seconds` is the grid that the paths are planned in."""
 
-    `path_ms` is the median of `num_paths` that were found between places where the robot was. Of the map as it was
-    known at the middle of the run, `known_records_seconds` and then `known_points_seconds` are until each object's
-    record was read, and each object's points.
-    """
+    # `path_ms` is the median of `num_paths` that were found between places where the robot was. Of the map as it was
+    # known at the middle of the run, `known_records_seconds` and then `known_points_seconds` are until each object's
+    # record was read, and each object's points.
 
     objects: int
     open_seconds: float
@@ -44,7 +41,6 @@ class Reading:
 
 
 def reading_of(folder: Path) -> Reading:
-    """Return the times of reading a map, from a process of its own."""
     return Reading(**json_of("-m", __name__, folder))
 
 

@@ -1,9 +1,7 @@
-"""Processor time of a playback by stage, in a process of its own: the time of each thread for each of its calls.
-
-All work of a run is handed to executors; each call is timed by the processor time of its thread, so that neither other
-load nor waiting counts. The event loop and start-up are the rest of the process; shapes are built by child processes.
-Linux alone.
-"""
+"""Processor time of a playback by stage, in a process of its own: the time of each thread for each of its calls."""
+# All work of a run is handed to executors; each call is timed by the processor time of its thread, so that neither
+# other load nor waiting counts. The event loop and start-up are the rest of the process; shapes are built by child
+# processes. Linux alone.
 
 import argparse
 import functools
@@ -51,10 +49,9 @@ _STAGES = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StageTimes:
-    """Seconds of processor time by stage, over so many keyframes of a log of so many seconds; `wall_s` of the run.
+    """Seconds of processor time by stage, over so many keyframes of a log of so many seconds; `wall_s` of the run."""
 
-    `map_mb` is the map folder with its journal and images; `calls` are the 25 longest calls.
-    """
+    # `map_mb` is the map folder with its journal and images; `calls` are the 25 longest calls.
 
     keyframes: int
     objects: int
@@ -75,7 +72,6 @@ class StageTimes:
 
 
 def stage_times(log: Path, out: Path) -> StageTimes:
-    """Return the times of a playback, from a process of its own."""
     return StageTimes(**json_of("-m", __name__, log, out))
 
 
@@ -99,7 +95,6 @@ class _Clock:
 
 
 def _name_of(function: Any) -> str:
-    """Return the name of a call: asyncio hands functions over within a context, bound to their arguments."""
     if isinstance(function, functools.partial):
         is_context = getattr(function.func, "__qualname__", "") == "Context.run" and function.args
         return _name_of(function.args[0] if is_context else function.func)

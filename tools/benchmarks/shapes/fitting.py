@@ -28,10 +28,9 @@ _SIMPLE = ("box", "sphere", "cylinder", "ellipsoid", "capsule")
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures, and print a line per object; hollow objects are outside all means.
-
-    Shapes by others, and collisions, are measured in another process at the same time: seconds are those of processors.
-    """
+    """Return the figures, and print a line per object; hollow objects are outside all means."""
+    # Shapes by others, and collisions, are measured in another process at the same time: seconds are those of
+    # processors.
     if options.meshes:
         return _own_figures(options) + _of_collisions(options)
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -103,7 +102,6 @@ def _of_scores(
 
 
 def _of_collisions(options: Options) -> list[Figure]:
-    """Return the speeds against 300 superquadrics in 10 x 10 x 2 m; any answer unlike brute force is an error."""
     rng = np.random.default_rng(options.seed + 1000)
     primitives = _random_primitives(rng, 300)
     scene = ClearanceScene()
@@ -127,10 +125,8 @@ def _of_collisions(options: Options) -> list[Figure]:
 
 
 def _of_sweeps(rows: list[Row], options: Options) -> list[Figure]:
-    """Return the speeds of sweeps, and the share of free sweeps that are called a hit; a false free one is an error.
-
-    In a scene of random superquadrics, and among the inflated objects in a room; a ball and a box, moved by 1 m.
-    """
+    # Return the speeds of sweeps, and the share of free sweeps that are called a hit; a false free one is an error. In
+    # a scene of random superquadrics, and among the inflated objects in a room; a ball and a box, moved by 1 m.
     rng = np.random.default_rng(options.seed + 2000)
     scenes = {"": (_random_primitives(rng, 300), (10.0, 10.0, 2.0)), "_room": (_in_a_room(rows, rng), (6.0, 6.0, 2.0))}
     bodies = {"ball": (0.1, np.zeros(3)), "box": (0.05, np.array([0.2, 0.2, 0.3]))}

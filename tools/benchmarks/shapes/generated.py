@@ -1,7 +1,5 @@
-"""Layer 2 by a generator: placement, judgement, blending, with a generator that spoils the truth by seed.
-
-No network is needed: the spoiling generator takes its place, so that each step after it is measured by itself.
-"""
+"""Layer 2 by a generator: placement, judgement, blending, with a generator that spoils the truth by seed."""
+# No network is needed: the spoiling generator takes its place, so that each step after it is measured by itself.
 
 import multiprocessing
 import time
@@ -169,10 +167,8 @@ def _of_judgement(
 
 
 def kept_figures(name: str, outcomes: list[Outcome | None], num_wrong: int, what: str) -> list[Figure]:
-    """Return how many wrong shapes a map would keep, and the cost: F1 of the fused shape less F1 of the kept one.
-
-    `outcomes` are those of the accepted ones; for the other wrong ones the fused shape stays and nothing is lost.
-    """
+    """Return how many wrong shapes a map would keep, and the cost: F1 of the fused shape less F1 of the kept one."""
+    # `outcomes` are those of the accepted ones; for the other wrong ones the fused shape stays and nothing is lost.
     less = [found.fused - found.blended for found in outcomes if found is not None and found.is_kept]
     worse = sum(one > _WORSE_F1 for one in less)
     losses = [*less, *[0.0] * (num_wrong - len(less))]

@@ -47,7 +47,6 @@ class Row:
 
     @property
     def state(self) -> str:
-        """Layer 4 in a word."""
         return "box" if self.grown.is_fallback else "certified" if self.grown.certificate.holds else "NOT COVERED"
 
 
@@ -101,7 +100,6 @@ def _render(folder: Path, row: Row, upright: trimesh.Trimesh, upright_from_mesh:
 
 
 def fit(mesh: trimesh.Trimesh) -> Fitted:
-    """Return layer 3 of a mesh."""
     count = len(mesh.vertices)
     return fitted_shape(
         Mesh(
@@ -127,12 +125,10 @@ def warm_up() -> None:
 
 
 def rotation(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a random rotation (4, 4)."""
     return np.asarray(trimesh.transformations.random_rotation_matrix(rng.random(3)))
 
 
 def turned(mesh: trimesh.Trimesh, turn: NDArray[np.float64]) -> trimesh.Trimesh:
-    """Return a copy of a mesh, turned."""
     return mesh.copy().apply_transform(turn)
 
 
@@ -142,7 +138,6 @@ def of_diameter_one(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def disturbed(mesh: trimesh.Trimesh, rng: np.random.Generator) -> Iterator[tuple[str, trimesh.Trimesh]]:
-    """Return a mesh turned, with noise, and stretched, each with its name."""
     yield "self_rotation", turned(mesh, rotation(rng))
     # Noise on a mesh of eight vertices would be another shape: edges of at most a twentieth first.
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, 0.05, max_iter=30)

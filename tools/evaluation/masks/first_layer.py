@@ -29,7 +29,6 @@ class PlayedKeyframe:
 
 
 def keyframes_of(log: Path, config: MapperConfig, max_keyframes: int | None = None) -> Iterator[Frame]:
-    """Yield the keyframes of a log, decoded."""
     source = open_source(str(log))
     try:
         last, count = None, 0

@@ -33,12 +33,10 @@ class LabelledFrame:
 
     @property
     def min_pixels(self) -> int:
-        """The size from which on things count."""
         return min_pixels(self.truth)
 
 
 def load_cloud(path: Path) -> LabelledFrame:
-    """Return one cloud as a frame."""
     # Labels of one ten (30, 31) are pieces of one thing that something else divides in the image.
     # Raises RecordingError: the file is no organised PCD with the fields label, x, y, z and rgba.
     try:
@@ -68,14 +66,12 @@ def load_cloud(path: Path) -> LabelledFrame:
 
 
 def score_cloud(cloud: LabelledFrame, config: PerceptionConfig | None = None) -> MaskScore:
-    """Return the score of the embedded segmenter on a cloud, without any map."""
     masks = make_segmenter(config or PerceptionConfig()).segment(cloud.frame).instances
     truth = np.where(cloud.truth == 0, UNKNOWN, np.where(cloud.truth == 1, 0, cloud.truth))
     return score_masks(masks, truth, cloud.min_pixels)
 
 
 def clouds_in(folder: Path) -> list[Path]:
-    """Return the clouds of a folder, by name."""
     # Raises RecordingError: there are none.
     paths = sorted(folder.glob("*.pcd"))
     if not paths:

@@ -62,7 +62,6 @@ def score_masks(masks: NDArray[np.int32], truth: NDArray[np.int32], min_pixels: 
 def score_overlaps(
     shared: NDArray[np.int64], ids: NDArray[Any], pixels: NDArray[np.int64], min_pixels: int, size: int
 ) -> MaskScore:
-    """Return the score of masks of which `shared` (masks, T) pixels show each of `ids` (T,), as in `score_masks`."""
     # `pixels` (T,) of the image, which has `size` in all, show each.
     counts = (ids > 0) & (pixels >= min_pixels)
     ignored = (ids == UNKNOWN) | ((ids > 0) & ~counts)
@@ -85,7 +84,6 @@ def score_overlaps(
 
 
 def total(scores: Iterable[MaskScore]) -> MaskScore:
-    """Return the sum of scores."""
     every = [dataclasses.astuple(score) for score in scores]
     return MaskScore(*map(sum, zip(*every, strict=True)))
 

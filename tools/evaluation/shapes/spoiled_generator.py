@@ -45,7 +45,6 @@ class Generated:
 
 
 def plain_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Mesh:
-    """Return a grey mesh with no seen vertex."""
     count = len(vertices)
     colors = np.full((count, 3), 150, np.uint8)
     return Mesh(vertices=vertices, faces=faces, colors=colors, is_seen=np.zeros(count, bool))

@@ -57,7 +57,6 @@ Corner = tuple[float, float]
 def uniform(
     world: SimulatedWorld, rng: np.random.Generator, count: int, low_m: Corner, high_m: Corner
 ) -> list[SimulatedObject]:
-    """Return so many objects at random places of a rectangle."""
     places = rng.uniform([*low_m, 0.0], [*high_m, _HEIGHT_M], (count, 3))
     return [world.new_object(place) for place in places]
 
@@ -95,11 +94,9 @@ class _Place:
     draw: Draw
 
     def drawn(self, count: int, low_m: Corner, high_m: Corner) -> list[SimulatedObject]:
-        """Return so many objects in a rectangle."""
         return self.draw(self.world, self.rng, count, low_m, high_m) if count else []
 
     def copies(self, objects: list[SimulatedObject], there_from_here: NDArray[np.float64]) -> list[SimulatedObject]:
-        """Return the same models elsewhere."""
         copied = []
         for item in objects:
             off = np.array([*self.rng.normal(0.0, self.jitter_m, 2), 0.0])

@@ -32,7 +32,6 @@ class FleetMaps:
 
 
 def simulate_fleet(config: FleetMapsConfig, seed: int) -> FleetMaps:
-    """Return the maps of a fleet; the same seed gives the same maps."""
     rng = np.random.default_rng([seed, 9])
     world = SimulatedWorld(config.difficulty, rng)
     side = float(np.sqrt(_AREA_PER_OBJECT_M2 * config.num_objects / config.seen))

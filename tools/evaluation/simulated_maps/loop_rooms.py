@@ -32,7 +32,6 @@ class SeenRoom:
 
 
 def patch(corner: list[float], u: list[float], v: list[float], normal: list[float]) -> Patch:
-    """Return points of a parallelogram from a corner along u and v, with one normal."""
     along, across = np.array(u), np.array(v)
     counts = [max(2, round(float(np.linalg.norm(side)) / STEP_M)) for side in (along, across)]
     s, t = (grid.ravel() for grid in np.meshgrid(*(np.linspace(0, 1, n, endpoint=False) for n in counts)))

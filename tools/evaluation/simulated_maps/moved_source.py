@@ -28,11 +28,9 @@ class MovedSource:
 
     @property
     def info(self) -> SourceInfo:
-        """The info of the other source."""
         return self._source.info
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the other source's frames, moved."""
         for frame in self._source.frames():
             yield replace(
                 frame,
@@ -41,11 +39,9 @@ class MovedSource:
             )
 
     def ledger(self) -> Mapping[str, int]:
-        """Return the ledger of the other source."""
         return self._source.ledger()
 
     def close(self) -> None:
-        """Close the other source."""
         self._source.close()
 
     def _decoded(self, raw: RawFrame) -> Frame:

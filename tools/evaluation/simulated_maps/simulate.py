@@ -155,7 +155,6 @@ class SimulatedObject:
 
     @property
     def place(self) -> NDArray[np.float64]:
-        """The centroid (3,)."""
         return centroid_world(self.shape)
 
     def moved(self, there_from_here: NDArray[np.float64]) -> "SimulatedObject":
@@ -175,7 +174,6 @@ class SimulatedWorld:
         self._class_shapes = rng.integers(len(real_fits()), size=self._parts.classes)
 
     def new_object(self, place: NDArray[np.float64]) -> "SimulatedObject":
-        """Return a true object whose centroid is at `place`."""
         rng = self._rng
         class_index = int(rng.integers(self._parts.classes))
         signal = self._signal(class_index)
@@ -187,7 +185,6 @@ class SimulatedWorld:
         return SimulatedObject(shape=_centered(turned, place), signal=signal)
 
     def object_of(self, shape: Superquadrics, kind: int) -> "SimulatedObject":
-        """Return a new instance of a kind with a shape of its own; there are no more classes than the world has."""
         return SimulatedObject(shape=shape, signal=self._signal(kind % self._parts.classes))
 
     def _signal(self, class_index: int) -> NDArray[np.float64]:
@@ -201,7 +198,6 @@ class SimulatedWorld:
         )
 
     def observe(self, objects: list[SimulatedObject], map_from_world: NDArray[np.float64]) -> ObjectMap:
-        """Return the map of the objects by one robot."""
         shapes = tuple(self._observed_shape(item, map_from_world) for item in objects)
         features = np.array([self._observed_descriptor(item) for item in objects], dtype=np.float32)
         return ObjectMap(

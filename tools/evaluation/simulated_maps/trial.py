@@ -31,12 +31,10 @@ class Trial:
 
     @property
     def is_success(self) -> bool:
-        """Whether it was aligned correctly."""
         return self.error is not None and self.error.is_success
 
     @property
     def is_wrong(self) -> bool:
-        """Whether it was aligned incorrectly."""
         return self.error is not None and not self.error.is_success
 
 

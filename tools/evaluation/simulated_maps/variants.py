@@ -20,7 +20,6 @@ def random_frame(rng: np.random.Generator, reach_m: float = _REACH_M) -> NDArray
 
 
 def moved_map(objects: ObjectMap, new_from_old: NDArray[np.float64]) -> ObjectMap:
-    """Return the same map in another frame."""
     return _placed(objects, np.broadcast_to(new_from_old, (len(objects), 4, 4)), new_from_old)
 
 

@@ -72,7 +72,6 @@ def paired_difference(differences: Sequence[NDArray[np.float64]]) -> PairedDiffe
 
 
 def format_comparison(scores: Sequence[StrategyScore]) -> str:
-    """Return the table of strategies, and whether S is the best."""
     lines = [
         f"{'strategy':<14}{'F1 5 %':>9}{'F1 1 cm':>9}{'ADD-S .1':>10}{'ADD-S .05':>11}{'F1 of common':>14}"
         f"{'S better by':>13}{'95 %':>18}{'p':>8}"

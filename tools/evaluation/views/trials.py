@@ -121,7 +121,6 @@ def try_views(
     saver: Callable[[MapFolder], Sink],
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> dict[str, tuple[ViewTrial, ...]]:
-    """Map a log into the folder `out`, without shapes, and return the trials of each reconstructor."""
     # `saver` makes the sink that saves the map.
     # Raises HickoryError: the log, the map folder or the truth cannot be used.
     mapping = replace(

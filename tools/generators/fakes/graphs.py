@@ -97,7 +97,6 @@ class _Graph:
         return self.of("Slice", of, self.constant([first]), self.constant([end]), self.constant([3]))
 
     def middle(self, xyz: str, weight: str) -> str:
-        """Return (N, 3): the mean of points (N, 160, 160, 3) with weights (N, 160, 160, 1)."""
         axes = self.constant([1, 2])
         total = self.of("ReduceSum", self.of("Mul", xyz, weight), axes, keepdims=0)
         weights = self.of("ReduceSum", weight, axes, keepdims=0)

@@ -1,4 +1,3 @@
-# ruff: noqa: D102 -- the packages that these fake document their methods
 """Fakes of the official packages of the generators: their names and signatures, and one object without symmetry."""
 # The object is known in the camera's axes. Each fake returns it in the axes of its package, by that package's own
 # formulas as read from its sources, so that an adapter that turns one axis wrongly puts it elsewhere.
@@ -52,7 +51,6 @@ class Tensor:
 
 
 def fake_torch() -> ModuleType:
-    """Return a torch without a GPU."""
     torch: Any = ModuleType("torch")
     torch.__version__ = "0.fake"
     torch.cuda = SimpleNamespace(is_available=lambda: False)
@@ -244,7 +242,6 @@ def shown_view(module: Any) -> Any:
 
 
 def adapter_fault(name: str) -> str:
-    """Return the fault of an adapter against the fake of its package, "" for none."""
     with faked(name) as module:
         make, about = module.load()
         made = make(shown_view(module))

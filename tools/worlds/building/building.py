@@ -155,7 +155,6 @@ class BuildingSize:
             )
 
     def rooms_of(self, floor: int) -> int:
-        """Return how many rooms a floor has."""
         return self.rooms // self.floors + (floor < self.rooms % self.floors)
 
 
@@ -178,7 +177,6 @@ class Building:
 
 
 def building(seed: int, size: BuildingSize, attempt: int = 0) -> Building:
-    """Return building number `attempt` of a seed."""
     # Raises ConfigError: no draw fits, which no seed has shown so far.
     outline = drawn_outline(np.random.default_rng([seed, 17, attempt]), size.rooms_of(0))
     storeys = tuple(_storey(seed, attempt, floor, outline, size.rooms_of(floor)) for floor in range(size.floors))

@@ -38,7 +38,6 @@ class StoreyPlan:
 
     @property
     def stairs_door(self) -> DoorWay:
-        """The door at the corridor's end."""
         return self.doors[-1]
 
 
@@ -53,7 +52,6 @@ def drawn_outline(rng: np.random.Generator, rooms: int) -> Outline:
 
 
 def drawn_plan(rng: np.random.Generator, outline: Outline, rooms: int) -> StoreyPlan:
-    """Return a storey with a number of rooms, at least two."""
     rectangles: list[Rectangle] = []
     sides: list[int] = []
     doors: list[DoorWay] = []

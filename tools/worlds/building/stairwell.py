@@ -32,7 +32,6 @@ class Stairwell:
 
     @staticmethod
     def beyond(outline: Outline) -> "Stairwell":
-        """Return the stairwell at the end of the corridors."""
         x0 = outline.length_m + WALL_M
         return Stairwell(rectangle_m=(x0, 0.0, x0 + 2 * _LANDING_M + _RUN_M, outline.width_m))
 

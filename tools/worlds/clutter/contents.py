@@ -44,7 +44,6 @@ class Place:
 
 
 def spread(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return things that stand apart, each turned at random."""
     area = 4 * place.half_m[0] * place.half_m[1]
     models = [kit.small(rng) for _ in range(min(14, count(rng, 1, 3 + int(10 * area))))]
     return _scattered(rng, place, models, gap_m=uniform(rng, 0.005, 0.05))
@@ -75,7 +74,6 @@ def _is_on(model: Model, pose: NDArray[np.float64], place: Place) -> bool:
 
 
 def touching(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return a cluster in which each thing touches another one, side to side."""
     number = count(rng, 2, 8)
     models = kit.alike(rng, number) if chance(rng, 0.3) else [kit.small(rng) for _ in range(number)]
     yaw, taken = uniform(rng, -0.3, 0.3), Taken()
@@ -237,7 +235,6 @@ def laid_rows(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
 
 
 def heap(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return a heap of things as they fell."""
     number = count(rng, 4, 14)
     models = kit.alike(rng, number) if chance(rng, 0.4) else [kit.small(rng) for _ in range(number)]
     least = min(place.half_m)
@@ -260,7 +257,6 @@ def _lies_on(model: Model, pose: NDArray[np.float64], place: Place) -> bool:
 
 
 def cloth_and_things(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return a crumpled cloth with things beside it."""
     half = (place.half_m[0] * uniform(rng, 0.3, 0.9), min(place.half_m[1] * uniform(rng, 0.2, 0.6), 0.5))
     height = min(uniform(rng, 0.03, 0.18), 0.8 * place.headroom_m)
     cloth = grounded("cloth", [crumpled(rng, (1.6 * half[0], 1.6 * half[1]), height, kit.skin(rng))])

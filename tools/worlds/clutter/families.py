@@ -96,7 +96,6 @@ TABLE: dict[Family, Recipes] = {
 
 
 def recipes_of(family: str) -> Recipes:
-    """Return the names of a family's recipes; raises `ConfigError` for an unknown family."""
     for name in FAMILIES:
         if name == family:
             return TABLE[name]

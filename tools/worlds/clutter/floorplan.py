@@ -207,18 +207,15 @@ def _pictures(
 
 
 def outline_rectangle(rng: np.random.Generator, size: tuple[float, float]) -> NDArray[np.float64]:
-    """Return a plain room."""
     return np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size
 
 
 def outline_l_shape(rng: np.random.Generator, size: tuple[float, float]) -> NDArray[np.float64]:
-    """Return a room round a corner."""
     a, b = uniform(rng, 0.4, 0.7), uniform(rng, 0.4, 0.7)
     return np.array([[0, 0], [1, 0], [1, b], [a, b], [a, 1], [0, 1]]) * size
 
 
 def outline_cut_corner(rng: np.random.Generator, size: tuple[float, float]) -> NDArray[np.float64]:
-    """Return a room with one slanting wall."""
     a, b = uniform(rng, 0.4, 0.85), uniform(rng, 0.4, 0.85)
     return np.array([[0, 0], [1, 0], [1, b], [a, 1], [0, 1]]) * size
 
@@ -237,7 +234,6 @@ def outline_octagon(rng: np.random.Generator, size: tuple[float, float]) -> NDAr
 
 
 def outline_bay(rng: np.random.Generator, size: tuple[float, float]) -> NDArray[np.float64]:
-    """Return a room with a bay in one wall."""
     a, b, deep = uniform(rng, 0.1, 0.3), uniform(rng, 0.6, 0.9), uniform(rng, 0.15, 0.35)
     slope = uniform(rng, 0.0, 0.08)
     corners = [[0, 0], [1, 0], [1, 1], [b, 1], [b - slope, 1 + deep], [a + slope, 1 + deep], [a, 1], [0, 1]]

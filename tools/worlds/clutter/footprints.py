@@ -43,7 +43,6 @@ class Taken:
     corners: list[NDArray[np.float64]] = field(default_factory=list)
 
     def take(self, corners: NDArray[np.float64]) -> bool:
-        """Occupy a rectangle if it is free; return whether it was."""
         if any(do_overlap(corners, other) for other in self.corners):
             return False
         self.corners.append(corners)

@@ -192,7 +192,6 @@ def clothes_rail(rng: np.random.Generator, kit: Kit) -> Group:
 
 
 def wall_boards(rng: np.random.Generator, kit: Kit) -> Group:
-    """Return boards fixed to the wall, one above the other, with things on them."""
     depth, length, thick = uniform(rng, 0.12, 0.35), uniform(rng, 0.4, 1.8), uniform(rng, 0.015, 0.05)
     skin, gap, placed = kit.skin(rng), uniform(rng, 0.25, 0.45), []
     for i in range(count(rng, 1, 3)):
@@ -228,7 +227,6 @@ def _is_clear(one: Placement, others: Sequence[Placement]) -> bool:
 
 
 def floor_heap(rng: np.random.Generator, kit: Kit) -> Group:
-    """Return a heap on the floor: cartons, bags or anything."""
     number, most = count(rng, 5, 16), uniform(rng, 0.15, 0.6)
     drawn = kit.alike(rng, number) if chance(rng, 0.3) else [kit.small(rng) for _ in range(number)]
     grown = [_grown(model, uniform(rng, 0.4, 1.0) * most) for model in drawn]
@@ -260,7 +258,6 @@ def _grown(model: Model, size_m: float) -> Model:
 
 
 def floor_stacks(rng: np.random.Generator, kit: Kit) -> Group:
-    """Return stacks on the floor or a pallet."""
     half = (uniform(rng, 0.25, 0.6), uniform(rng, 0.3, 0.8))
     made = CONTENTS[one_of(rng, ("stacks", "stacks", "same", "heap"))](rng, kit, Place(half_m=half, headroom_m=1.6))
     placed = [Placement(model=model, world_from_object=pose) for model, pose in made]

@@ -99,11 +99,9 @@ class Kit:
         return any_material(rng, self.recipes)
 
     def make(self, rng: np.random.Generator, name: str) -> Model:
-        """Return a thing by the recipe of a name."""
         return SHAPES[name](rng, self.skin)
 
     def small(self, rng: np.random.Generator) -> Model:
-        """Return a small thing."""
         return self.make(rng, one_of(rng, self.recipes.small))
 
     def alike(self, rng: np.random.Generator, number: int) -> list[Model]:

@@ -50,7 +50,6 @@ class Terrain:
         freeze(self, "waves", np.float64, (None, 4))
 
     def height_m(self, places: NDArray[Any]) -> NDArray[np.float64]:
-        """Return the (...) heights of the ground at (..., 2) places."""
         x, y = np.asarray(places, dtype=np.float64)[..., 0], np.asarray(places, dtype=np.float64)[..., 1]
         far, near = self.kerbs_m
         along, pavement, lawn = self.slope

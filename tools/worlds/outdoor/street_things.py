@@ -125,7 +125,6 @@ def park_bench(rng: np.random.Generator) -> Model:
 
 
 def bollard(rng: np.random.Generator) -> Model:
-    """Return a bollard with a head."""
     height, radius = uniform(rng, 0.7, 1.0), uniform(rng, 0.05, 0.09)
     metal = plain(one_of(rng, ((0.17, 0.2, 0.19), (0.55, 0.56, 0.57), (0.42, 0.2, 0.14))))
     profile = [(0, -SUNK_M), (radius, -SUNK_M), (radius, height - 0.14), (1.25 * radius, height - 0.12)]
@@ -181,7 +180,6 @@ def hydrant(rng: np.random.Generator) -> Model:
 
 
 def crate(rng: np.random.Generator) -> Model:
-    """Return a slatted wooden crate, closed."""
     x, y, z = uniform(rng, 0.4, 0.8), uniform(rng, 0.5, 1.0), uniform(rng, 0.35, 0.75)
     timber, slat = wood(rng, axis=1), wood(rng, axis=1)
     parts = [block((x, y, z), timber, at=(0, 0, z / 2))]
@@ -191,7 +189,6 @@ def crate(rng: np.random.Generator) -> Model:
 
 
 def boulder(rng: np.random.Generator) -> Model:
-    """Return a boulder, a third of it in the ground."""
     half = np.array([uniform(rng, 0.25, 0.55), uniform(rng, 0.25, 0.45), uniform(rng, 0.25, 0.4)])
     grey = uniform(rng, 0.4, 0.58)
     stone = Texture(
@@ -202,7 +199,6 @@ def boulder(rng: np.random.Generator) -> Model:
 
 
 def planter(rng: np.random.Generator) -> Model:
-    """Return a planter of concrete with a clipped shrub."""
     size, height = uniform(rng, 0.55, 0.9), uniform(rng, 0.4, 0.6)
     grey, green = uniform(rng, 0.55, 0.7), uniform(rng, 0.25, 0.4)
     pot = rounded_box(

@@ -129,7 +129,6 @@ def screen(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def ladder(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a standing double ladder."""
     height, width, metal = uniform(rng, 0.6, 1.6), uniform(rng, 0.35, 0.5), skin(rng)
     out, parts = 0.35 * height, []
     for side in (-1, 1):

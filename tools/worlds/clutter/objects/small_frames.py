@@ -118,7 +118,6 @@ def sprig(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def goblet(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a hollow cup on a stem."""
     rim, height, stem = uniform(rng, 0.03, 0.06), uniform(rng, 0.12, 0.24), uniform(rng, 0.004, 0.008)
     low = height * uniform(rng, 0.35, 0.6)
     profile = [(0, 0), (rim * 0.9, 0), (rim * 0.85, 0.006), (stem, 0.012), (stem, low), (rim, (low + height) / 2)]

@@ -128,7 +128,6 @@ def _any_turn(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def ring(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a ring: lying, or standing on its rim."""
     radius = log_uniform(rng, 0.03, 0.14)
     part = torus(radius, radius * uniform(rng, 0.1, 0.45), skin(rng), flat=uniform(rng, 0.6, 1.4))
     if chance(rng, 0.3):
@@ -181,7 +180,6 @@ def paper_pile(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def star_prism(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a prism over a star or a cross."""
     teeth, radius = count(rng, 3, 8), log_uniform(rng, 0.04, 0.12)
     turn = 2 * np.pi * np.arange(2 * teeth) / (2 * teeth)
     reach = radius * np.where(np.arange(2 * teeth) % 2 == 0, 1.0, uniform(rng, 0.4, 0.8))
@@ -190,7 +188,6 @@ def star_prism(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def wedge(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a lying wedge or roof."""
     x, z, ridge = uniform(rng, 0.06, 0.25), uniform(rng, 0.04, 0.18), uniform(rng, 0.0, 1.0)
     outline = np.array([[0, 0], [x, 0], [x * (0.05 + 0.9 * ridge), z], [x * (0.05 + 0.9 * ridge) - 0.01, z]])
     part = prism(outline, uniform(rng, 0.06, 0.3), skin(rng))

@@ -32,7 +32,6 @@ def table(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def round_table(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a round or oval table on one column."""
     radius, height, top = uniform(rng, 0.2, 0.6), uniform(rng, 0.35, 1.05), uniform(rng, 0.015, 0.05)
     metal = skin(rng)
     parts = (
@@ -47,7 +46,6 @@ def round_table(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def stretched_xy(model: Model, along: float) -> Model:
-    """Return a model that is longer along y."""
     parts = tuple(warped(part, lambda vertices: vertices * (1.0, along, 1.0)) for part in model.parts)
     surfaces = tuple(replace(s, half_m=(s.half_m[0], s.half_m[1] * along)) for s in model.surfaces)
     return replace(model, parts=parts, surfaces=surfaces)
