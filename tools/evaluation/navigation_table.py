@@ -1,19 +1,28 @@
 """Planning among a scene's boxes, meshes and layer 4: the paper's table of success and efficiency, and more."""
-# All methods are given the same robot, the same margin and the same seeded list of starts and goals. These are
-# connected in the true scene and keep a small distance from its obstacles, as robots do. The true scene is every true
-# triangle, those of walls included. Scenes to plan in: from a truth folder, and from a saved map as boxes, meshes or
-# layer 4.
+# Occupancy of one scene by three obstacle models, boxes, meshes and layer 4, and the time to build each. The exact
+# shortest path over a grid (a visibility graph): the reference for the length of planned paths. Mesh-OBB is the convex
+# hull of each object's gravity-aligned box, Mesh-Full all triangles of all meshes, none left out. Both keep the margin
+# that layer 4 has built in. All are rasterised by the same kernel, exactly over the height band and in whole cells, so
+# that the methods differ in the shapes only. All are given the same walls, which belong to no object. All methods are
+# given the same robot, the same margin and the same seeded list of starts and goals. These are connected in the true
+# scene and keep a small distance from its obstacles, as robots do. The true scene is every true triangle, those of
+# walls included. Scenes to plan in: from a truth folder, and from a saved map as boxes, meshes or layer 4.
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
+from hickory_stream.base.compiled import kernel
 from hickory_stream.evaluation.evaluate import placed_mesh, true_mesh_world
 from hickory_stream.evaluation.match import meshes_of
 from hickory_stream.evaluation.truth import Truth, structure_meshes
+from hickory_stream.geometry.boxes import gravity_aligned_box
 from hickory_stream.geometry.mesh import Mesh
 from hickory_stream.geometry.superquadric import Superquadrics
 from hickory_stream.map_folder.saved_map import SavedMap
@@ -23,8 +32,179 @@ from hickory_stream.navigation.occupancy import GridFrame, distance_field_m, fra
 from hickory_stream.navigation.robot import Robot
 from hickory_stream.navigation.search import Path, SearchConfig, plan
 from hickory_stream.storeys import floor_of
-from tools.evaluation.navigation_methods import METHOD_NAMES, Built, Obstacles, built, triangles
-from tools.evaluation.navigation_optimum import OptimalLengths
+
+MethodName = Literal["mesh-obb", "mesh-full", "layer-4"]
+METHOD_NAMES: tuple[MethodName, ...] = ("mesh-obb", "mesh-full", "layer-4")
+_MIN_HALF_EXTENT_M = 0.001
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Obstacles:
+    """The obstacles of a scene: `meshes` in the world and `inflated`, both by object; walls, and unobserved space."""
+
+    # `load` reads the meshes and is part of the measured time, since a map has them on disk.
+    load: Callable[[], Mapping[int, Mesh]]
+    inflated: Mapping[int, Superquadrics]
+    walls: NDArray[np.float64]
+    unknown: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Built:
+    """The free space of one method; CPU seconds for reading meshes and for stamping what stands in it."""
+
+    name: MethodName
+    space: FreeSpace
+    load_s: float
+    build_s: float
+
+
+def built(
+    name: MethodName, obstacles: Obstacles, robot: Robot, frame: GridFrame, *, floor_z_m: float, r_safe_m: float
+) -> Built:
+    """Return the free space according to one method; `r_safe_m` is the margin that layer 4 was inflated by."""
+    started = time.process_time()
+    meshes = {} if name == "layer-4" else obstacles.load()
+    loaded = time.process_time()
+    # Hulls, and walls too, get the safety margin here; layer 4 has it built in.
+    space = FreeSpace(robot, frame, floor_z_m, hull_margin_m=r_safe_m)
+    if name == "layer-4":
+        for object_id, inflated in obstacles.inflated.items():
+            space.put(object_id, inflated)
+    for object_id, mesh in meshes.items():
+        if name == "mesh-full":
+            space.put_hulls(object_id, triangles(mesh))
+        else:
+            box = gravity_aligned_box(mesh.vertices, _MIN_HALF_EXTENT_M)
+            space.put_hulls(object_id, box.corners_world()[None])
+    ended = time.process_time()
+    space.observe(obstacles.walls, obstacles.unknown)
+    return Built(name=name, space=space, load_s=loaded - started, build_s=ended - loaded)
+
+
+def triangles(mesh: Mesh) -> NDArray[np.float64]:
+    """Return the (F, 3, 3) corners of a mesh's faces."""
+    return np.asarray(mesh.vertices.astype(np.float64)[mesh.faces])
+
+
+_HAIR = 1e-6
+
+
+class OptimalLengths:
+    """The lengths of shortest paths over a grid of blocked cells; everything outside the grid is blocked."""
+
+    def __init__(self, is_blocked: NDArray[np.bool_], frame: GridFrame) -> None:
+        self._blocked = np.ascontiguousarray(is_blocked)
+        self._frame = frame
+        self._corners, self._sides = _bends(self._blocked)
+        a, b, lengths = _edges(self._blocked, self._corners, self._sides)
+        count = len(self._corners)
+        # Two more nodes: start and goal.
+        self._rows, self._columns, self._lengths = a, b, lengths
+        self._size = count + 2
+
+    def length_m(self, start: NDArray[np.float64], goal: NDArray[np.float64]) -> float:
+        """Return the length of the shortest path between two points (2,), infinite if there is none."""
+        ends = (np.array([start, goal]) - self._frame.origin_m) / self._frame.cell_m
+        direct = float(np.linalg.norm(ends[1] - ends[0]))
+        if _sees(self._blocked, ends[0, 0], ends[0, 1], ends[1, 0], ends[1, 1]):
+            return direct * self._frame.cell_m
+        rows, columns, lengths = [self._rows], [self._columns], [self._lengths]
+        for n, end in enumerate(ends):
+            seen, far = _seen_from(self._blocked, self._corners, self._sides, end)
+            rows.append(np.full(len(seen), self._size - 2 + n))
+            columns.append(seen)
+            lengths.append(far)
+        graph = coo_array(
+            (np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns))), shape=(self._size, self._size)
+        ).tocsr()
+        found = dijkstra(graph, directed=False, indices=self._size - 2)[self._size - 1]
+        return float(found) * self._frame.cell_m
+
+
+@kernel
+def _sees(blocked, x0, y0, x1, y1):
+    rows, columns = blocked.shape
+    if y1 < y0:
+        x0, y0, x1, y1 = x1, y1, x0, y0
+    first, last = int(np.floor(y0 + _HAIR)), int(np.floor(y1 - _HAIR))
+    if last < first and 0 <= last and first < rows:
+        # The segment runs along the line between two rows: it is blocked where both sides are.
+        for i in range(
+            max(int(np.floor(min(x0, x1) + _HAIR)), 0), min(int(np.floor(max(x0, x1) - _HAIR)) + 1, columns)
+        ):
+            if blocked[last, i] and blocked[first, i]:
+                return False
+    first, last = max(first, 0), min(last, rows - 1)
+    slope = (x1 - x0) / (y1 - y0) if y1 > y0 else 0.0
+    for j in range(first, last + 1):
+        xa = x0 if y0 >= j else x0 + slope * (j - y0)
+        xb = x1 if y1 <= j + 1 else x0 + slope * (j + 1 - y0)
+        left, right = int(np.floor(min(xa, xb) + _HAIR)), int(np.floor(max(xa, xb) - _HAIR))
+        for i in range(max(left, 0), min(right, columns - 1) + 1):
+            if blocked[j, i]:
+                return False
+        if right < left and 0 <= right and left < columns and blocked[j, right] and blocked[j, left]:
+            return False
+        # Two blocked squares that touch at a corner leave no gap between them.
+        if j < last:
+            x = x0 + slope * (j + 1 - y0)
+            i = int(np.round(x))
+            if abs(x - i) < _HAIR and 0 < i < columns:
+                pair, other = blocked[j, i - 1] and blocked[j + 1, i], blocked[j, i] and blocked[j + 1, i - 1]
+                if pair or other:
+                    return False
+    return True
+
+
+def _bends(blocked: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
+    around = np.pad(blocked, 1, constant_values=True)
+    low_left, low_right = around[:-1, :-1], around[:-1, 1:]
+    high_left, high_right = around[1:, :-1], around[1:, 1:]
+    count = low_left.astype(int) + low_right + high_left + high_right
+    rows, columns = np.nonzero(count == 1)
+    sides = np.where(low_left[rows, columns] | high_right[rows, columns], 1, -1)
+    return np.column_stack([columns, rows]).astype(np.float64), sides.astype(np.int8)
+
+
+@kernel
+def _is_taut(side, dx, dy):
+    return side * dx * dy <= 0.0
+
+
+@kernel
+def _edges(blocked, corners, sides):
+    most = 1024
+    count = 0
+    a, b, lengths = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    for m in range(len(corners)):
+        for n in range(m):
+            dx, dy = corners[m, 0] - corners[n, 0], corners[m, 1] - corners[n, 1]
+            if not (_is_taut(sides[m], dx, dy) and _is_taut(sides[n], dx, dy)):
+                continue
+            if not _sees(blocked, corners[n, 0], corners[n, 1], corners[m, 0], corners[m, 1]):
+                continue
+            if count == most:
+                most *= 2
+                a = np.concatenate((a, np.empty(count, np.int64)))
+                b = np.concatenate((b, np.empty(count, np.int64)))
+                lengths = np.concatenate((lengths, np.empty(count)))
+            a[count], b[count], lengths[count] = m, n, np.sqrt(dx * dx + dy * dy)
+            count += 1
+    return a[:count].copy(), b[:count].copy(), lengths[:count].copy()
+
+
+@kernel
+def _seen_from(blocked, corners, sides, place):
+    seen, far = np.empty(len(corners), np.int64), np.empty(len(corners))
+    count = 0
+    for n in range(len(corners)):
+        dx, dy = corners[n, 0] - place[0], corners[n, 1] - place[1]
+        if _is_taut(sides[n], dx, dy) and _sees(blocked, place[0], place[1], corners[n, 0], corners[n, 1]):
+            seen[count], far[count] = n, np.sqrt(dx * dx + dy * dy)
+            count += 1
+    return seen[:count].copy(), far[:count].copy()
+
 
 _OFF_M = 0.1
 _LEAST_M = 1.0

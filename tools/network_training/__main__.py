@@ -17,8 +17,17 @@ from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.perception.affinity import pixel_network
 from hickory_stream.perception.affinity.pixel_inputs import CHANNELS
 from tools.network_training.frames import frames_of_scene, rendered
-from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, RENDERED_AT, STAGES, drawn_frames, told
-from tools.network_training.stages import Schedule
+from tools.network_training.scenes import (
+    BROAD,
+    HELD_OUT,
+    OWN,
+    OWN_SHARE,
+    RENDERED_AT,
+    STAGES,
+    Schedule,
+    drawn_frames,
+    told,
+)
 
 _PACKAGE = Path(pixel_network.__file__).parents[1]
 _CALIBRATED_ON = 64

@@ -14,15 +14,13 @@ from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import HickoryError
 from tools.paper_tables import own_maps
 from tools.paper_tables.alignment import alignment_table
-from tools.paper_tables.chart import chart
 from tools.paper_tables.counterparts import write_counterparts
 from tools.paper_tables.data_sets import DATA_SETS
 from tools.paper_tables.navigation import navigation_table
-from tools.paper_tables.plan import FULL, QUICK
 from tools.paper_tables.storage import storage_table
-from tools.paper_tables.tables import Table, as_csv, as_json, markdown
+from tools.paper_tables.tables import Table, as_csv, as_json, chart, markdown
 from tools.paper_tables.views import views_table
-from tools.paper_tables.workshop import Workshop
+from tools.paper_tables.workshop import FULL, QUICK, Workshop
 
 TABLES = {
     "views": views_table, "shapes": storage_table, "alignment": alignment_table, "navigation": navigation_table,

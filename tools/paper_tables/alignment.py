@@ -11,10 +11,9 @@ from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from tools.evaluation.alignment_table import row_of, table_json
 from tools.evaluation.alignment_truth import read_true_trajectory, world_from_map
 from tools.paper_tables.logs import Pair, apartment_pairs, kimera_pairs, nus_pairs
-from tools.paper_tables.plan import Plan
 from tools.paper_tables.published import ALIGNMENT, Aligned
 from tools.paper_tables.tables import Cell, Column, Table
-from tools.paper_tables.workshop import Workshop, refusal
+from tools.paper_tables.workshop import Plan, Workshop, refusal
 
 _METHODS: dict[Method, str] = {
     "bbox": "Mesh-BBox", "roman-xl": "ROMAN-XL", "roman-one": "ROMAN-One", "sq": "Superquadrics (ours)",

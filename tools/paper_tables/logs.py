@@ -12,8 +12,7 @@ from hickory_stream.worlds.shots import Stage
 from hickory_stream.worlds.trajectory import NoWalk
 from tools.paper_tables import hope, replica_cad
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
-from tools.paper_tables.plan import Plan
-from tools.paper_tables.workshop import Log, Workshop
+from tools.paper_tables.workshop import Log, Plan, Workshop
 from tools.worlds.clutter.walk import wander_through
 from tools.worlds.recording_config import RecordingConfig
 from tools.worlds.routes import clearance_of_surfaces

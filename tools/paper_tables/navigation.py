@@ -10,10 +10,9 @@ from hickory_stream.navigation.robot import load_robot
 from tools.benchmarks.common.intervals import wilson
 from tools.evaluation.navigation_table import score_saved_map, table_json
 from tools.paper_tables.logs import apartment_pairs
-from tools.paper_tables.plan import Plan
 from tools.paper_tables.published import NAVIGATION
 from tools.paper_tables.tables import Cell, Column, Table, mean_of
-from tools.paper_tables.workshop import Log, Workshop, refusal
+from tools.paper_tables.workshop import Log, Plan, Workshop, refusal
 
 _TITLES = {"mesh-obb": "Mesh-OBB", "mesh-full": "Mesh-Full", "layer-4": "Layer 4 (ours)"}
 _CELL_M = 0.033

@@ -16,10 +16,9 @@ from tools.benchmarks.common.intervals import bootstrap, wilson
 from tools.evaluation.views.trials import STRATEGIES, try_views
 from tools.paper_tables.data_sets import HOPE, REPLICA_CAD
 from tools.paper_tables.logs import apartment_pairs, hope_logs, hope_truth
-from tools.paper_tables.plan import Plan
 from tools.paper_tables.published import VIEWS
 from tools.paper_tables.tables import Cell, Column, Table
-from tools.paper_tables.workshop import Log, Workshop, identity_of, refusal
+from tools.paper_tables.workshop import Log, Plan, Workshop, identity_of, refusal
 
 _TITLES = {
     "initial": "Initial view",

@@ -1,6 +1,7 @@
 """The folder of a run: what was measured stays, so that the same command goes on where it stopped."""
-# `results/` holds a JSON for every step, with a key of what it was made from; another key measures it again. A map is
-# made by `hickory-stream play`, a process of its own; one that was interrupted is begun anew.
+# What a run measures: how many scenes of each data set, how long, and how many trials. `results/` holds a JSON for
+# every step, with a key of what it was made from; another key measures it again. A map is made by `hickory-stream
+# play`, a process of its own; one that was interrupted is begun anew.
 
 import json
 import subprocess
@@ -103,3 +104,29 @@ def _identity(file: Path) -> list[Any]:
 def refusal(error: HickoryError) -> str:
     """Return why a cell of a table is empty: the first line of an error, short enough for a cell."""
     return str(error).splitlines()[0][:90]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Plan:
+    """The sizes of a run; `seconds` are of synthetic logs and of walks through ReplicaCAD, None: the whole walk."""
+
+    hope_scenes: int
+    apartments: int
+    robot_pairs: int
+    nus_pairs: int
+    hope_seconds: float
+    apartment_seconds: float | None
+    robot_seconds: float
+    nus_seconds: float
+    trials: int
+    seeds: int
+
+
+FULL = Plan(
+    hope_scenes=3, apartments=4, robot_pairs=3, nus_pairs=1, hope_seconds=20.0, apartment_seconds=None,
+    robot_seconds=60.0, nus_seconds=60.0, trials=100, seeds=5,
+)  # fmt: skip
+QUICK = Plan(
+    hope_scenes=1, apartments=1, robot_pairs=1, nus_pairs=1, hope_seconds=10.0, apartment_seconds=24.0,
+    robot_seconds=24.0, nus_seconds=20.0, trials=20, seeds=2,
+)  # fmt: skip

@@ -9,8 +9,8 @@ from hickory_stream.sinks.publish_sink import GOAL_TOPIC
 from hickory_stream.sinks.ros_messages import DETECTIONS, GOAL, GRID, MARKERS, PATH, TRANSFORMS, UPDATE
 from players.live.dds_domain import check_installed, participant, qos, settings, taken, topic_of, write
 from players.logs.containers import Topic
-from tools.robot.heard import TOPICS, Heard
 from tools.robot.link import Sending
+from tools.robot.publishers import TOPICS, Heard
 
 _TYPES = dict(zip(TOPICS, (GRID, UPDATE, DETECTIONS, MARKERS, TRANSFORMS, PATH), strict=True))
 _LATCHED = (GRID, MARKERS)

@@ -14,8 +14,8 @@ from hickory_stream.sinks.publish_sink import GOAL_TOPIC
 from hickory_stream.sinks.ros_messages import GOAL, definition_of
 from players.logs.containers import Topic
 from players.logs.mcap_records import schema_of
-from tools.robot.heard import Heard
 from tools.robot.link import Sending
+from tools.robot.publishers import Heard
 
 _CLIENT_DATA = struct.Struct("<BI")
 _GOAL = Topic(name=GOAL_TOPIC, type_name=GOAL, definition_format="msg", definition=definition_of(GOAL))

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tools.robot.prepared import Due
-from tools.robot.stamps import restamped
+from tools.robot.prepared import Due, restamped
 
 _MOST_QUEUED_S = 2.0
 

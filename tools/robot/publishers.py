@@ -1,14 +1,53 @@
 """How a robot publishes: what every way has in common, and the stream of an MCAP writer."""
+# What a robot is told by whoever maps it: messages by topic, and the answers to its goals.
 
 import os
+import threading
+import time
+from collections import Counter
 from collections.abc import Collection
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from hickory_stream.sinks.publish_sink import (
+    MAP_TOPIC,
+    MARKERS_TOPIC,
+    OBJECTS_TOPIC,
+    PLAN_TOPIC,
+    TF_TOPIC,
+    UPDATES_TOPIC,
+)
 from players.logs.containers import Topic
 from players.logs.mcap_records import schema_of
-from tools.robot.heard import Heard
 from tools.robot.link import Sending
+
+TOPICS = (MAP_TOPIC, UPDATES_TOPIC, OBJECTS_TOPIC, MARKERS_TOPIC, TF_TOPIC, PLAN_TOPIC)
+
+
+@dataclass(slots=True)
+class Heard:
+    """Counts what comes, keeps the last message of each topic, and measures from a goal to its answer."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    last: dict[str, bytes] = field(default_factory=dict)
+    round_trips_s: list[float] = field(default_factory=list)
+    asked_s: float | None = None
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def take(self, name: str, data: bytes) -> None:
+        now_s = time.monotonic()
+        with self.lock:
+            self.counts[name] += 1
+            self.last[name] = data
+            if name == PLAN_TOPIC and self.asked_s is not None:
+                self.round_trips_s.append(now_s - self.asked_s)
+                self.asked_s = None
+
+    def ask(self) -> None:
+        """Note that a goal is being sent."""
+        with self.lock:
+            self.asked_s = time.monotonic()
 
 
 class Publisher(Protocol):

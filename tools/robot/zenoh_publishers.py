@@ -8,9 +8,9 @@ from hickory_stream.base.json_text import dumps
 from hickory_stream.sinks.publish_sink import GOAL_TOPIC
 from hickory_stream.sinks.ros_messages import GOAL
 from players.logs.containers import Topic
-from tools.robot.heard import TOPICS, Heard
 from tools.robot.link import Sending
-from tools.robot.stamps import humble
+from tools.robot.prepared import humble
+from tools.robot.publishers import TOPICS, Heard
 
 _GID = bytes(range(16))
 

@@ -19,7 +19,7 @@ from hickory_stream.worlds.zed_log import LogWriter
 from tools.worlds.apartment import apartment
 from tools.worlds.building.building import BuildingSize, building
 from tools.worlds.building.route import building_walk
-from tools.worlds.clutter.families import recipes_of
+from tools.worlds.clutter.kit import recipes_of
 from tools.worlds.clutter.room import clutter_room
 from tools.worlds.clutter.walk import wander
 from tools.worlds.days import world_of_day

@@ -9,7 +9,7 @@ import numpy as np
 
 from players.logs.containers import Topic
 from players.opening import open_container
-from tools.robot.stamps import humble
+from tools.robot.prepared import humble
 
 _COLOR = "/zed/zed_node/rgb/color/rect/image/compressed"
 _DEPTH = "/zed/zed_node/depth/depth_registered/compressedDepth"

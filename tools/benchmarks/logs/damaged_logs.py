@@ -17,8 +17,7 @@ from players.opening import open_container
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.repetitions import Repetitions, measurement_folder
 from tools.benchmarks.logs import damaged_maps
-from tools.damage.damaging import KINDS, Kind, damaged, open_sound, parts_of, survivors
-from tools.damage.small_logs import write_small_logs
+from tools.damage.damaging import KINDS, Kind, damaged, open_sound, parts_of, survivors, write_small_logs
 
 _CASES, _QUICK_CASES = 1000, 160
 _TOO_LONG_S = 20.0

@@ -28,11 +28,12 @@ from tools.benchmarks.common.cached_runs import apartment_map, cached, walk_reco
 from tools.benchmarks.common.code_hashes import code_hash
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import best_s
-from tools.evaluation.navigation_methods import Obstacles, built
 from tools.evaluation.navigation_table import (
     R_SAFE_M,
     MethodScore,
+    Obstacles,
     TrueScene,
+    built,
     draw_pairs,
     format_table,
     score_saved_map,

@@ -13,8 +13,7 @@ from hickory_stream.worlds.scene import Placement, World, at_place, numbered
 from hickory_stream.worlds.support_placement import stood_on
 from hickory_stream.worlds.textures import Texture
 from tools.worlds import big_things, table_things
-from tools.worlds.building.plan import Outline, StoreyPlan, drawn_outline, drawn_plan
-from tools.worlds.building.stairwell import STOREY_M, Stairwell
+from tools.worlds.building.plan import STOREY_M, Outline, Stairwell, StoreyPlan, drawn_outline, drawn_plan
 from tools.worlds.furnishing import FURNISH, Rectangle, Room, against_wall, box_group, desk_group, filled_shelf, lay
 from tools.worlds.routes import joins_rooms
 from tools.worlds.structure import ROOM_HEIGHT_M, drawn_paint, floor_of, inner_wall

@@ -12,7 +12,7 @@ from hickory_stream.geometry.arrays import freeze
 from hickory_stream.worlds.clearance import CELL_M, Clearance, clearance_of
 from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, camera_poses, gaze
 from tools.worlds.building.building import Building, Storey
-from tools.worlds.building.stairwell import STOREY_M
+from tools.worlds.building.plan import STOREY_M
 from tools.worlds.routes import corners_of, way_between
 
 STAIRS = -1

@@ -11,11 +11,10 @@ from hickory_stream.worlds.scene import Placement, World, at_place, numbered
 from hickory_stream.worlds.support_placement import Wall
 from hickory_stream.worlds.textures import Color
 from tools.worlds.clutter.draws import count, log_uniform, one_of, uniform
-from tools.worlds.clutter.families import FAMILIES
 from tools.worlds.clutter.floorplan import FloorPlan, floor_plan
 from tools.worlds.clutter.footprints import do_overlap
 from tools.worlds.clutter.groups import GROUPS, Group
-from tools.worlds.clutter.kit import kit_of
+from tools.worlds.clutter.kit import FAMILIES, kit_of
 
 
 def random_lighting(rng: np.random.Generator, outline_m: NDArray[np.float64], height_m: float) -> Lighting:
