@@ -163,12 +163,8 @@ def _table(plan: Plan, i: int, target: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         truth = make_recording(config, Path(folder), "table")
         # Meshes are shared by all scenes of the data set, two folders above.
-        meshes = _data_set_folder(target) / "meshes" / "eval"
+        meshes = target.parents[2] / "meshes" / "eval"
         write_hope(Path(folder) / "table.mcap", truth, target, meshes)
-
-
-def _data_set_folder(target: Path) -> Path:
-    return target.parents[2]
 
 
 def _robots(plan: Plan, i: int, target: Path) -> None:

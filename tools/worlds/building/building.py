@@ -50,16 +50,12 @@ def storey_structure(rng: np.random.Generator, plan: StoreyPlan) -> tuple[Model,
         if room[0] > 0.0:
             x = room[0] - half
             doors = [
-                door for door in plan.doors if door.axis == 0 and door.at_m == x and _is_within(door.middle_m, room)
+                door for door in plan.doors if door.axis == 0 and door.at_m == x and (room[1] < door.middle_m < room[3])
             ]
             models += inner_wall(0, x, (room[1], room[3]), doors, drawn_paint(rng), _WHITE)
         if rng.random() < _PICTURE_SHARE:
             models.append(_picture(rng, room, side))
     return tuple(models)
-
-
-def _is_within(y: float, room: Rectangle) -> bool:
-    return room[1] < y < room[3]
 
 
 def _picture(rng: np.random.Generator, room: Rectangle, side: int) -> Model:

@@ -57,7 +57,7 @@ def route_through(house: Building, length_m: float | None, walk_index: int, rng:
         least_m = min(least_m, float(clearances[storey].at(flat).min()))
         lines.append(np.column_stack([flat, np.full(len(flat), house.storeys[storey].floor_m)]))
         storeys.append(np.full(len(flat), storey))
-        so_far_m += _length_m(lines[-1])
+        so_far_m += float(np.linalg.norm(np.diff(lines[-1], axis=0), axis=1).sum())
         if length_m is not None and so_far_m > length_m:
             break
     return Route(line_m=np.concatenate(lines), storeys=np.concatenate(storeys), clearance_m=least_m)
@@ -142,10 +142,6 @@ def _stairs(house: Building, a: int, b: int) -> NDArray[np.float64]:
     on = np.arange(0.0, arc[-1], CELL_M)
     line = np.stack([np.interp(on, arc, corners[:, i]) for i in range(3)], axis=1)
     return np.asarray(gaussian_filter1d(line, _SMOOTH_CELLS / 2, axis=0, mode="nearest"))
-
-
-def _length_m(line: NDArray[np.float64]) -> float:
-    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
 _CUT = 0.6
