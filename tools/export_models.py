@@ -63,15 +63,9 @@ def main() -> int:
             file = Path(temporary) / f"{name}.onnx"
             done = EXPORTS[arguments.kind](weights, file, arguments.input_px)
             entry = ModelEntry(
-                name=name,
-                kind=arguments.kind,
-                file=file.name,
-                sha256=sha256_of(file),
-                source=weights,
-                licence=licence,
-                input_px=done.input_px,
-                labels=done.labels,
-            )
+                name=name, kind=arguments.kind, file=file.name, sha256=sha256_of(file), source=weights, licence=licence,
+                input_px=done.input_px, labels=done.labels,
+            )  # fmt: skip
             add_model(folder, file, entry)
     except ModuleNotFoundError as error:
         print(f"{error.name} is missing; install the extra: pip install -e '.[export]'", file=sys.stderr)
@@ -273,15 +267,9 @@ def _export(
     try:
         with torch.no_grad():
             torch.onnx.export(
-                module.eval(),
-                (example,),
-                str(file),
-                input_names=["image"],
-                output_names=outputs,
-                dynamic_axes=axes,
-                opset_version=OPSET,
-                dynamo=False,
-            )
+                module.eval(), (example,), str(file), input_names=["image"], output_names=outputs, dynamic_axes=axes,
+                opset_version=OPSET, dynamo=False,
+            )  # fmt: skip
     except torch.onnx.errors.OnnxExporterError as error:
         raise ModelError(f"torch cannot export this network: {error}") from error
     _use_single_precision(file)

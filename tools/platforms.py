@@ -30,14 +30,10 @@ class Target:
 
     def environment(self, extra: str = "") -> dict[str, str]:
         return {
-            **{name: str(value) for name, value in default_environment().items()},
-            "sys_platform": "linux",
-            "platform_system": "Linux",
-            "platform_machine": self.machine,
-            "python_version": self.python,
-            "python_full_version": f"{self.python}.0",
-            "extra": extra,
-        }
+            **{name: str(value) for name, value in default_environment().items()}, "sys_platform": "linux",
+            "platform_system": "Linux", "platform_machine": self.machine, "python_version": self.python,
+            "python_full_version": f"{self.python}.0", "extra": extra,
+        }  # fmt: skip
 
     @property
     def name(self) -> str:

@@ -143,15 +143,10 @@ def _grown(
     rows = np.concatenate([sample.features for samples in kinds for sample in samples])
     weight = np.concatenate([share * _alike(samples) for share, samples in zip(shares, kinds, strict=True)])
     classifier = HistGradientBoostingClassifier(
-        max_iter=growth.num_trees,
-        learning_rate=0.1,
-        max_leaf_nodes=growth.num_leaves,
-        min_samples_leaf=60,
-        l2_regularization=5.0,
-        early_stopping=False,
-        random_state=growth.seed,
+        max_iter=growth.num_trees, learning_rate=0.1, max_leaf_nodes=growth.num_leaves, min_samples_leaf=60,
+        l2_regularization=5.0, early_stopping=False, random_state=growth.seed,
         monotonic_cst=[_direction(name) for name in names],
-    )
+    )  # fmt: skip
     is_one = np.concatenate([sample.is_one for samples in kinds for sample in samples])
     classifier.fit(rows, is_one, sample_weight=weight / weight.mean())
     trees = exported(classifier, names)
@@ -183,13 +178,9 @@ def exported(classifier: HistGradientBoostingClassifier, names: tuple[str, ...])
     shift = np.repeat(starts[:-1], np.diff(starts))
     is_leaf = every["is_leaf"].astype(bool)
     return Trees(
-        features=names,
-        baseline=float(classifier._baseline_prediction.item()),
-        roots=starts[:-1].astype(np.int32),
+        features=names, baseline=float(classifier._baseline_prediction.item()), roots=starts[:-1].astype(np.int32),
         feature=np.where(is_leaf, -1, every["feature_idx"]).astype(np.int16),
-        threshold=every["num_threshold"].astype(np.float64),
-        left=(every["left"] + shift).astype(np.int32),
-        right=(every["right"] + shift).astype(np.int32),
-        nan_left=every["missing_go_to_left"].astype(bool),
+        threshold=every["num_threshold"].astype(np.float64), left=(every["left"] + shift).astype(np.int32),
+        right=(every["right"] + shift).astype(np.int32), nan_left=every["missing_go_to_left"].astype(bool),
         value=every["value"].astype(np.float32),
-    )
+    )  # fmt: skip

@@ -43,16 +43,10 @@ class Lesson:
 
 
 _NO_TREES = Trees(
-    features=(),
-    baseline=0.0,
-    roots=np.zeros(0, np.int32),
-    feature=np.zeros(0, np.int16),
-    threshold=np.zeros(0),
-    left=np.zeros(0, np.int32),
-    right=np.zeros(0, np.int32),
-    nan_left=np.zeros(0, np.bool_),
+    features=(), baseline=0.0, roots=np.zeros(0, np.int32), feature=np.zeros(0, np.int16), threshold=np.zeros(0),
+    left=np.zeros(0, np.int32), right=np.zeros(0, np.int32), nan_left=np.zeros(0, np.bool_),
     value=np.zeros(0, np.float32),
-)
+)  # fmt: skip
 
 
 class TrueMasks:
@@ -99,13 +93,9 @@ def lessons_of_rooms(seed: int, family: str, count: int) -> list[Lesson]:
     lessons: list[Lesson] = []
     for i, seen in enumerate(frames_of(seed, family, count)):
         frame = Frame(
-            index=i,
-            stamp_ns=i,
-            rgb=seen.rgb,
-            depth_m=seen.depth_m,
-            camera=seen.camera,
+            index=i, stamp_ns=i, rgb=seen.rgb, depth_m=seen.depth_m, camera=seen.camera,
             world_from_camera=seen.world_from_camera,
-        )
+        )  # fmt: skip
         things = seen.instances.astype(np.int32)
         shown = np.where((things == 0) & ~seen.is_structure, UNKNOWN, things).astype(np.int32)
         lessons += lesson_of_pieces(segmenter.fragments(frame), shown)
@@ -120,13 +110,10 @@ def lessons_of_scene(scene: Scene, folder: Path, network: PixelNetwork | None) -
     lessons: list[Lesson] = []
     for i, true in enumerate(frames_of_scene(scene, folder)):
         frame = Frame(
-            index=i,
-            stamp_ns=i,
-            rgb=true.rgb,
-            depth_m=_drawn_depth(true, rng) if true.sensed_m is None else true.sensed_m,
-            camera=true.camera,
+            index=i, stamp_ns=i, rgb=true.rgb,
+            depth_m=_drawn_depth(true, rng) if true.sensed_m is None else true.sensed_m, camera=true.camera,
             world_from_camera=true.world_from_camera,
-        )
+        )  # fmt: skip
         lessons += lesson_of_pieces(segmenter.fragments(frame), true.instances, network)
     return lessons
 

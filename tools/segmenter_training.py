@@ -160,15 +160,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "made_by": f"tools/train_segmenter --forest {options.forest} --seed {options.seed} --trees {num_trees}",
         "licence": "Apache-2.0, as the project: grown on scenes of its own generators alone, no data of others",
         "scikit_learn": sklearn.__version__,
-        **({} if network is None else {"network_sha256": _digest(_PACKAGE / pixel_network.EMBEDDED)}),
-        **grown.told,
-        "trees": len(grown.trees.roots),
-        "inputs": len(grown.trees.features),
-        "bytes": path.stat().st_size,
+        **({} if network is None else {"network_sha256": _digest(_PACKAGE / pixel_network.EMBEDDED)}), **grown.told,
+        "trees": len(grown.trees.roots), "inputs": len(grown.trees.features), "bytes": path.stat().st_size,
         "held_out_from_probability": join.probability,
         "held_out": {name: _scores(lessons, grown.trees, join) for name, lessons in _held_out(network, frames).items()},
         "processor_minutes": round((time.process_time() - started_s) / 60, 1),
-    }
+    }  # fmt: skip
     text = dumps_exactly(card, indent=2)
     path.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
     print(text)
@@ -199,12 +196,9 @@ def _digest(path: Path) -> str:
 
 def _told(score: MaskScore) -> dict[str, float]:
     return {
-        "f1_50": round(score.f1, 3),
-        "best_iou": round(score.best_iou, 3),
-        "found_fraction": round(score.found_fraction, 3),
-        "things": score.num_things,
-        "masks": score.num_masks,
-    }
+        "f1_50": round(score.f1, 3), "best_iou": round(score.best_iou, 3),
+        "found_fraction": round(score.found_fraction, 3), "things": score.num_things, "masks": score.num_masks,
+    }  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -307,18 +307,13 @@ def score(
     is_free = ~method.space.blocked()[0, 0]
     piece = largest_piece(method.space)
     return MethodScore(
-        name=method.name,
-        pairs=len(pairs),
-        success=float(found.mean()),
+        name=method.name, pairs=len(pairs), success=float(found.mean()),
         efficiency=float((straight[found] / lengths[found]).mean()) if found.any() else None,
         over_optimum=float((lengths[found] / optimal_m[found]).mean()) if found.any() else None,
-        free_space=float(piece.mean()),
-        missed_cells=int((truth.is_occupied & is_free).sum()),
-        lost_cells=int((truth.is_reachable & ~is_free).sum()),
-        load_s=method.load_s,
-        build_s=method.build_s,
+        free_space=float(piece.mean()), missed_cells=int((truth.is_occupied & is_free).sum()),
+        lost_cells=int((truth.is_reachable & ~is_free).sum()), load_s=method.load_s, build_s=method.build_s,
         query_s=query_s,
-    )
+    )  # fmt: skip
 
 
 def table_of(

@@ -28,12 +28,9 @@ def true_changes(a: Truth, b: Truth) -> TrueChanges:
     moved = tuple(i for i in both if not _is_same(before[i], after[i]))
     gone, new = tuple(sorted(before.keys() - after.keys())), tuple(sorted(after.keys() - before.keys()))
     return TrueChanges(
-        stayed=tuple(i for i in both if i not in moved),
-        moved=moved,
-        gone=gone,
-        new=new,
+        stayed=tuple(i for i in both if i not in moved), moved=moved, gone=gone, new=new,
         exchanged=tuple((i, j) for i in gone for j in new if _is_same(before[i], after[j])),
-    )
+    )  # fmt: skip
 
 
 def _is_same(one: np.ndarray, other: np.ndarray) -> bool:

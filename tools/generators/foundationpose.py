@@ -40,15 +40,9 @@ def load() -> tuple[Callable[[View, Model], np.ndarray], dict[str, str]]:
             raise NoShapeError(f"fewer than {_MIN_PIXELS} pixels of the mask have depth")
         mesh = trimesh.Trimesh(model.vertices, model.faces, vertex_colors=model.colors, process=False)
         estimator = FoundationPose(
-            model_pts=mesh.vertices,
-            model_normals=mesh.vertex_normals,
-            mesh=mesh,
-            scorer=scorer,
-            refiner=refiner,
-            glctx=context,
-            debug=0,
-            debug_dir=str(Path(tempfile.gettempdir()) / "foundationpose"),
-        )
+            model_pts=mesh.vertices, model_normals=mesh.vertex_normals, mesh=mesh, scorer=scorer, refiner=refiner,
+            glctx=context, debug=0, debug_dir=str(Path(tempfile.gettempdir()) / "foundationpose"),
+        )  # fmt: skip
         depth = np.ascontiguousarray(view.depth_m, dtype=np.float32)
         pose = array_of(
             estimator.register(K=view.K, rgb=view.rgb, depth=depth, ob_mask=view.mask, iteration=_ITERATIONS)

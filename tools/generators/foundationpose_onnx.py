@@ -194,12 +194,9 @@ def _rendered(pose: np.ndarray, subject: Subject, window: np.ndarray, K: np.ndar
     rotation, place = pose[:3, :3], pose[:3, 3]
     origins = np.broadcast_to((-rotation.T @ place).astype(np.float32), rays.shape)
     found = subject.scene.run(
-        np.ascontiguousarray(origins),
-        (rays @ rotation).astype(np.float32),
-        dists=np.inf,
-        query="INTERSECT",
+        np.ascontiguousarray(origins), (rays @ rotation).astype(np.float32), dists=np.inf, query="INTERSECT",
         output=True,
-    )
+    )  # fmt: skip
     hit = np.flatnonzero(found["primID"] >= 0)
     u, v = found["u"][hit, None], found["v"][hit, None]
     corners = subject.faces[found["primID"][hit]]

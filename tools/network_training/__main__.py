@@ -89,19 +89,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "UOIS-Net (Xie et al. 2021), UCN (Xiang et al. 2020): led by depth, trained on synthetic clutter",
             "Wolf et al. 2018, Lee et al. 2017: affinities at growing distances; Bailoni et al. 2019: average linkage",
         ],
-        "made_by": f"tools/train_network --seed {options.seed}",
-        "steps_done": kept["step"],
+        "made_by": f"tools/train_network --seed {options.seed}", "steps_done": kept["step"],
         "training_minutes": round(kept["elapsed_s"] / 60, 1),
-        "trained_with": f"{kept['device']}, lessons by {max(kept['processes'], 1)} processes",
-        "licence": LICENCE,
+        "trained_with": f"{kept['device']}, lessons by {max(kept['processes'], 1)} processes", "licence": LICENCE,
         "torch": torch.__version__,
         "trained_on": {"own": told(OWN), "broad": told(BROAD), "own_share": OWN_SHARE, "rendered_at": RENDERED_AT},
-        "schedule": dataclasses.asdict(schedule),
-        "inputs": list(CHANNELS),
-        "weights": sum(p.numel() for p in net.parameters()),
-        "bytes": path.stat().st_size,
+        "schedule": dataclasses.asdict(schedule), "inputs": list(CHANNELS),
+        "weights": sum(p.numel() for p in net.parameters()), "bytes": path.stat().st_size,
         "held_out_balanced_accuracy": held_out,
-    }
+    }  # fmt: skip
     text = dumps_exactly(card, indent=2)
     path.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
     print(text)

@@ -146,13 +146,9 @@ def of_scene(scene: Scene, folder: Path) -> Iterator[Shown]:
         if sensed is None:
             sensed = sensed_depth(true.depth_m, true.cosine, true.camera.fx, _USUAL, rng)
         frame = Frame(
-            index=i,
-            stamp_ns=0,
-            rgb=true.rgb,
-            depth_m=sensed,
-            camera=true.camera,
+            index=i, stamp_ns=0, rgb=true.rgb, depth_m=sensed, camera=true.camera,
             world_from_camera=true.world_from_camera,
-        )
+        )  # fmt: skip
         assert sensed.shape == (HEIGHT_PX, WIDTH_PX)
         yield Shown(name=f"{scene.name}-{i}", frame=frame, prior=None, truth=true.instances)
 

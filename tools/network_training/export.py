@@ -71,16 +71,13 @@ class _Graph:
         weights = np.rint(folded.weights / w_scales.astype(np.float64)[:, None, None, None])
         bias = np.rint(folded.bias / (np.float64(x_scale) * w_scales.astype(np.float64)))
         inputs = [
-            source,
-            self._constant(f"{name}_x_scale", x_scale),
-            self._constant(f"{name}_x_zero", np.uint8(before[1])),
+            source, self._constant(f"{name}_x_scale", x_scale), self._constant(f"{name}_x_zero", np.uint8(before[1])),
             self._constant(f"{name}_weights", np.clip(weights, -_MOST_WEIGHT, _MOST_WEIGHT).astype(np.int8)),
             self._constant(f"{name}_w_scales", w_scales),
             self._constant(f"{name}_w_zeros", np.zeros(len(w_scales), dtype=np.int8)),
-            self._constant(f"{name}_y_scale", y_scale),
-            self._constant(f"{name}_y_zero", np.uint8(after[1])),
+            self._constant(f"{name}_y_scale", y_scale), self._constant(f"{name}_y_zero", np.uint8(after[1])),
             self._constant(f"{name}_bias", np.clip(bias, -(2**30), 2**30).astype(np.int32)),
-        ]
+        ]  # fmt: skip
         side = folded.weights.shape[2]
         self._nodes.append(
             helper.make_node(
@@ -113,12 +110,9 @@ class _Graph:
     def model(self) -> onnx.ModelProto:
         told = helper.make_tensor_value_info
         graph = helper.make_graph(
-            self._nodes,
-            "affinities",
-            [told("inputs", TensorProto.UINT8, [1, NUM_INPUTS, "height", "width"])],
-            [told("odds", TensorProto.UINT8, [1, NUM_OUTPUTS, "half_height", "half_width"])],
-            self._constants,
-        )
+            self._nodes, "affinities", [told("inputs", TensorProto.UINT8, [1, NUM_INPUTS, "height", "width"])],
+            [told("odds", TensorProto.UINT8, [1, NUM_OUTPUTS, "half_height", "half_width"])], self._constants,
+        )  # fmt: skip
         model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)])
         model.ir_version = _IR_VERSION
         onnx.checker.check_model(model, full_check=True)

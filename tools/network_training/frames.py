@@ -80,14 +80,11 @@ class KeptFrames(Sequence[TrueFrame]):
         kept = self._kept[index]
         fx, fy, cx, cy = kept["camera"].tolist()
         return TrueFrame(
-            rgb=np.array(kept["rgb"]),
-            depth_m=_metres(kept["depth"]),
-            cosine=kept["cosine"].astype(np.float32) / np.float32(255),
-            instances=kept["instances"].astype(np.int32),
+            rgb=np.array(kept["rgb"]), depth_m=_metres(kept["depth"]),
+            cosine=kept["cosine"].astype(np.float32) / np.float32(255), instances=kept["instances"].astype(np.int32),
             camera=Camera(width=WIDTH_PX, height=HEIGHT_PX, fx=fx, fy=fy, cx=cx, cy=cy),
-            world_from_camera=np.array(kept["pose"]),
-            sensed_m=_metres(kept["sensed"]) if kept["is_sensed"] else None,
-        )
+            world_from_camera=np.array(kept["pose"]), sensed_m=_metres(kept["sensed"]) if kept["is_sensed"] else None,
+        )  # fmt: skip
 
 
 def frames_of_scene(scene: Scene, folder: Path) -> KeptFrames:
@@ -124,14 +121,10 @@ def _of_random_rooms(scene: Scene, family: str) -> Iterator[TrueFrame]:
         is_known = frame.is_structure | (frame.instances > 0)
         instances = np.where(is_known, frame.instances.astype(np.int32), np.int32(-1))
         yield TrueFrame(
-            rgb=frame.rgb,
-            depth_m=frame.exact_depth_m,
-            cosine=_cosine(frame.exact_depth_m, frame.camera),
-            instances=instances.astype(np.int32),
-            camera=frame.camera,
-            world_from_camera=frame.world_from_camera,
+            rgb=frame.rgb, depth_m=frame.exact_depth_m, cosine=_cosine(frame.exact_depth_m, frame.camera),
+            instances=instances.astype(np.int32), camera=frame.camera, world_from_camera=frame.world_from_camera,
             sensed_m=frame.depth_m,
-        )
+        )  # fmt: skip
 
 
 def _cosine(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
@@ -160,13 +153,9 @@ def _of_walk(scene: Scene) -> Iterator[TrueFrame]:
             ids, pixels = np.unique(seen.instances[seen.instances > 0], return_counts=True)
             if near < 0.1 and np.count_nonzero(pixels >= _LEAST_THING_PX) >= 2 and len(ids) >= 2:
                 yield TrueFrame(
-                    rgb=seen.rgb,
-                    depth_m=seen.depth_m,
-                    cosine=seen.cosine,
-                    instances=seen.instances.astype(np.int32),
-                    camera=camera,
-                    world_from_camera=pose,
-                )
+                    rgb=seen.rgb, depth_m=seen.depth_m, cosine=seen.cosine, instances=seen.instances.astype(np.int32),
+                    camera=camera, world_from_camera=pose,
+                )  # fmt: skip
                 break
 
 
@@ -193,18 +182,11 @@ def _pose(kind: str, trajectory: Trajectory, rng: np.random.Generator) -> NDArra
 
 
 _IMAGE = (HEIGHT_PX, WIDTH_PX)
-_KEPT = np.dtype(
-    [
-        ("rgb", np.uint8, (*_IMAGE, 3)),
-        ("depth", np.uint16, _IMAGE),
-        ("sensed", np.uint16, _IMAGE),
-        ("is_sensed", np.bool_),
-        ("cosine", np.uint8, _IMAGE),
-        ("instances", np.int16, _IMAGE),
-        ("camera", np.float64, 4),
-        ("pose", np.float64, (4, 4)),
-    ]
-)
+_KEPT = np.dtype([
+    ("rgb", np.uint8, (*_IMAGE, 3)), ("depth", np.uint16, _IMAGE), ("sensed", np.uint16, _IMAGE),
+    ("is_sensed", np.bool_), ("cosine", np.uint8, _IMAGE), ("instances", np.int16, _IMAGE), ("camera", np.float64, 4),
+    ("pose", np.float64, (4, 4)),
+])  # fmt: skip
 
 
 def _write(file: Path, frames: Sequence[TrueFrame]) -> None:

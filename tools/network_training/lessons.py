@@ -37,14 +37,10 @@ def lesson_of(frame: TrueFrame, rng: np.random.Generator) -> Lesson:
     depth = _defective_depth(frame, rng)
     pose = _tilted(frame.world_from_camera, rng)
     seen = Frame(
-        index=0,
-        stamp_ns=0,
-        rgb=_changed_color(frame.rgb, rng),
-        depth_m=depth,
-        camera=frame.camera,
+        index=0, stamp_ns=0, rgb=_changed_color(frame.rgb, rng), depth_m=depth, camera=frame.camera,
         world_from_camera=pose,
         sensor=DepthSensor(noise_per_m=float(np.exp(rng.uniform(np.log(0.0012), np.log(0.0035))))),
-    )
+    )  # fmt: skip
     surface = surface_of(seen, SurfaceConfig())
     inputs = pixel_inputs(surface, float(rng.normal(0, 0.02)) if rng.random() < 0.5 else None)
     if rng.random() < 0.25:
@@ -74,18 +70,12 @@ def _mirrored(
 def drawn_camera(rng: np.random.Generator) -> DepthCameraConfig:
     sigma_px = float(np.exp(rng.uniform(np.log(0.004), np.log(0.06))))
     return DepthCameraConfig(
-        baseline_m=float(rng.uniform(0.05, 0.12)),
-        min_depth_m=0.25,
-        max_depth_m=float(rng.uniform(4.0, 8.0)),
-        disparity_sigma_px=sigma_px,
-        correlation_px=float(rng.uniform(0.6, 2.0)),
-        white_share=float(rng.uniform(0.05, 0.7)),
-        disparity_step_px=sigma_px * float(rng.uniform(0.2, 1.2)),
-        edge_loss=float(rng.uniform(0.0, 0.5)),
-        flying_share=float(rng.uniform(0.0, 0.35)),
-        dropout_share=float(rng.uniform(0.001, 0.08)),
-        grazing_cosine=float(rng.uniform(0.02, 0.25)),
-    )
+        baseline_m=float(rng.uniform(0.05, 0.12)), min_depth_m=0.25, max_depth_m=float(rng.uniform(4.0, 8.0)),
+        disparity_sigma_px=sigma_px, correlation_px=float(rng.uniform(0.6, 2.0)),
+        white_share=float(rng.uniform(0.05, 0.7)), disparity_step_px=sigma_px * float(rng.uniform(0.2, 1.2)),
+        edge_loss=float(rng.uniform(0.0, 0.5)), flying_share=float(rng.uniform(0.0, 0.35)),
+        dropout_share=float(rng.uniform(0.001, 0.08)), grazing_cosine=float(rng.uniform(0.02, 0.25)),
+    )  # fmt: skip
 
 
 def _defective_depth(frame: TrueFrame, rng: np.random.Generator) -> NDArray[np.float32]:

@@ -67,13 +67,9 @@ def batches(
     if processes > 0 and first < schedule.steps:
         dataset[first]  # compiles the kernels once, for all processes
     loader = DataLoader(
-        dataset,
-        batch_size=None,
-        sampler=range(first, schedule.steps),
-        num_workers=processes,
-        prefetch_factor=2 if processes > 0 else None,
-        multiprocessing_context="fork" if processes > 0 else None,
-    )
+        dataset, batch_size=None, sampler=range(first, schedule.steps), num_workers=processes,
+        prefetch_factor=2 if processes > 0 else None, multiprocessing_context="fork" if processes > 0 else None,
+    )  # fmt: skip
     return iter(loader)
 
 
@@ -132,13 +128,9 @@ def train(
         if done % schedule.kept_every == 0 or done == schedule.steps:
             unfinished = checkpoint.with_suffix(".unfinished")
             state = {
-                "net": net.state_dict(),
-                "optimizer": optimizer.state_dict(),
-                "step": done,
-                "elapsed_s": before_s + time.monotonic() - started,
-                "device": device,
-                "processes": processes,
-            }
+                "net": net.state_dict(), "optimizer": optimizer.state_dict(), "step": done,
+                "elapsed_s": before_s + time.monotonic() - started, "device": device, "processes": processes,
+            }  # fmt: skip
             torch.save(state, unfinished)
             unfinished.replace(checkpoint)
     return net.cpu().eval()

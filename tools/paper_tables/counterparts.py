@@ -52,14 +52,10 @@ def write_replica_cad(world: World, root: Path, name: str) -> None:
         (root / "configs" / "objects" / f"{template}.object_config.json").write_text(dumps(config), encoding="utf-8")
         pose = _Y_UP_FROM_Z_UP @ item.world_from_object @ Z_UP_FROM_Y_UP
         x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
-        instances.append(
-            {
-                "template_name": f"objects/{template}",
-                "motion_type": "STATIC",
-                "translation": pose[:3, 3].tolist(),
-                "rotation": [w, x, y, z],
-            }
-        )
+        instances.append({
+            "template_name": f"objects/{template}", "motion_type": "STATIC", "translation": pose[:3, 3].tolist(),
+            "rotation": [w, x, y, z],
+        })  # fmt: skip
     scene = {
         "translation_origin": "asset_local",
         "stage_instance": {"template_name": f"stages/{stage}", "translation_origin": "asset_local"},

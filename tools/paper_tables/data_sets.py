@@ -40,58 +40,42 @@ class DataSet:
 
 
 HOPE = DataSet(
-    name="hope",
-    title="HOPE-Video",
-    folders=("hope-dataset", "hope"),
+    name="hope", title="HOPE-Video", folders=("hope-dataset", "hope"),
     needs=(
         ("hope_video/scene_*/0000.json", "scenes with NNNN_rgb.jpg, NNNN_depth.png and NNNN.json"),
         ("meshes/eval/*.obj", "the meshes of its objects"),
     ),
-    where="github.com/swtyree/hope-dataset, by its setup.py (hope_video and meshes_eval)",
-    size="2.9 GB and 33 MB",
-    licence="CC BY-NC-SA 4.0",
-    counterpart="table-tops of our own generator",
-)
+    where="github.com/swtyree/hope-dataset, by its setup.py (hope_video and meshes_eval)", size="2.9 GB and 33 MB",
+    licence="CC BY-NC-SA 4.0", counterpart="table-tops of our own generator",
+)  # fmt: skip
 REPLICA_CAD = DataSet(
-    name="replica_cad",
-    title="ReplicaCAD",
-    folders=("ReplicaCAD_dataset", "replica_cad_dataset", "replica_cad"),
+    name="replica_cad", title="ReplicaCAD", folders=("ReplicaCAD_dataset", "replica_cad_dataset", "replica_cad"),
     needs=(
         ("configs/scenes/apt_*.scene_instance.json", "the apartments"),
         ("configs/objects/*.object_config.json", "which file shows which object"),
         ("objects/*.glb", "the objects"),
         ("stages/*.glb", "walls and floors"),
     ),
-    where="huggingface.co/datasets/ai-habitat/ReplicaCAD_dataset (ReplicaCAD Interactive)",
-    size="132 MB",
-    licence="CC BY 4.0",
-    counterpart="apartments of our own generator",
-)
+    where="huggingface.co/datasets/ai-habitat/ReplicaCAD_dataset (ReplicaCAD Interactive)", size="132 MB",
+    licence="CC BY 4.0", counterpart="apartments of our own generator",
+)  # fmt: skip
 KIMERA_MULTI = DataSet(
-    name="kimera_multi",
-    title="Kimera-Multi",
-    folders=("kimera_multi", "Kimera-Multi-Data"),
+    name="kimera_multi", title="Kimera-Multi", folders=("kimera_multi", "Kimera-Multi-Data"),
     needs=(
         ("**/*_vio.bag", "visual odometry of each robot, <robot>_vio.bag, made by replaying Kimera-VIO"),
         ("**/*_gt_odom.csv", "the ground truth of each robot, <robot>_gt_odom.csv"),
         ("**/*[!o].bag", "the bag of each robot, 10_14_<robot>.bag"),
     ),
-    where="github.com/MIT-SPARK/Kimera-Multi-Data, on request",
-    size="its size is not published",
-    licence="no licence is stated",
-    counterpart="streets of our own generator",
-)
+    where="github.com/MIT-SPARK/Kimera-Multi-Data, on request", size="its size is not published",
+    licence="no licence is stated", counterpart="streets of our own generator",
+)  # fmt: skip
 NUS_CLB = DataSet(
-    name="nus_clb",
-    title="NUS-CLB",
-    folders=("nus_clb", "NUS-CLB"),
+    name="nus_clb", title="NUS-CLB", folders=("nus_clb", "NUS-CLB"),
     needs=(
         ("*/metadata.yaml", "the ROS 2 bag of each run, a folder"),
         ("*.tum", "the true poses of each run, RUN.tum beside RUN/"),
     ),
-    where="the paper's authors",
-    size="not published",
-    licence="not published",
+    where="the paper's authors", size="not published", licence="not published",
     counterpart="apartments of our own generator, seen from a quadruped",
-)
+)  # fmt: skip
 DATA_SETS = (HOPE, REPLICA_CAD, KIMERA_MULTI, NUS_CLB)

@@ -143,12 +143,7 @@ def _navigation(options: argparse.Namespace) -> None:
     if robot.num_headings != 1:
         raise InputError(f"the robot {robot.name} is not round; the comparison is for round robots, e.g. point")
     rows = navigation_table.score_saved_map(
-        open_map_at(options.map),
-        load_truth(options.truth),
-        robot,
-        cell_m=options.cell,
-        unknown=options.unknown,
-        trials=positive(options.trials, "--trials"),
-        seeds=range(positive(options.seeds, "--seeds")),
-    )
+        open_map_at(options.map), load_truth(options.truth), robot, cell_m=options.cell, unknown=options.unknown,
+        trials=positive(options.trials, "--trials"), seeds=range(positive(options.seeds, "--seeds")),
+    )  # fmt: skip
     print(dumps({"rows": navigation_table.table_json(rows)}) if options.json else navigation_table.format_table(rows))

@@ -21,12 +21,9 @@ from tools.paper_tables.tables import Cell, Column, Table
 from tools.paper_tables.workshop import Log, Plan, Workshop, identity_of, refusal
 
 _TITLES = {
-    "initial": "Initial view",
-    "max_area": "Largest mask",
-    "max_box": "Largest 2D box",
-    "max_volume": "Largest 3D volume",
-    "s_score": "View score S (ours)",
-}
+    "initial": "Initial view", "max_area": "Largest mask", "max_box": "Largest 2D box",
+    "max_volume": "Largest 3D volume", "s_score": "View score S (ours)",
+}  # fmt: skip
 # ADD-S counts as right below this share of an object's diameter, as in the paper.
 _ADDS_SHARE = {HOPE.name: 0.05, REPLICA_CAD.name: 0.1}
 

@@ -48,16 +48,10 @@ class Report:
         for (topic, reason), number in sorted(self.lost.items()):
             lost.setdefault(topic, {})[reason] = number
         return {
-            "sent": dict(sorted(self.sent.items())),
-            "unheard": dict(sorted(self.unheard.items())),
-            "lost": lost,
-            "bytes": self.num_bytes,
-            "heard": dict(sorted(self.heard.items())),
-            "round_trips_s": self.round_trips_s,
-            "returned_s": self.returned_s,
-            "cpu_s": round(self.cpu_s, 3),
-            "wall_s": round(self.wall_s, 3),
-        }
+            "sent": dict(sorted(self.sent.items())), "unheard": dict(sorted(self.unheard.items())), "lost": lost,
+            "bytes": self.num_bytes, "heard": dict(sorted(self.heard.items())), "round_trips_s": self.round_trips_s,
+            "returned_s": self.returned_s, "cpu_s": round(self.cpu_s, 3), "wall_s": round(self.wall_s, 3),
+        }  # fmt: skip
 
 
 def drive(
@@ -229,15 +223,9 @@ def _faults(options: argparse.Namespace) -> Faults:
     if not 0 <= options.loss <= 1:
         raise InputError(f"found --loss {options.loss:g}, expected a share of 0 to 1, e.g. 0.1")
     return Faults(
-        loss=options.loss,
-        delay_s=options.delay / 1e3,
-        jitter_s=options.jitter / 1e3,
-        bandwidth_mbit=options.bandwidth,
-        disconnects=disconnects,
-        clock_offset_s=options.clock_offset,
-        restart_s=options.restart,
-        seed=options.seed,
-    )
+        loss=options.loss, delay_s=options.delay / 1e3, jitter_s=options.jitter / 1e3, bandwidth_mbit=options.bandwidth,
+        disconnects=disconnects, clock_offset_s=options.clock_offset, restart_s=options.restart, seed=options.seed,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -101,13 +101,9 @@ class FoxglovePublisher:
         name, encoding, definition = schema_of(topic)
         schema = base64.b64encode(definition).decode() if encoding == "protobuf" else definition.decode()
         return {
-            "id": number,
-            "topic": topic.name,
-            "encoding": topic.wire,
-            "schemaName": name,
-            "schema": schema,
+            "id": number, "topic": topic.name, "encoding": topic.wire, "schemaName": name, "schema": schema,
             "schemaEncoding": encoding,
-        }
+        }  # fmt: skip
 
     def _serve(self, connection: Any) -> None:
         info = {"name": "fake robot", "capabilities": self._capabilities, "supportedEncodings": ["cdr"]}

@@ -56,12 +56,9 @@ class _Router:
                 self._latched.add(topic.name)
             if is_latched and self.has_advanced_publishers:
                 self._publishers[topic.name] = zenoh.ext.declare_advanced_publisher(
-                    self.session,
-                    key,
-                    allowed_destination=elsewhere,
-                    cache=zenoh.ext.CacheConfig(max_samples=10),
+                    self.session, key, allowed_destination=elsewhere, cache=zenoh.ext.CacheConfig(max_samples=10),
                     publisher_detection=True,
-                )
+                )  # fmt: skip
             else:
                 self._publishers[topic.name] = self.session.declare_publisher(
                     key, congestion_control=zenoh.CongestionControl.BLOCK, allowed_destination=elsewhere

@@ -182,11 +182,8 @@ def suitcase(rng: np.random.Generator) -> Model:
     ]
     top = height + 0.04
     grip = [
-        (-0.05, -0.09, top - 0.02),
-        (-0.05, -0.09, top + 0.05),
-        (-0.05, 0.09, top + 0.05),
-        (-0.05, 0.09, top - 0.02),
-    ]
+        (-0.05, -0.09, top - 0.02), (-0.05, -0.09, top + 0.05), (-0.05, 0.09, top + 0.05), (-0.05, 0.09, top - 0.02),
+    ]  # fmt: skip
     parts.append(tube(grip, 0.011, dark))
     return Model(kind="suitcase", parts=tuple(parts))
 

@@ -39,15 +39,9 @@ class RosMessages(ros_messages.RosMessages):
         """Return an Image of (H, W) or (H, W, C) pixels, without padding."""
         rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
         return self.make(
-            "sensor_msgs/msg/Image",
-            header=self.header(stamp_ns, frame_id),
-            height=pixels.shape[0],
-            width=pixels.shape[1],
-            encoding=encoding,
-            is_bigendian=0,
-            step=rows.shape[1],
-            data=rows.ravel(),
-        )
+            "sensor_msgs/msg/Image", header=self.header(stamp_ns, frame_id), height=pixels.shape[0],
+            width=pixels.shape[1], encoding=encoding, is_bigendian=0, step=rows.shape[1], data=rows.ravel(),
+        )  # fmt: skip
 
 
 LAYOUTS = ("zed", "kimera_multi", "nus_clb", "nus_clb_jpeg")
@@ -107,22 +101,14 @@ class KimeraMultiLog:
     log_offset_ns = 111_300_000_000
 
     # Kimera-VIO's T_BS, and the factory calibration of acl_jackal's colour camera.
-    body_from_infra1 = np.array(
-        [
-            [0.99985945, -0.01443721, 0.00852319, -0.02647408],
-            [0.01453776, 0.99982404, -0.01185494, 0.00914898],
-            [-0.00835054, 0.01197718, 0.99989340, 0.02575617],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
-    infra1_from_color = np.array(
-        [
-            [0.999997, 0.0016371, -0.0015848, 0.0589082],
-            [-0.0016342, 0.999997, 0.0017948, -3.43e-05],
-            [0.0015877, -0.0017922, 0.999997, -0.0001886],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    body_from_infra1 = np.array([
+        [0.99985945, -0.01443721, 0.00852319, -0.02647408], [0.01453776, 0.99982404, -0.01185494, 0.00914898],
+        [-0.00835054, 0.01197718, 0.99989340, 0.02575617], [0.0, 0.0, 0.0, 1.0],
+    ])  # fmt: skip
+    infra1_from_color = np.array([
+        [0.999997, 0.0016371, -0.0015848, 0.0589082], [-0.0016342, 0.999997, 0.0017948, -3.43e-05],
+        [0.0015877, -0.0017922, 0.999997, -0.0001886], [0.0, 0.0, 0.0, 1.0],
+    ])  # fmt: skip
     odometry_step_ns = 195_000_000
 
     def __init__(self, folder: Path, name: str, camera: Camera, jpeg_quality: int) -> None:
@@ -335,13 +321,10 @@ def _resized(camera: Camera, like: Camera) -> Camera:
     # Scaled to the width, cropped to the middle of the height.
     factor = like.width / camera.width
     return Camera(
-        width=like.width,
-        height=like.height,
-        fx=camera.fx * factor,
-        fy=camera.fy * factor,
+        width=like.width, height=like.height, fx=camera.fx * factor, fy=camera.fy * factor,
         cx=(camera.cx + 0.5) * factor - 0.5,
         cy=(camera.cy + 0.5) * factor - 0.5 + (like.height - camera.height * factor) / 2,
-    )
+    )  # fmt: skip
 
 
 def _orthogonal(pose: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -69,14 +69,9 @@ class Person:
         is_structure, is_blind = rendered.is_structure.reshape(-1).copy(), rendered.is_blind.reshape(-1).copy()
         is_structure[nearer], is_blind[nearer] = False, False
         return replace(
-            rendered,
-            rgb=rgb.reshape(*size, 3),
-            depth_m=depth_m.reshape(size),
-            instances=instances.reshape(size),
-            cosine=incidence.reshape(size),
-            is_structure=is_structure.reshape(size),
-            is_blind=is_blind.reshape(size),
-        )
+            rendered, rgb=rgb.reshape(*size, 3), depth_m=depth_m.reshape(size), instances=instances.reshape(size),
+            cosine=incidence.reshape(size), is_structure=is_structure.reshape(size), is_blind=is_blind.reshape(size),
+        )  # fmt: skip
 
 
 def figure(stride_rad: float) -> Model:

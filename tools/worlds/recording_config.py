@@ -102,14 +102,9 @@ class RecordingConfig(PlainConfig):
             rng = np.random.default_rng([self.seed, 9, self.walk_index])
             clock_offset_ns = int(rng.integers(-_CLOCK_REACH_NS, _CLOCK_REACH_NS))
         return Stage(
-            world=world,
-            trajectory=trajectory,
-            odometry=odometry,
-            change=_change_on_the_way(world, trajectory, self),
-            occluder=person_of(world, self),
-            robot_from_world=drawn_frame(self),
-            clock_offset_ns=clock_offset_ns,
-        )
+            world=world, trajectory=trajectory, odometry=odometry, change=_change_on_the_way(world, trajectory, self),
+            occluder=person_of(world, self), robot_from_world=drawn_frame(self), clock_offset_ns=clock_offset_ns,
+        )  # fmt: skip
 
     def log_files(self, name: str) -> tuple[str, ...]:
         return layout_files(self.layout, name)

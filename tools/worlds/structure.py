@@ -102,12 +102,9 @@ def inner_wall(
         )
         rest = ROOM_HEIGHT_M - door.height_m
         lintel = rounded_box(
-            (*turned(door.width_m, WALL_M), rest),
-            paint,
-            at=(*turned(door.middle_m, at_m), door.height_m + rest / 2),
-            radius_m=0.001,
-            cell_m=WALL_CELL_M,
-        )
+            (*turned(door.width_m, WALL_M), rest), paint, at=(*turned(door.middle_m, at_m), door.height_m + rest / 2),
+            radius_m=0.001, cell_m=WALL_CELL_M,
+        )  # fmt: skip
         jambs = [
             rounded_box(
                 (*turned(0.05, WALL_M + 0.03), door.height_m),
@@ -119,12 +116,9 @@ def inner_wall(
             for edge in (low + 0.01, high - 0.01)
         ]
         head = rounded_box(
-            (*turned(door.width_m + 0.05, WALL_M + 0.03), 0.05),
-            trim,
-            at=(*turned(door.middle_m, at_m), door.height_m),
-            radius_m=0.004,
-            cell_m=WALL_CELL_M,
-        )
+            (*turned(door.width_m + 0.05, WALL_M + 0.03), 0.05), trim, at=(*turned(door.middle_m, at_m), door.height_m),
+            radius_m=0.004, cell_m=WALL_CELL_M,
+        )  # fmt: skip
         models.append(Model(kind="door_way", parts=(lintel, *jambs, head)))
         start = high
     models.append(

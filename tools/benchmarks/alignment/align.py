@@ -44,16 +44,12 @@ def _set(num_objects: int, outliers: float, difficulty: Difficulty = "easy", til
 
 # Trials of each kind, and how many of a whole and of a quick run.
 _SETS = {
-    "40_75": (_set(40, 0.75), 600, 60),
-    "40_75_hard": (_set(40, 0.75, "hard"), 600, 60),
-    "40_90": (_set(40, 0.9), 500, 60),
-    "40_90_hard": (_set(40, 0.9, "hard"), 500, 40),
-    "20_75": (_set(20, 0.75), 600, 60),
-    "20_75_hard": (_set(20, 0.75, "hard"), 600, 60),
-    "tilt5": (_set(40, 0.5, "easy", 5.0), 200, 20),
-    "tilt15": (_set(40, 0.5, "easy", 15.0), 400, 40),
+    "40_75": (_set(40, 0.75), 600, 60), "40_75_hard": (_set(40, 0.75, "hard"), 600, 60),
+    "40_90": (_set(40, 0.9), 500, 60), "40_90_hard": (_set(40, 0.9, "hard"), 500, 40),
+    "20_75": (_set(20, 0.75), 600, 60), "20_75_hard": (_set(20, 0.75, "hard"), 600, 60),
+    "tilt5": (_set(40, 0.5, "easy", 5.0), 200, 20), "tilt15": (_set(40, 0.5, "easy", 15.0), 400, 40),
     "tilt15_hard": (_set(40, 0.5, "hard", 15.0), 200, 20),
-}
+}  # fmt: skip
 _ABLATION = {"hard": _set(40, 0.75, "hard"), "hard_20": _set(20, 0.75, "hard"), "hard_90": _set(40, 0.9, "hard")}
 
 

@@ -87,15 +87,9 @@ def play_coarsely(
     # Without a number of frames, all of them are played, with shapes as they are.
     first = () if frames is None else ("--frames", str(frames), *overridden(*COARSE))
     return subprocess.Popen(
-        [*_PLAY, str(DEMO), "--out", str(out), *_QUIET, *first, *arguments],
-        cwd=ROOT,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=stderr,
-        start_new_session=True,
-        preexec_fn=die_with_parent,
-        **options,
-    )
+        [*_PLAY, str(DEMO), "--out", str(out), *_QUIET, *first, *arguments], cwd=ROOT, text=True,
+        stdout=subprocess.PIPE, stderr=stderr, start_new_session=True, preexec_fn=die_with_parent, **options,
+    )  # fmt: skip
 
 
 def overridden(*overrides: str) -> list[str]:

@@ -14,13 +14,10 @@ OUTDOORS = ("outdoor1", "outdoor2")
 WALKS, CAMERAS = ("A", "B"), ("hand", "robot")
 TUNED, REPORTED = "tuned on", "reported"
 ROLES = {
-    **dict.fromkeys(TUNED_WORLDS, TUNED),
-    **dict.fromkeys(REPORTED_WORLDS, REPORTED),
-    **dict.fromkeys((*OWN, *OUTDOORS), "reported, fresh seeds of a generator that is tuned on"),
-    "kitchen": REPORTED,
-    "clouds_tuned": TUNED,
-    "clouds_report": REPORTED,
-}
+    **dict.fromkeys(TUNED_WORLDS, TUNED), **dict.fromkeys(REPORTED_WORLDS, REPORTED),
+    **dict.fromkeys((*OWN, *OUTDOORS), "reported, fresh seeds of a generator that is tuned on"), "kitchen": REPORTED,
+    "clouds_tuned": TUNED, "clouds_report": REPORTED,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

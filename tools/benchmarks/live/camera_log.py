@@ -74,14 +74,9 @@ def _depth(message: Any, store: Any) -> Any:
     small = cv2.imdecode(message.data[12:], cv2.IMREAD_UNCHANGED)
     image = cv2.resize(small, _SIZE, interpolation=cv2.INTER_NEAREST).astype(np.uint16)
     return store.types["sensor_msgs/msg/Image"](
-        header=message.header,
-        height=_SIZE[1],
-        width=_SIZE[0],
-        encoding="16UC1",
-        is_bigendian=0,
-        step=2 * _SIZE[0],
+        header=message.header, height=_SIZE[1], width=_SIZE[0], encoding="16UC1", is_bigendian=0, step=2 * _SIZE[0],
         data=image.view(np.uint8).ravel(),
-    )
+    )  # fmt: skip
 
 
 def _scaled(topic: Topic | None, data: bytes, store: Any) -> bytes:

@@ -105,17 +105,12 @@ def main() -> None:
         if recorder is not None:
             recorder.close()
     report = {
-        "totals": {entry.topic: entry.total for entry in account.topics},
-        "difference": account.as_dict()["difference"],
-        "lost": {entry.topic: entry.lost for entry in status.topics},
-        "frames": len(watched.came_s),
-        "came_s": watched.came_s,
-        "stamps_ns": watched.stamps_ns,
-        "cpu_share": watched.cpu_share,
+        "totals": {entry.topic: entry.total for entry in account.topics}, "difference": account.as_dict()["difference"],
+        "lost": {entry.topic: entry.lost for entry in status.topics}, "frames": len(watched.came_s),
+        "came_s": watched.came_s, "stamps_ns": watched.stamps_ns, "cpu_share": watched.cpu_share,
         "wait_s": list(watched.waits_s.values()),
-        "latency_s": _latencies(options.out, watched) if options.out is not None else [],
-        "peak_mb": peak_mb[0],
-    }
+        "latency_s": _latencies(options.out, watched) if options.out is not None else [], "peak_mb": peak_mb[0],
+    }  # fmt: skip
     print(dumps(report))
 
 

@@ -62,18 +62,11 @@ class Sample:
 
 
 _QUICK = Sample(
-    log_s=1.0,
-    loops=3,
-    at_once=2,
-    extras=False,
-    has_own_goals=False,
-    map_s=4.5,
+    log_s=1.0, loops=3, at_once=2, extras=False, has_own_goals=False, map_s=4.5,
     away=("--seconds", "3.5", "--disconnect", "1.5:1"),
-    storm=(*_STORM, *"--disconnect 1.5:1 --restart 3 --seconds 4.5".split()),
-    map_options=("--no-shapes",),
-    mapped_720p_s=0.0,
-    safety_s=2.0,
-)
+    storm=(*_STORM, *"--disconnect 1.5:1 --restart 3 --seconds 4.5".split()), map_options=("--no-shapes",),
+    mapped_720p_s=0.0, safety_s=2.0,
+)  # fmt: skip
 
 
 def measure(options: Options) -> list[Figure]:

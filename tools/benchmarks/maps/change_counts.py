@@ -65,17 +65,11 @@ def counts_of(
     stayed = [i for i in true.stayed if in_a.get(i) is not None or in_b.get(i) is not None]
     named_a, named_b = {*gone, *moved} - {None}, {*new, *moved.values()} - {None}
     return PairCounts(
-        changes=len(rows),
-        found=sum(found for _, found in rows),
-        held=sum(known for known, _ in rows),
-        held_found=sum(known and found for known, found in rows),
-        moved_held=sum(is_held),
-        moved_as_moved=sum(is_moved),
-        objects=len(stayed),
-        false_changes=sum(in_a.get(i) in named_a or in_b.get(i) in named_b for i in stayed),
-        gone=len(gone),
-        aligned=1,
-    )
+        changes=len(rows), found=sum(found for _, found in rows), held=sum(known for known, _ in rows),
+        held_found=sum(known and found for known, found in rows), moved_held=sum(is_held), moved_as_moved=sum(is_moved),
+        objects=len(stayed), false_changes=sum(in_a.get(i) in named_a or in_b.get(i) in named_b for i in stayed),
+        gone=len(gone), aligned=1,
+    )  # fmt: skip
 
 
 def count_figures(total: PairCounts, prefix: str = "") -> list[Figure]:

@@ -30,15 +30,9 @@ _APARTMENTS, _WALKS, _TABLETOPS = 4, 2, 3
 _RATE_HZ, _FAST_HZ = 15.0, 30.0
 _TWO = "two_"
 _COLUMNS = {
-    "recall": "recall_25",
-    "precision": "precision_25",
-    "recall .5": "recall_50",
-    "tracks": "tracks_per_object",
-    "F1 5 %": "f1_5pct",
-    "ADD-S .1": "adds_10",
-    "ADD-S .05": "adds_05",
-    "contained": "containment",
-}
+    "recall": "recall_25", "precision": "precision_25", "recall .5": "recall_50", "tracks": "tracks_per_object",
+    "F1 5 %": "f1_5pct", "ADD-S .1": "adds_10", "ADD-S .05": "adds_05", "contained": "containment",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -48,12 +48,9 @@ def counted(
     changed, at_end = {item.id for item in truth.change.before}, {item.id for item in truth.objects}
     old = _old_ids(truth)
     true = TrueChanges(
-        stayed=tuple(sorted((at_end - changed) & old)),
-        moved=tuple(sorted(changed & at_end)),
-        gone=tuple(sorted(changed - at_end)),
-        new=tuple(sorted(at_end - changed - old)),
-        exchanged=(),
-    )
+        stayed=tuple(sorted((at_end - changed) & old)), moved=tuple(sorted(changed & at_end)),
+        gone=tuple(sorted(changed - at_end)), new=tuple(sorted(at_end - changed - old)), exchanged=(),
+    )  # fmt: skip
     return counts_of(true, held, gone, moved, new)
 
 

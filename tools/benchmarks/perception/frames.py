@@ -59,16 +59,12 @@ def measure(options: Options) -> list[Figure]:
     same, different = (np.mean([c for p in played for c in getattr(p, kind)]) for kind in ("same", "different"))
     print(f"features: mean cosine {same:.3f} of one object across views, {different:.3f} of two")
     return [
-        *figures,
-        figure("synthetic_f1_50", score.f1),
-        figure("synthetic_best_iou", score.best_iou),
-        figure("synthetic_found_fraction", score.found_fraction),
-        figure("descriptor_margin", same - different),
+        *figures, figure("synthetic_f1_50", score.f1), figure("synthetic_best_iou", score.best_iou),
+        figure("synthetic_found_fraction", score.found_fraction), figure("descriptor_margin", same - different),
         figure("s_saved_fraction", np.mean([p.saved for p in played])),
         _time_of([keyframe for p in played for keyframe in p.frames]),
-        *_memory_of(logs[0], 20 if options.quick else 60),
-        *network_times(options.seed),
-    ]
+        *_memory_of(logs[0], 20 if options.quick else 60), *network_times(options.seed),
+    ]  # fmt: skip
 
 
 def _of_clouds(options: Options) -> list[Figure]:

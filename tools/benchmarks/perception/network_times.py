@@ -55,13 +55,10 @@ def _wall() -> Frame:
     depth = np.full((_HEIGHT, _WIDTH), 2.0, dtype=np.float32)
     depth[:, _WIDTH // 2 :] = 1.8
     return Frame(
-        index=0,
-        stamp_ns=0,
-        rgb=np.zeros((_HEIGHT, _WIDTH, 3), np.uint8),
-        depth_m=depth,
+        index=0, stamp_ns=0, rgb=np.zeros((_HEIGHT, _WIDTH, 3), np.uint8), depth_m=depth,
         camera=Camera(width=_WIDTH, height=_HEIGHT, fx=525.0, fy=525.0, cx=319.5, cy=239.5),
         world_from_camera=np.eye(4),
-    )
+    )  # fmt: skip
 
 
 def _tensors(rng: np.random.Generator) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -138,18 +138,14 @@ def _mapped(walk: DriftingWalk, factor: float) -> Mapped:
         aligned = evaluate(saved, moved_truth(truth, _map_from_world(poses, true)))
     odometry = {stamp_ns: (walk.odometry[factor] if factor else true)[stamp_ns] for stamp_ns in poses}
     return Mapped(
-        before_m=_ate_m(odometry, true),
-        after_m=_ate_m(poses, true),
-        num_poses=len(poses),
+        before_m=_ate_m(odometry, true), after_m=_ate_m(poses, true), num_poses=len(poses),
         num_loops=0 if graph is None else sum(loop.status == "accepted" for loop in graph.loops),
-        num_objects=found.num_objects,
-        found_50=[row.strict_map_id is not None for row in found.objects],
+        num_objects=found.num_objects, found_50=[row.strict_map_id is not None for row in found.objects],
         f1_5pct=[row.f1_5pct for row in found.objects],
         found_50_aligned=[row.strict_map_id is not None for row in aligned.objects],
-        f1_5pct_aligned=[row.f1_5pct for row in aligned.objects],
-        tracks=[len(row.track_ids) for row in found.objects],
+        f1_5pct_aligned=[row.f1_5pct for row in aligned.objects], tracks=[len(row.track_ids) for row in found.objects],
         wall_s=time.monotonic() - started_s,
-    )
+    )  # fmt: skip
 
 
 def _loss(

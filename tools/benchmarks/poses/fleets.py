@@ -118,13 +118,9 @@ def _run(fleet: _Fleet, out: Path, *overrides: str) -> FleetResult:
         for name, log in zip(fleet.names, fleet.logs, strict=True)
     )
     plan = FleetPlan(
-        robots=tuple(robots),
-        config=FleetConfig(every_keyframes=4),
-        out=out,
-        overwrite=False,
-        mapper=read_config(MapperConfig, None, overrides),
-        disk=DiskSinkConfig(),
-    )
+        robots=tuple(robots), config=FleetConfig(every_keyframes=4), out=out, overwrite=False,
+        mapper=read_config(MapperConfig, None, overrides), disk=DiskSinkConfig(),
+    )  # fmt: skip
     return run_fleet(plan, SimpleNamespace(opened=_ignore, moved=_ignore, said=_ignore))
 
 

@@ -70,14 +70,7 @@ def _is_right(loop: Loop, rooms: list[SeenRoom]) -> bool:
 
 def _surveyed(submap_id: int, room: SeenRoom) -> SurveyedSubmap:
     return SurveyedSubmap(
-        id=submap_id,
-        world_from_submap=np.eye(4),
-        anchor=room.anchor,
-        way_m=room.way_m,
-        turn_rad=_TURN_RAD,
-        after_jump=False,
-        points=room.points.astype(np.float32),
-        normals=room.normals.astype(np.float32),
-        free=np.empty(0, np.int64),
-        voxel_m=0.05,
-    )
+        id=submap_id, world_from_submap=np.eye(4), anchor=room.anchor, way_m=room.way_m, turn_rad=_TURN_RAD,
+        after_jump=False, points=room.points.astype(np.float32), normals=room.normals.astype(np.float32),
+        free=np.empty(0, np.int64), voxel_m=0.05,
+    )  # fmt: skip

@@ -47,13 +47,9 @@ _ENDLESS = CorridorConfig(length_m=60.0, margin_m=20.0, range_m=12.0)
 _ROOM = CorridorConfig(length_m=8.0, width_m=6.0, margin_m=1.0, way_m=6.0)
 _EXTRINSICS_SEEDS = (7, 8, 9)
 _PARTS: dict[str, Callable[[Options], list[Figure]]] = {
-    "drift": lambda options: [*registration_figures(DEMO), *drift_figures(options)],
-    "fleet": fleet_figures,
-    "graph": graph_figures,
-    "loops": loop_figures,
-    "squares": square_figures,
-    "walks": walk_figures,
-}
+    "drift": lambda options: [*registration_figures(DEMO), *drift_figures(options)], "fleet": fleet_figures,
+    "graph": graph_figures, "loops": loop_figures, "squares": square_figures, "walks": walk_figures,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -199,12 +195,9 @@ def _walk(sensor: Sensor, walk: Iterable[Posed], method: MethodName | None = Non
     moved = compose(invert(truth[0]), truth[-1])
     return _Walked(
         error=trajectory_error(stamps_ns, estimated, stamps_ns, truth),
-        end_error_m=float(np.linalg.norm(estimated[-1][:3, 3] - moved[:3, 3])),
-        num_scans=num_scans,
-        num_degenerate=num_degenerate,
-        ms=1e3 * spent_s / num_scans,
-        poses=estimated,
-    )
+        end_error_m=float(np.linalg.norm(estimated[-1][:3, 3] - moved[:3, 3])), num_scans=num_scans,
+        num_degenerate=num_degenerate, ms=1e3 * spent_s / num_scans, poses=estimated,
+    )  # fmt: skip
 
 
 def _points_of(file: Path) -> NDArray[np.float32]:

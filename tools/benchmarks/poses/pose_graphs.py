@@ -116,15 +116,10 @@ def _loop(
         rotation_of_vector(rng.normal(0, _LOOP_SIGMA_RAD, 3)), rng.normal(0, _LOOP_SIGMA_M, 3)
     )
     return LoopEdge(
-        id=number,
-        earlier=a,
-        later=b,
-        earlier_from_later=a_from_b @ noise,
-        covariance=np.diag([_LOOP_SIGMA_RAD**2] * 3 + [_LOOP_SIGMA_M**2] * 3),
-        method="surface",
-        score=float(rng.uniform(5, 30)),
-        stamp_ns=start_ns + b * NODE_STEP_NS,
-    )
+        id=number, earlier=a, later=b, earlier_from_later=a_from_b @ noise,
+        covariance=np.diag([_LOOP_SIGMA_RAD**2] * 3 + [_LOOP_SIGMA_M**2] * 3), method="surface",
+        score=float(rng.uniform(5, 30)), stamp_ns=start_ns + b * NODE_STEP_NS,
+    )  # fmt: skip
 
 
 def graph_figures(options: Options) -> list[Figure]:

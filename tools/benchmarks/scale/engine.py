@@ -323,10 +323,6 @@ def _of_soak(work: Work) -> list[Figure]:
 
 
 _PARTS: dict[str, tuple[Callable[[Work], None], Callable[[Work], list[Figure]]]] = {
-    "digests": (_digests, _of_digests),
-    "kills": (_kills, _of_kills),
-    "stops": (_stops, _of_stops),
-    "live": (_live, _of_live),
-    "soak": (_soak, _of_soak),
-    "processors": (_processors, _of_processors),
-}
+    "digests": (_digests, _of_digests), "kills": (_kills, _of_kills), "stops": (_stops, _of_stops),
+    "live": (_live, _of_live), "soak": (_soak, _of_soak), "processors": (_processors, _of_processors),
+}  # fmt: skip

@@ -92,12 +92,9 @@ def read_walk(folder: Path) -> Walk:
                 shapes.append(event.shape)
         camera = journal.step(0).camera
     return Walk(
-        keyframes=tuple((event, features[event.frame_index]) for event in keyframes[::_EVERY]),
-        shapes=tuple(shapes),
-        camera=camera,
-        num_frames=keyframes[-1].frame_index + 1,
-        meshes=folder / "shapes",
-    )
+        keyframes=tuple((event, features[event.frame_index]) for event in keyframes[::_EVERY]), shapes=tuple(shapes),
+        camera=camera, num_frames=keyframes[-1].frame_index + 1, meshes=folder / "shapes",
+    )  # fmt: skip
 
 
 def keyframes_in(walk: Walk, room: int) -> Iterator[tuple[FrameObserved, Features]]:
@@ -124,13 +121,10 @@ def keyframes_in(walk: Walk, room: int) -> Iterator[tuple[FrameObserved, Feature
             for one in event.observations
         )
         moved = replace(
-            event,
-            frame_index=event.frame_index + room * walk.num_frames,
-            stamp_ns=event.stamp_ns + room * length_ns,
-            world_from_camera=pose,
-            observations=observations,
+            event, frame_index=event.frame_index + room * walk.num_frames, stamp_ns=event.stamp_ns + room * length_ns,
+            world_from_camera=pose, observations=observations,
             space=replace(space, **{name: getattr(space, name) + step for name in names}),
-        )
+        )  # fmt: skip
         yield moved, features
 
 
@@ -211,16 +205,12 @@ class Mapped:
         keyframes, saves = len(self._walk.keyframes), max(1, self._num_saves)
         ms = {name: 1e3 * seconds for name, seconds in self._times_s.items()}
         return Cost(
-            objects=objects,
-            keyframes=keyframes,
-            core_ms=ms.get("core", 0.0) / keyframes,
-            journal_ms=ms.get("journal", 0.0) / keyframes,
-            save_all_ms=ms.get("save", 0.0) / saves,
+            objects=objects, keyframes=keyframes, core_ms=ms.get("core", 0.0) / keyframes,
+            journal_ms=ms.get("journal", 0.0) / keyframes, save_all_ms=ms.get("save", 0.0) / saves,
             save_ms=ms.get(_ONE, 0.0) / saves,
-            keyframe_ms=sum(value for name, value in ms.items() if name != _ONE) / keyframes,
-            rss_mb=resident_mb(),
+            keyframe_ms=sum(value for name, value in ms.items() if name != _ONE) / keyframes, rss_mb=resident_mb(),
             folder_mb=folder_mb(self._path),
-        )
+        )  # fmt: skip
 
     def close(self) -> None:
         self._journal.close()
@@ -273,18 +263,10 @@ class Mapped:
         assert self._published is not None
         pose = FramePose(index=event.frame_index, stamp_ns=event.stamp_ns, world_from_camera=event.world_from_camera)
         step = Step(
-            kind=StepKind.KEYFRAME,
-            stamp_ns=event.stamp_ns,
-            camera=self._walk.camera,
-            frames=(pose,),
-            round_index=0,
-            first_index=0,
-            first_ns=self._walk.first_ns,
-            num_frames=event.frame_index + 1,
-            num_keyframes=self._num_keyframes,
-            counts={},
-            shape_counts={},
-        )
+            kind=StepKind.KEYFRAME, stamp_ns=event.stamp_ns, camera=self._walk.camera, frames=(pose,), round_index=0,
+            first_index=0, first_ns=self._walk.first_ns, num_frames=event.frame_index + 1,
+            num_keyframes=self._num_keyframes, counts={}, shape_counts={},
+        )  # fmt: skip
         told = Told(decisions=self._published.decisions, submap_id=self.core.submaps[-1].id)
         entry = JournalEntry(step=step, events=tuple(done), told=told)
         self._journal.append(entry, known=self.core.snapshot())

@@ -47,12 +47,9 @@ def variants() -> tuple[Variant, ...]:
     environments = {
         "this one": {},
         **{f"BLAS of {core}": {"OPENBLAS_CORETYPE": core} for core in ("SkylakeX", "Haswell", "Zen", "Prescott")},
-        "NumPy without AVX-512": newest,
-        "NumPy without AVX2 and FMA": none,
-        "C library without AVX2 and FMA": _LIBC,
-        "OpenCV and JPEG without AVX, SSE4 and IPP": _IMAGES,
-        "all of these": oldest,
-    }
+        "NumPy without AVX-512": newest, "NumPy without AVX2 and FMA": none, "C library without AVX2 and FMA": _LIBC,
+        "OpenCV and JPEG without AVX, SSE4 and IPP": _IMAGES, "all of these": oldest,
+    }  # fmt: skip
     return (
         *(Variant(name=name, environment=environment) for name, environment in environments.items()),
         Variant(name="all of these, workers alone", environment=oldest, is_of_workers=True),

@@ -64,16 +64,11 @@ def _measured(folder: Path) -> Reading:
     began = time.process_time()
     render_map(saved, {1, 2}, _PICTURE_PX)
     return Reading(
-        objects=len(saved.snapshot.objects),
-        open_seconds=opened,
-        known_at_seconds=known_at,
-        known_records_seconds=records,
-        known_points_seconds=points,
-        space_seconds=space_seconds,
-        path_ms=float(np.median(found_ms)) if found_ms else None,
-        num_paths=len(found_ms),
+        objects=len(saved.snapshot.objects), open_seconds=opened, known_at_seconds=known_at,
+        known_records_seconds=records, known_points_seconds=points, space_seconds=space_seconds,
+        path_ms=float(np.median(found_ms)) if found_ms else None, num_paths=len(found_ms),
         render_seconds=time.process_time() - began,
-    )
+    )  # fmt: skip
 
 
 def _paths(saved: SavedMap, places: list[np.ndarray]) -> tuple[float, list[float]]:

@@ -167,13 +167,9 @@ def _batch(folder: Path, num_logs: int) -> list[Figure]:
     walls, busiest, digests = [], [], []
     for count in (1, 2):
         plan = BatchPlan(
-            uris=tuple(map(str, logs)),
-            options=SourceOptions(),
-            out=folder / f"batch{count}",
-            mapper=read_config(MapperConfig, None, COARSE),
-            disk=DiskSinkConfig(),
-            workers=count,
-        )
+            uris=tuple(map(str, logs)), options=SourceOptions(), out=folder / f"batch{count}",
+            mapper=read_config(MapperConfig, None, COARSE), disk=DiskSinkConfig(), workers=count,
+        )  # fmt: skip
         os.sched_setaffinity(0, cores[:count])
         try:
             result = run_batch(plan)

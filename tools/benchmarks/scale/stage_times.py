@@ -25,14 +25,9 @@ from players import SourceOptions, make_source_note, open_from_note
 from tools.benchmarks.common.processes import folder_mb, json_of
 
 STAGE_BUDGETS_MS = {
-    "reading": 6.0,
-    "perception": 45.0,
-    "registration": 13.0,
-    "deciding": 20.0,
-    "shapes": 62.0,
-    "writing": 12.0,
+    "reading": 6.0, "perception": 45.0, "registration": 13.0, "deciding": 20.0, "shapes": 62.0, "writing": 12.0,
     "other": 9.0,
-}
+}  # fmt: skip
 """Processor time that a keyframe may take where two cores are to play keyframes of 4 Hz at three times real time.
 
 In all 2 / (3 * 4 Hz) = 167 ms; shared out about as the stages were to each other at commit 5029994.
@@ -132,13 +127,10 @@ def _measured(log: Path, out: Path, overrides: list[str], frames: int | None) ->
     seconds["shapes"] = ended.children_user + ended.children_system
     return StageTimes(
         keyframes=int(json.loads((out / "ledger.json").read_text())["frames"]["keyframes"]),
-        objects=len(snapshot.objects),
-        log_s=(snapshot.stamp_ns - (source.info.start_ns or snapshot.stamp_ns)) / 1e9,
-        wall_s=time.monotonic() - began,
-        map_mb=folder_mb(out),
-        seconds=seconds,
+        objects=len(snapshot.objects), log_s=(snapshot.stamp_ns - (source.info.start_ns or snapshot.stamp_ns)) / 1e9,
+        wall_s=time.monotonic() - began, map_mb=folder_mb(out), seconds=seconds,
         calls=dict(sorted(clock.seconds.items(), key=lambda one: -one[1])[:25]),
-    )
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

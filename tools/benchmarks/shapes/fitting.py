@@ -60,13 +60,10 @@ def _of_rows(rows: list[Row], *, with_simple: bool) -> list[Figure]:
     counts = {row.name: len(row.fitted) for row in rows}
     certificates = [row.grown.certificate for row in rows]
     return [
-        figure("meshes", len(rows)),
-        of("fit_seconds", "fit_seconds", "s"),
-        of("fit_seconds_max", "fit_seconds", "s", statistic=np.max),
-        of("iou_mean", "iou", better="higher"),
+        figure("meshes", len(rows)), of("fit_seconds", "fit_seconds", "s"),
+        of("fit_seconds_max", "fit_seconds", "s", statistic=np.max), of("iou_mean", "iou", better="higher"),
         of("iou_min", "iou", better="higher", statistic=np.min),
-        figure("primitives_mean", np.mean([*counts.values()]), "", "lower"),
-        of("distance_pct", "distance_pct", "%"),
+        figure("primitives_mean", np.mean([*counts.values()]), "", "lower"), of("distance_pct", "distance_pct", "%"),
         figure("uncovered_triangles", sum(one.uncovered_triangles for one in certificates), "", "lower"),
         figure("certified_fraction", np.mean([one.holds for one in certificates])),
         figure("fallback_boxes", sum(row.grown.is_fallback for row in rows), "", "lower"),
@@ -74,7 +71,7 @@ def _of_rows(rows: list[Row], *, with_simple: bool) -> list[Figure]:
         of("inflated_volume_ratio_max", "volume_ratio", "x", statistic=np.max),
         of("inflate_seconds", "inflate_seconds", "s"),
         *(figure(f"k_{name}", counts[name], "", "lower") for name in _SIMPLE if with_simple),
-    ]
+    ]  # fmt: skip
 
 
 def _of_scores(

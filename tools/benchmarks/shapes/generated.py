@@ -96,16 +96,9 @@ def _trial(subject: Subject, index: int, *, seed: int, how: How) -> Row | None:
     started = time.process_time()
     placement = refiner.place(given.mesh, seen.made_from)
     row = Row(
-        kind=subject.kind,
-        given=given,
-        placement=None,
-        adds=np.inf,
-        scale_error=np.inf,
-        seconds=time.process_time() - started,
-        f1=0.0,
-        evidence=None,
-        seen=seen,
-    )
+        kind=subject.kind, given=given, placement=None, adds=np.inf, scale_error=np.inf,
+        seconds=time.process_time() - started, f1=0.0, evidence=None, seen=seen,
+    )  # fmt: skip
     if not isinstance(placement, MeshPlacement):
         return row
     true, diameter = exposed(seen.mesh_world), diameter_m(seen.mesh_world.vertices)

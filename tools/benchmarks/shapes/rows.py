@@ -61,16 +61,12 @@ def row_of(
     grown = _inflated(mesh, fitted)
     solid = Solid(mesh)
     row = Row(
-        name=name,
-        fitted=fitted,
-        kind=found.kind,
-        grown=grown,
-        fit_seconds=fit_seconds,
+        name=name, fitted=fitted, kind=found.kind, grown=grown, fit_seconds=fit_seconds,
         inflate_seconds=best_s(lambda: _inflated(mesh, fitted), 2 if options.quick else 4),
         iou=sampled_iou(solid, fitted) if is_thin else volumetric_iou(solid, fitted),
         distance_pct=math.nan if is_thin else surface_distance_pct(solid, fitted),
         volume_ratio=grown_volume_ratio(solid, grown.primitives, MARGIN_M, cells=56 if options.quick else 96),
-    )
+    )  # fmt: skip
     print(
         f"{name:<20} {fit_seconds:6.2f} s  K {len(fitted):2d} {found.kind:<8}  IoU {row.iou:.3f}  "
         f"distance {row.distance_pct:.2f} %  "

@@ -74,13 +74,9 @@ def score_overlaps(
     best = iou.max(axis=0, initial=0.0)
     large = pixels[counts] > LARGE_SHARE * size
     return MaskScore(
-        num_things=int(counts.sum()),
-        num_masks=int(stays.sum()),
-        num_right=int((best > RIGHT_IOU).sum()),
-        best_iou_sum=float(best.sum()),
-        num_large=int(large.sum()),
-        large_found=int((large & (best > RIGHT_IOU)).sum()),
-    )
+        num_things=int(counts.sum()), num_masks=int(stays.sum()), num_right=int((best > RIGHT_IOU).sum()),
+        best_iou_sum=float(best.sum()), num_large=int(large.sum()), large_found=int((large & (best > RIGHT_IOU)).sum()),
+    )  # fmt: skip
 
 
 def total(scores: Iterable[MaskScore]) -> MaskScore:

@@ -76,12 +76,9 @@ def sighted(mesh: Mesh, rng: np.random.Generator, num_views: int, *, num_held_ou
     )
     fused = centers_of_keys(np.unique(keys_of_points(points, 0.02)), 0.02)
     inputs = ShapeInputs(
-        crops=tuple(shown),
-        points_world=fused.astype(np.float32),
-        colors=np.full((len(fused), 3), 150, np.uint8),
-        box=gravity_aligned_box(fused.astype(np.float64), 0.01),
-        support_z_m=float(low[2]),
-    )
+        crops=tuple(shown), points_world=fused.astype(np.float32), colors=np.full((len(fused), 3), 150, np.uint8),
+        box=gravity_aligned_box(fused.astype(np.float64), 0.01), support_z_m=float(low[2]),
+    )  # fmt: skip
     held_out = tuple(crop for crop in crops[num_views:] if crop is not None)
     return Sighted(mesh_world=world, made_from=inputs, held_out=held_out)
 
@@ -190,12 +187,9 @@ def _crop(scene: Scene, pose: NDArray[np.float64], rng: np.random.Generator) -> 
     x0, x1 = max(int(columns.min()) - _MARGIN_PX, 0), min(int(columns.max()) + 1 + _MARGIN_PX, _CAMERA.width)
     rgb = np.where(mask[..., None], np.uint8(170), np.uint8(90)) * np.ones(3, np.uint8)
     return Crop(
-        rgb=rgb[y0:y1, x0:x1],
-        depth_m=depth[y0:y1, x0:x1].astype(np.float32),
-        mask=mask[y0:y1, x0:x1],
-        camera=_CAMERA.cropped(x0, y0, x1, y1),
-        world_from_camera=pose,
-    )
+        rgb=rgb[y0:y1, x0:x1], depth_m=depth[y0:y1, x0:x1].astype(np.float32), mask=mask[y0:y1, x0:x1],
+        camera=_CAMERA.cropped(x0, y0, x1, y1), world_from_camera=pose,
+    )  # fmt: skip
 
 
 def _looking_at(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -104,13 +104,9 @@ def _seen(
     anchor = np.eye(4)
     anchor[:2, 3], anchor[2, 3] = middle[:2], 1.2
     return SeenRoom(
-        points=points @ drift[:3, :3].T + drift[:3, 3],
-        normals=normals[is_seen] @ drift[:3, :3].T,
-        odometry_from_world=drift,
-        anchor=drift @ anchor,
-        room=room,
-        way_m=way_m,
-    )
+        points=points @ drift[:3, :3].T + drift[:3, 3], normals=normals[is_seen] @ drift[:3, :3].T,
+        odometry_from_world=drift, anchor=drift @ anchor, room=room, way_m=way_m,
+    )  # fmt: skip
 
 
 def _motion(rng: np.random.Generator, sigma_m: float, sigma_rad: float, *, about_x_m: float) -> NDArray[np.float64]:

@@ -190,25 +190,19 @@ class SimulatedWorld:
 
     def _signal(self, class_index: int) -> NDArray[np.float64]:
         parts = self._parts
-        return np.concatenate(
-            [
-                np.sqrt(parts.common) * self._common,
-                np.sqrt(parts.per_class) * self._classes[class_index],
-                np.sqrt(parts.per_instance) * _direction(self._rng, parts.instance_dimensions),
-            ]
-        )
+        return np.concatenate([
+            np.sqrt(parts.common) * self._common, np.sqrt(parts.per_class) * self._classes[class_index],
+            np.sqrt(parts.per_instance) * _direction(self._rng, parts.instance_dimensions),
+        ])  # fmt: skip
 
     def observe(self, objects: list[SimulatedObject], map_from_world: NDArray[np.float64]) -> ObjectMap:
         shapes = tuple(self._observed_shape(item, map_from_world) for item in objects)
         features = np.array([self._observed_descriptor(item) for item in objects], dtype=np.float32)
         return ObjectMap(
-            ids=np.arange(len(objects)),
-            centroids=np.array([centroid_world(shape) for shape in shapes]).reshape(-1, 3),
-            features=features if len(objects) else None,
-            shapes=shapes,
-            boxes=tuple(_box(shape) for shape in shapes),
+            ids=np.arange(len(objects)), centroids=np.array([centroid_world(shape) for shape in shapes]).reshape(-1, 3),
+            features=features if len(objects) else None, shapes=shapes, boxes=tuple(_box(shape) for shape in shapes),
             points=(None,) * len(objects),
-        )
+        )  # fmt: skip
 
     def _observed_shape(self, item: SimulatedObject, map_from_world: NDArray[np.float64]) -> Superquadrics:
         rng = self._rng

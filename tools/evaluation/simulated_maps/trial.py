@@ -49,12 +49,9 @@ def run_trial(config: SimulationConfig, seed: int, method: Method = "sq") -> Tri
     if not isinstance(answer, Alignment):
         return Trial(error=None, refusal=answer.refusal.value, num_pairs=0, log10_chance=None, num_common=common)
     return Trial(
-        error=error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)),
-        refusal=None,
-        num_pairs=len(answer.pairs),
-        log10_chance=answer.log10_chance,
-        num_common=common,
-    )
+        error=error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)), refusal=None, num_pairs=len(answer.pairs),
+        log10_chance=answer.log10_chance, num_common=common,
+    )  # fmt: skip
 
 
 def normalised_square(answer: Alignment, true_a_from_b: NDArray[np.float64]) -> float:

@@ -117,17 +117,12 @@ def _score(strategy: str, scenes: Sequence[Sequence[ViewTrial]]) -> StrategyScor
         return float(np.mean([one is not None and one.add_s_m < limit * trial.diameter_m for trial, one in found]))
 
     return StrategyScore(
-        strategy=strategy,
-        f1_5pct=float(np.concatenate(f1).mean()),
+        strategy=strategy, f1_5pct=float(np.concatenate(f1).mean()),
         f1_1cm=float(np.mean([one.f1_1cm if (one := trial.scores.get(strategy)) else 0.0 for trial in trials])),
-        adds_10=success(0.1),
-        adds_05=success(0.05),
-        common_f1_5pct=float(np.mean(common)) if common else 0.0,
-        num_objects=len(trials),
-        num_common=len(common),
-        num_scenes=sum(bool(scene) for scene in scenes),
+        adds_10=success(0.1), adds_05=success(0.05), common_f1_5pct=float(np.mean(common)) if common else 0.0,
+        num_objects=len(trials), num_common=len(common), num_scenes=sum(bool(scene) for scene in scenes),
         s_minus_this=None if strategy == OURS else paired_difference([a - b for a, b in zip(ours, f1, strict=True)]),
-    )
+    )  # fmt: skip
 
 
 def _f1(trial: ViewTrial, strategy: str) -> float:

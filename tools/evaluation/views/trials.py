@@ -58,12 +58,9 @@ class EveryView:
             if track_id is None:
                 continue
             view = view_of(
-                observation,
-                track_id,
-                frame_index=report.index,
-                stamp_ns=report.stamp_ns,
+                observation, track_id, frame_index=report.index, stamp_ns=report.stamp_ns,
                 world_from_camera=report.world_from_camera,
-            )
+            )  # fmt: skip
             crop = crop_of(report.frame, observation, self._config.crop_margin)
             write_crop(self.folder, view.name, crop, self._config)
             self._by_track.setdefault(track_id, []).append(view)
@@ -206,12 +203,9 @@ def _score(
     of: _Seen, name: str, true: TrueSurface, reconstructor: Reconstructor, folder: Path, seed: int
 ) -> SurfaceScore | None:
     inputs = ShapeInputs(
-        crops=(read_crop(folder, name),),
-        points_world=of.item.points_world,
-        colors=of.item.colors,
-        box=of.item.box,
+        crops=(read_crop(folder, name),), points_world=of.item.points_world, colors=of.item.colors, box=of.item.box,
         support_z_m=of.support_z_m,
-    )
+    )  # fmt: skip
     found = reconstructor.reconstruct(inputs)
     if isinstance(found, NoShape):
         return None

@@ -199,12 +199,9 @@ class FoundationPose:
 
 
 _PACKAGES = {
-    "tsr.system": (TSR,),
-    "trellis.pipelines": (TrellisImageTo3DPipeline,),
-    "inference": (Inference,),
-    "nvdiffrast.torch": (RasterizeCudaContext,),
-    "estimater": (FoundationPose, ScorePredictor, PoseRefinePredictor),
-}
+    "tsr.system": (TSR,), "trellis.pipelines": (TrellisImageTo3DPipeline,), "inference": (Inference,),
+    "nvdiffrast.torch": (RasterizeCudaContext,), "estimater": (FoundationPose, ScorePredictor, PoseRefinePredictor),
+}  # fmt: skip
 
 
 @contextmanager

@@ -224,12 +224,9 @@ def _joined(storeys: tuple[Storey, ...], stairwell: Stairwell, stairs: tuple[Mod
     structure = [_raised(model, storey.floor_m) for storey in storeys for model in storey.world.structure]
     rooms = [(room, storey.floor_m) for storey in storeys for room in (*storey.world.rooms_m, stairwell.rectangle_m)]
     return World(
-        objects=numbered(placed),
-        structure=(*structure, *stairs),
-        rooms_m=tuple(room for room, _ in rooms),
-        floors_m=tuple(floor_m for _, floor_m in rooms),
-        middle_m=storeys[0].world.middle_m,
-    )
+        objects=numbered(placed), structure=(*structure, *stairs), rooms_m=tuple(room for room, _ in rooms),
+        floors_m=tuple(floor_m for _, floor_m in rooms), middle_m=storeys[0].world.middle_m,
+    )  # fmt: skip
 
 
 def _raised(model: Model, by_m: float) -> Model:

@@ -71,12 +71,9 @@ def drawn_plan(rng: np.random.Generator, outline: Outline, rooms: int) -> Storey
                 doors.append(drawn_door(rng, _DOORS_M, axis=0, at_m=x0 - WALL_M / 2, span_m=(low, high)))
     doors.append(DoorWay(axis=0, at_m=outline.length_m + WALL_M / 2, middle_m=outline.width_m / 2, width_m=1.1))
     return StoreyPlan(
-        outline=outline,
-        rooms_m=tuple(rectangles),
-        sides=tuple(sides),
-        sections_m=_sections(outline),
+        outline=outline, rooms_m=tuple(rectangles), sides=tuple(sides), sections_m=_sections(outline),
         doors=tuple(doors),
-    )
+    )  # fmt: skip
 
 
 def _span(outline: Outline, side: int) -> tuple[float, float]:
@@ -127,18 +124,11 @@ class Stairwell:
         up, back = y0 + _FLIGHT_M / 2, y1 - _FLIGHT_M / 2
         first, last = x0 + _LANDING_M, x1 - _LANDING_M
         half = STOREY_M / 2
-        return np.array(
-            [
-                (x0 + _LANDING_M / 2, (y0 + y1) / 2, 0.0),
-                (first, up, 0.0),
-                (last, up, half),
-                (x1 - _LANDING_M / 2, up, half),
-                (x1 - _LANDING_M / 2, back, half),
-                (last, back, half),
-                (first, back, STOREY_M),
-                (x0 + _LANDING_M / 2, (y0 + y1) / 2, STOREY_M),
-            ]
-        )
+        return np.array([
+            (x0 + _LANDING_M / 2, (y0 + y1) / 2, 0.0), (first, up, 0.0), (last, up, half),
+            (x1 - _LANDING_M / 2, up, half), (x1 - _LANDING_M / 2, back, half), (last, back, half),
+            (first, back, STOREY_M), (x0 + _LANDING_M / 2, (y0 + y1) / 2, STOREY_M),
+        ])  # fmt: skip
 
     def structure(self, rng: np.random.Generator, storeys: int) -> tuple[Model, ...]:
         """Return its walls, floor, ceiling, landings and flights, for all storeys in the frame of the lowest."""

@@ -241,13 +241,9 @@ def outline_bay(rng: np.random.Generator, size: tuple[float, float]) -> NDArray[
 
 
 OUTLINES: dict[str, Callable[[np.random.Generator, tuple[float, float]], NDArray[np.float64]]] = {
-    "rectangle": outline_rectangle,
-    "l_shape": outline_l_shape,
-    "cut_corner": outline_cut_corner,
-    "skewed": outline_skewed,
-    "octagon": outline_octagon,
-    "bay": outline_bay,
-}
+    "rectangle": outline_rectangle, "l_shape": outline_l_shape, "cut_corner": outline_cut_corner,
+    "skewed": outline_skewed, "octagon": outline_octagon, "bay": outline_bay,
+}  # fmt: skip
 """The outlines of rooms by name; all are counter-clockwise."""
 
 

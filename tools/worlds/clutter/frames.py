@@ -90,13 +90,10 @@ def random_camera(rng: np.random.Generator, width: int, height: int) -> Camera:
     """Return a pinhole camera of 50 to 100 degrees across, its optical axis near the middle."""
     focal = width / 2 / np.tan(np.radians(uniform(rng, 50.0, 100.0)) / 2)
     return Camera(
-        width=width,
-        height=height,
-        fx=float(focal),
-        fy=float(focal * uniform(rng, 0.99, 1.01)),
+        width=width, height=height, fx=float(focal), fy=float(focal * uniform(rng, 0.99, 1.01)),
         cx=(width - 1) / 2 + float(rng.normal(0, 0.01 * width)),
         cy=(height - 1) / 2 + float(rng.normal(0, 0.01 * height)),
-    )
+    )  # fmt: skip
 
 
 def random_depth_camera(rng: np.random.Generator, focal_px: float) -> DepthCameraConfig:
@@ -105,19 +102,12 @@ def random_depth_camera(rng: np.random.Generator, focal_px: float) -> DepthCamer
     baseline = log_uniform(rng, 0.05, 0.2)
     sigma = log_uniform(rng, 0.0008, 0.006) * baseline * focal_px
     return DepthCameraConfig(
-        baseline_m=baseline,
-        min_depth_m=uniform(rng, 0.15, 0.45),
-        max_depth_m=log_uniform(rng, 4.0, 12.0),
-        disparity_sigma_px=sigma,
-        correlation_px=uniform(rng, 1.0, 4.0),
-        white_share=uniform(rng, 0.05, 0.8),
-        disparity_step_px=sigma * log_uniform(rng, 0.3, 2.5),
-        grazing_cosine=uniform(rng, 0.08, 0.3),
-        edge_ratio=uniform(rng, 0.03, 0.08),
-        edge_loss=uniform(rng, 0.0, 0.7),
-        flying_share=uniform(rng, 0.0, 0.5),
+        baseline_m=baseline, min_depth_m=uniform(rng, 0.15, 0.45), max_depth_m=log_uniform(rng, 4.0, 12.0),
+        disparity_sigma_px=sigma, correlation_px=uniform(rng, 1.0, 4.0), white_share=uniform(rng, 0.05, 0.8),
+        disparity_step_px=sigma * log_uniform(rng, 0.3, 2.5), grazing_cosine=uniform(rng, 0.08, 0.3),
+        edge_ratio=uniform(rng, 0.03, 0.08), edge_loss=uniform(rng, 0.0, 0.7), flying_share=uniform(rng, 0.0, 0.5),
         dropout_share=uniform(rng, 0.0, 0.1) if chance(rng, 0.8) else 0.0,
-    )
+    )  # fmt: skip
 
 
 def random_color_camera(rng: np.random.Generator, width: int) -> ColorCameraConfig:
@@ -127,17 +117,12 @@ def random_color_camera(rng: np.random.Generator, width: int) -> ColorCameraConf
     moving = 0.3 * scale * log_uniform(rng, 1.0, 25.0) if chance(rng, 0.25) else 0.0
     turn = uniform(rng, 0, 2 * np.pi)
     return ColorCameraConfig(
-        exposure=log_uniform(rng, 0.55, 1.5),
-        gamma=log_uniform(rng, 0.7, 1.35),
-        warmth=float(rng.normal(0, 0.12)),
-        vignette=uniform(rng, 0.0, 0.5) if chance(rng, 0.5) else 0.0,
-        blur_px=uniform(rng, 0.0, 1.1) * scale,
-        motion_px=(float(moving * np.cos(turn)), float(moving * np.sin(turn))),
-        noise=log_uniform(rng, 0.5, 10.0),
+        exposure=log_uniform(rng, 0.55, 1.5), gamma=log_uniform(rng, 0.7, 1.35), warmth=float(rng.normal(0, 0.12)),
+        vignette=uniform(rng, 0.0, 0.5) if chance(rng, 0.5) else 0.0, blur_px=uniform(rng, 0.0, 1.1) * scale,
+        motion_px=(float(moving * np.cos(turn)), float(moving * np.sin(turn))), noise=log_uniform(rng, 0.5, 10.0),
         shift_px=(float(off * rng.normal(0, 0.7)), float(off * rng.normal(0, 0.4))),
-        skew_px=float(off * rng.normal(0, 0.7)),
-        wobble_px=0.25 * off,
-    )
+        skew_px=float(off * rng.normal(0, 0.7)), wobble_px=0.25 * off,
+    )  # fmt: skip
 
 
 _DRAWS = 40
@@ -282,10 +267,6 @@ def _frame(
     return Frame(
         rgb=color.photographed(rendered.rgb, rng),
         depth_m=sensed_depth(rendered.depth_m, rendered.cosine, camera.fx, depth, rng, rendered.is_blind),
-        exact_depth_m=rendered.depth_m,
-        instances=rendered.instances,
-        is_structure=rendered.is_structure,
-        camera=camera,
-        world_from_camera=world_from_camera,
-        room=index,
-    )
+        exact_depth_m=rendered.depth_m, instances=rendered.instances, is_structure=rendered.is_structure, camera=camera,
+        world_from_camera=world_from_camera, room=index,
+    )  # fmt: skip

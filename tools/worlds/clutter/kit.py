@@ -168,16 +168,8 @@ USUAL_LARGE = {f"usual_{maker.__name__}": _varied(maker, 0.25) for maker in _LAR
 
 
 SHAPES: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
-    **SMALL_SOLIDS,
-    **SMALL_FRAMES,
-    **SMALL_SOFT,
-    **SUPPORTS,
-    **SEATS,
-    **UNITS,
-    **BODIES,
-    **USUAL_SMALL,
-    **USUAL_LARGE,
-}
+    **SMALL_SOLIDS, **SMALL_FRAMES, **SMALL_SOFT, **SUPPORTS, **SEATS, **UNITS, **BODIES, **USUAL_SMALL, **USUAL_LARGE,
+}  # fmt: skip
 """All recipes of things by name."""
 _LEAST_M = 0.03
 _CALM_SHARE = 0.5

@@ -77,12 +77,9 @@ def clutter_room(seed: int, family: str, index: int = 0) -> ClutterRoom:
             ]
     middle = plan.outline_m.mean(axis=0)
     world = World(
-        objects=numbered(placed),
-        structure=plan.structure,
-        rooms_m=(plan.bounds_m,),
-        middle_m=(float(middle[0]), float(middle[1])),
-        lighting=random_lighting(rng, plan.outline_m, plan.height_m),
-    )
+        objects=numbered(placed), structure=plan.structure, rooms_m=(plan.bounds_m,),
+        middle_m=(float(middle[0]), float(middle[1])), lighting=random_lighting(rng, plan.outline_m, plan.height_m),
+    )  # fmt: skip
     return ClutterRoom(world=world, plan=plan)
 
 

@@ -12,14 +12,9 @@ from tools.worlds.clutter.objects.solids import block, cylinder, rough, superell
 
 SUNK_M = 0.12
 _PAINTS: tuple[Color, ...] = (
-    (0.72, 0.73, 0.75),
-    (0.13, 0.14, 0.16),
-    (0.82, 0.82, 0.80),
-    (0.55, 0.10, 0.10),
-    (0.12, 0.22, 0.42),
-    (0.30, 0.38, 0.32),
-    (0.62, 0.56, 0.45),
-)
+    (0.72, 0.73, 0.75), (0.13, 0.14, 0.16), (0.82, 0.82, 0.80), (0.55, 0.10, 0.10), (0.12, 0.22, 0.42),
+    (0.30, 0.38, 0.32), (0.62, 0.56, 0.45),
+)  # fmt: skip
 _RUBBER, _GLASS = plain((0.09, 0.09, 0.10)), plain((0.16, 0.19, 0.22), grain=0.03)
 _IRON = plain((0.16, 0.17, 0.18))
 
@@ -32,36 +27,21 @@ def car(rng: np.random.Generator) -> Model:
     hood = belt - uniform(rng, 0.02, 0.1)
     is_estate = chance(rng, 0.5)
     back = -length / 2
-    profile = np.array(
-        [
-            (back + 0.06, sill + 0.05),
-            (length / 2 - 0.1, sill + 0.02),
-            (length / 2, sill + 0.28),
-            (length / 2 - 0.06, hood - 0.14),
-            (length / 2 - 0.75, hood + 0.02),
-            (0.0, belt),
-            (back + 0.1, belt),
-            (back, sill + 0.32),
-        ]
-    )
+    profile = np.array([
+        (back + 0.06, sill + 0.05), (length / 2 - 0.1, sill + 0.02), (length / 2, sill + 0.28),
+        (length / 2 - 0.06, hood - 0.14), (length / 2 - 0.75, hood + 0.02), (0.0, belt), (back + 0.1, belt),
+        (back, sill + 0.32),
+    ])  # fmt: skip
     # The outline of a side, drawn across the car: its path runs along y.
     body = _across(profile, width, paint, taper=0.06)
-    glazed = np.array(
-        [
-            (length / 2 - 0.85, belt - 0.03),
-            (length / 2 - 1.45, top - 0.03),
-            (back + (0.45 if is_estate else 0.95), top - 0.03),
-            (back + (0.12 if is_estate else 0.3), belt - 0.03),
-        ]
-    )
-    roof = np.array(
-        [
-            (length / 2 - 1.42, top - 0.05),
-            (length / 2 - 1.55, top),
-            (back + (0.6 if is_estate else 1.05), top),
-            (back + (0.4 if is_estate else 0.9), top - 0.05),
-        ]
-    )
+    glazed = np.array([
+        (length / 2 - 0.85, belt - 0.03), (length / 2 - 1.45, top - 0.03),
+        (back + (0.45 if is_estate else 0.95), top - 0.03), (back + (0.12 if is_estate else 0.3), belt - 0.03),
+    ])  # fmt: skip
+    roof = np.array([
+        (length / 2 - 1.42, top - 0.05), (length / 2 - 1.55, top), (back + (0.6 if is_estate else 1.05), top),
+        (back + (0.4 if is_estate else 0.9), top - 0.05),
+    ])  # fmt: skip
     parts: list[Part] = [
         body,
         _across(glazed, width - 0.14, _GLASS, taper=0.12),
@@ -205,12 +185,9 @@ def planter(rng: np.random.Generator) -> Model:
         (size, size, height), plain((grey, grey, grey * 0.97), grain=0.2), at=(0, 0, height / 2 - 0.02), radius_m=0.015
     )
     leaves = Texture(
-        pattern="speckle",
-        first=(0.5 * green, green, 0.35 * green),
-        second=(0.8 * green, 1.3 * green, 0.5 * green),
-        period_m=0.03,
-        grain=0.5,
-    )
+        pattern="speckle", first=(0.5 * green, green, 0.35 * green), second=(0.8 * green, 1.3 * green, 0.5 * green),
+        period_m=0.03, grain=0.5,
+    )  # fmt: skip
     shrub = superellipsoid((0.44 * size, 0.44 * size, uniform(rng, 0.3, 0.45)), (0.7, 0.8), leaves)
     return Model(kind="planter", parts=(pot, rough(shrub, rng, 0.05, 0.3).moved((0, 0, height + 0.15))))
 
@@ -260,10 +237,6 @@ def _paint(rng: np.random.Generator) -> Texture:
 def _bark(rng: np.random.Generator) -> Texture:
     tone = uniform(rng, 0.26, 0.42)
     return Texture(
-        pattern="marble",
-        first=(tone, tone * 0.8, tone * 0.62),
-        second=(tone * 0.55, tone * 0.44, tone * 0.36),
-        period_m=0.09,
-        axis=0,
-        grain=0.5,
-    )
+        pattern="marble", first=(tone, tone * 0.8, tone * 0.62), second=(tone * 0.55, tone * 0.44, tone * 0.36),
+        period_m=0.09, axis=0, grain=0.5,
+    )  # fmt: skip

@@ -206,11 +206,8 @@ def machine(rng: np.random.Generator, skin: Skin) -> Model:
 def tent(rng: np.random.Generator, skin: Skin) -> Model:
     """Return a cloth over a ridge, closed on all sides: tents, drying racks with sheets on them."""
     length, half, high, sag = (
-        uniform(rng, 0.6, 1.6),
-        uniform(rng, 0.25, 0.6),
-        uniform(rng, 0.5, 1.2),
-        uniform(rng, 0.0, 0.3),
-    )
+        uniform(rng, 0.6, 1.6), uniform(rng, 0.25, 0.6), uniform(rng, 0.5, 1.2), uniform(rng, 0.0, 0.3),
+    )  # fmt: skip
     across = np.linspace(-1, 1, 21)
     rise = high * (1 - np.abs(across)) ** (1 + sag)
     outline = np.stack([np.concatenate([across * half, [0.0]]), np.concatenate([rise, [0.0]])], axis=1)[::-1]

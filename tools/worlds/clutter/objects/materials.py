@@ -74,14 +74,9 @@ def _texture(
     gloss: tuple[float, float] = (0.0, 0.0),
 ) -> Texture:
     return Texture(
-        pattern=pattern,
-        first=first,
-        second=second,
-        period_m=log_uniform(rng, *period_m),
-        axis=int(rng.integers(3)),
-        grain=uniform(rng, *grain),
-        gloss=uniform(rng, *gloss) if chance(rng, 0.5) else 0.0,
-    )
+        pattern=pattern, first=first, second=second, period_m=log_uniform(rng, *period_m), axis=int(rng.integers(3)),
+        grain=uniform(rng, *grain), gloss=uniform(rng, *gloss) if chance(rng, 0.5) else 0.0,
+    )  # fmt: skip
 
 
 _ANY = (0.0, 1.0)
