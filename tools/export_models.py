@@ -205,13 +205,9 @@ ONEFORMER_PX = (640, 480)
 
 
 def export_oneformer_model(
-    model: Any,
-    task: Any,
-    labels: tuple[str, ...],
-    file: Path,
-    picture: np.ndarray[Any, Any],
+    model: Any, task: Any, labels: tuple[str, ...], file: Path, picture: np.ndarray[Any, Any],
     size: tuple[int, int] = ONEFORMER_PX,
-) -> float:
+) -> float:  # fmt: skip
     """Export a OneFormer, and return the share of pixels of a picture whose class is that of the package's own code."""
     import cv2
     import torch

@@ -124,12 +124,9 @@ def _truth_of(
 
 
 def _samples(
-    lesson: Lesson,
-    numbers: NDArray[np.int64],
-    pairs: NDArray[np.int64],
-    features: Mapping[str, NDArray[np.float64]],
+    lesson: Lesson, numbers: NDArray[np.int64], pairs: NDArray[np.int64], features: Mapping[str, NDArray[np.float64]],
     names: tuple[str, ...],
-) -> Samples:
+) -> Samples:  # fmt: skip
     is_one, counts, pixels = _truth_of(lesson, numbers, pairs)
     rows = np.stack([features[name] for name in names], axis=1)
     # What is small costs little where it is joined wrongly, but there is much of it.

@@ -98,16 +98,12 @@ def grown_with_odds(seed: int, num_trees: int, network: PixelNetwork, folder: Pa
         trees=trees,
         told={
             "trained_on": {
-                "logs": [name_of(*scene) for scene in ODDS_LOGS],
-                "views": told(ODDS_VIEWS),
-                "rooms": told(ODDS_ROOMS),
+                "logs": [name_of(*scene) for scene in ODDS_LOGS], "views": told(ODDS_VIEWS), "rooms": told(ODDS_ROOMS),
             },
-            "images_per_second": RATE_HZ,
-            "images": [len(kind) for kind in kinds],
-            "shares": ODDS_SHARES,
+            "images_per_second": RATE_HZ, "images": [len(kind) for kind in kinds], "shares": ODDS_SHARES,
             "pairs": num_pairs,
         },
-    )
+    )  # fmt: skip
 
 
 def _lessons_of_views(scenes: Sequence[Scene], folder: Path, network: PixelNetwork) -> list[Lesson]:

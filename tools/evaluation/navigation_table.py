@@ -243,14 +243,9 @@ class MethodScore:
 
 
 def true_scene(
-    objects: Mapping[int, NDArray[np.float64]],
-    structure: Sequence[NDArray[np.float64]],
-    robot: Robot,
-    frame: GridFrame,
-    *,
-    floor_z_m: float,
-    r_safe_m: float,
-) -> TrueScene:
+    objects: Mapping[int, NDArray[np.float64]], structure: Sequence[NDArray[np.float64]], robot: Robot,
+    frame: GridFrame, *, floor_z_m: float, r_safe_m: float,
+) -> TrueScene:  # fmt: skip
     """Return the truth of a scene: `objects` and `structure` are (F, 3, 3) triangles in the world."""
     # The robot is round, in one posture.
     space = FreeSpace(robot, frame, floor_z_m, hull_margin_m=r_safe_m)
@@ -317,15 +312,9 @@ def score(
 
 
 def table_of(
-    obstacles: Obstacles,
-    truth: TrueScene,
-    robot: Robot,
-    *,
-    r_safe_m: float,
-    trials: int,
-    seeds: Sequence[int],
+    obstacles: Obstacles, truth: TrueScene, robot: Robot, *, r_safe_m: float, trials: int, seeds: Sequence[int],
     config: SearchConfig | None = None,
-) -> list[MethodScore]:
+) -> list[MethodScore]:  # fmt: skip
     pairs = np.concatenate([draw_pairs(truth, trials, seed) for seed in seeds])
     optimal = np.array([truth.optimum.length_m(start, goal) for start, goal in pairs])
     frame, floor = truth.space.frame, truth.space.floor_z_m
@@ -387,15 +376,9 @@ def true_obstacles(truth: Truth, inflated: Mapping[int, Superquadrics]) -> Obsta
 
 
 def score_saved_map(
-    saved: SavedMap,
-    truth: Truth,
-    robot: Robot,
-    *,
-    cell_m: float,
-    unknown: UnknownSpace,
-    trials: int,
+    saved: SavedMap, truth: Truth, robot: Robot, *, cell_m: float, unknown: UnknownSpace, trials: int,
     seeds: Sequence[int],
-) -> list[MethodScore]:
+) -> list[MethodScore]:  # fmt: skip
     """Return the table of a map that the pipeline made; all methods are given its observed walls and unknown space."""
     # The map must be in the frame of the truth, as it is if its log was played with true poses.
     robot = first_posture(robot)

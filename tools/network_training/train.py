@@ -80,12 +80,9 @@ def _weights(labels: NDArray[np.int32]) -> NDArray[np.float32]:
 
 
 def train(
-    frame_of: Callable[[np.random.Generator, Stage], TrueFrame],
-    schedule: Schedule,
-    checkpoint: Path,
-    device: str = "cpu",
-    processes: int = 0,
-) -> AffinityNet:
+    frame_of: Callable[[np.random.Generator, Stage], TrueFrame], schedule: Schedule, checkpoint: Path,
+    device: str = "cpu", processes: int = 0,
+) -> AffinityNet:  # fmt: skip
     """Return the network trained on frames that `frame_of(rng, stage)` draws, on the processor when it is done."""
     # It goes on from a checkpoint if there is one. `device` is torch's; `processes` make lessons beside the training.
     # The same weights come again on a processor with as many threads; another device rounds in other places.

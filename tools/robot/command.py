@@ -55,15 +55,9 @@ class Report:
 
 
 def drive(
-    made: Plan,
-    publisher: Publisher,
-    faults: Faults,
-    *,
-    rate: float = 1.0,
-    waits: bool = False,
-    stopped: threading.Event | None = None,
-    goals: Sequence[tuple[float, bytes]] = (),
-) -> Report:
+    made: Plan, publisher: Publisher, faults: Faults, *, rate: float = 1.0, waits: bool = False,
+    stopped: threading.Event | None = None, goals: Sequence[tuple[float, bytes]] = (),
+) -> Report:  # fmt: skip
     """Publish what was planned, `rate` times as fast as it was recorded, and return what was sent."""
     # `waits`: until somebody has asked for topics, and asks for no more of them. Messages of a time at which the robot
     # is disconnected are not in the plan; here it is then gone for as long. `goals`: at so many seconds, what it asks.

@@ -26,12 +26,9 @@ class FoxglovePublisher:
 
     # `takes`: clients may publish.
     def __init__(
-        self,
-        address: str,
-        *,
-        protocols: tuple[str, ...] = ("foxglove.sdk.v1", "foxglove.websocket.v1"),
+        self, address: str, *, protocols: tuple[str, ...] = ("foxglove.sdk.v1", "foxglove.websocket.v1"),
         takes: bool = True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         host, _, port = address.rpartition(":")
         self._host, self._port = host, int(port)
         self._protocols = protocols

@@ -23,15 +23,10 @@ def robot_name(name: str, robot: int) -> str:
 
 
 def make_fleet(
-    config: RecordingConfig,
-    folder: Path,
-    name: str,
-    num_robots: int,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-    *,
-    caster: CasterName | None = "open3d",
+    config: RecordingConfig, folder: Path, name: str, num_robots: int,
+    progress: Callable[[int, int], None] = lambda done, total: None, *, caster: CasterName | None = "open3d",
     processes: int = 1,
-) -> Truth:
+) -> Truth:  # fmt: skip
     """Write NAME-1, NAME-2, ... with truths, NAME.truth of all in the first frame, and NAME.toml; return that truth."""
     # Robot i goes on walk i; `progress` counts each robot's frames.
     # Raises ConfigError: too many robots or too few, or no world of the seed can be walked by all of them.

@@ -171,14 +171,9 @@ def box_group(rng: np.random.Generator, room: Room) -> None:
 
 
 def against_wall(
-    rng: np.random.Generator,
-    room: Room,
-    model: Model,
-    *,
-    away_m: tuple[float, float],
-    front_m: float,
+    rng: np.random.Generator, room: Room, model: Model, *, away_m: tuple[float, float], front_m: float,
     turn_rad: float = 0.0,
-) -> Placement | None:
+) -> Placement | None:  # fmt: skip
     """Place a model with its back to a wall and `front_m` of free floor before it; None if it does not fit."""
     walls = walls_of(room.rectangle_m)
     half_y = float(np.abs(model.bounds_m()[:, 1]).max())

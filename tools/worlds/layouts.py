@@ -74,14 +74,9 @@ def drawn_mounting(seed: int) -> NDArray[np.float64]:
 
 
 def open_layout(
-    layout: str,
-    folder: Path,
-    name: str,
-    camera: Camera,
-    jpeg_quality: int,
-    end_ns: int,
+    layout: str, folder: Path, name: str, camera: Camera, jpeg_quality: int, end_ns: int,
     mounting: NDArray[np.float64] | None = None,
-) -> LogWriter:
+) -> LogWriter:  # fmt: skip
     """Return the writer of a layout; `mounting` is body_from_camera (4, 4) of a NUS-CLB robot, None: one origin."""
     if layout == "kimera_multi":
         return KimeraMultiLog(folder, name, camera, jpeg_quality)
@@ -197,14 +192,9 @@ class NusClbLog:
     _frame = "zed_left_camera_frame_optical"
 
     def __init__(
-        self,
-        folder: Path,
-        name: str,
-        camera: Camera,
-        jpeg_quality: int | None,
-        end_ns: int,
+        self, folder: Path, name: str, camera: Camera, jpeg_quality: int | None, end_ns: int,
         mounting: NDArray[np.float64] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         aligned = from_rotation_translation(_FLU_FROM_OPTICAL, np.zeros(3))
         self._camera_from_flu = invert(aligned if mounting is None else mounting)
         self.depth_view: DepthView | None = None

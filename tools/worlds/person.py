@@ -39,13 +39,9 @@ class Person:
         return figure(2 * np.pi * _STRIDE_HZ * time_s), world_from_person
 
     def drawn_into(
-        self,
-        rendered: Rendered,
-        camera: Camera,
-        world_from_camera: NDArray[np.float64],
-        time_s: float,
+        self, rendered: Rendered, camera: Camera, world_from_camera: NDArray[np.float64], time_s: float,
         caster: CasterName | None = None,
-    ) -> Rendered:
+    ) -> Rendered:  # fmt: skip
         """Return an image with the person in front of the scene; close to the camera, the person steps aside."""
         model, world_from_person = self.model_at(time_s)
         if np.linalg.norm(world_from_person[:2, 3] - world_from_camera[:2, 3]) < _KEEPS_AWAY_M:

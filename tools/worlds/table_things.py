@@ -160,15 +160,11 @@ def squeeze_bottle(rng: np.random.Generator) -> Model:
     wide, flat = float(rng.uniform(0.032, 0.04)), float(rng.uniform(0.55, 0.75))
     body = lathe(
         [
-            (0, 0),
-            (wide * 0.9, 0),
-            (wide, 0.3 * height),
-            (0.85 * wide, 0.65 * height),
-            (0.4 * wide, 0.8 * height),
+            (0, 0), (wide * 0.9, 0), (wide, 0.3 * height), (0.85 * wide, 0.65 * height), (0.4 * wide, 0.8 * height),
             (0, 0.8 * height),
         ],
         stuff,
-    )
+    )  # fmt: skip
     squeezed = type(body)(vertices=body.vertices * (flat, 1.0, 1.0), faces=body.faces, texture=stuff)
     cap = lathe([(0, 0.79 * height), (0.013, 0.79 * height), (0.009, height), (0, height)], plain((0.92, 0.9, 0.86)))
     return Model(kind="squeeze_bottle", parts=(squeezed, cap))

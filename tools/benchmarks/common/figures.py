@@ -69,16 +69,9 @@ def share(name: str, found: float, total: int, of: str, better: Better = "higher
 
 
 def mean(
-    name: str,
-    values: ArrayLike,
-    unit: str,
-    better: Better,
-    of: str,
-    *,
-    statistic: Callable[[Any], Any] = np.mean,
-    interval_by: str = "bootstrap",
-    **more: Any,
-) -> Figure:
+    name: str, values: ArrayLike, unit: str, better: Better, of: str, *, statistic: Callable[[Any], Any] = np.mean,
+    interval_by: str = "bootstrap", **more: Any,
+) -> Figure:  # fmt: skip
     rows = np.asarray(values, dtype=np.float64)
     interval = bootstrap([rows], lambda groups: float(statistic(groups[0])))
     return figure(name, statistic(rows), unit, better, of, interval=interval, interval_by=interval_by, **more)

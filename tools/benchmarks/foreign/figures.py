@@ -144,12 +144,9 @@ def _of_robot(measured: Measured) -> list[Figure]:
 
 
 def _statistic(
-    name: str,
-    groups: Sequence[NDArray[np.float64]],
-    statistic: Callable[[Sequence[NDArray[np.float64]]], float],
-    of: str,
-    left_out: str,
-) -> Figure:
+    name: str, groups: Sequence[NDArray[np.float64]], statistic: Callable[[Sequence[NDArray[np.float64]]], float],
+    of: str, left_out: str,
+) -> Figure:  # fmt: skip
     interval = {"interval": bootstrap(groups, statistic), "interval_by": _OBJECTS}
     return figure(name, statistic(groups), "", "lower", of, left_out=left_out, role=_MIXED, **interval)
 

@@ -40,12 +40,9 @@ def sum_of(pairs: Sequence[PairCounts]) -> PairCounts:
 
 
 def counts_of(
-    true: TrueChanges,
-    held: tuple[Held, Held],
-    gone: Collection[int | None],
-    moved: Mapping[int | None, int | None],
+    true: TrueChanges, held: tuple[Held, Held], gone: Collection[int | None], moved: Mapping[int | None, int | None],
     new: Collection[int | None],
-) -> PairCounts:
+) -> PairCounts:  # fmt: skip
     """Return how reported changes compare with the true ones."""
     # true: the changes.
     # held: object of the map by true object, before and after.

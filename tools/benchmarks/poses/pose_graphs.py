@@ -36,15 +36,9 @@ class SimulatedGraph:
 
 
 def simulated_graph(
-    rng: np.random.Generator,
-    config: GraphConfig,
-    *,
-    num_nodes: int = 300,
-    num_loops: int = 40,
-    num_wrong: int = 4,
-    drift: float = 1.0,
-    start_ns: int = 0,
-) -> SimulatedGraph:
+    rng: np.random.Generator, config: GraphConfig, *, num_nodes: int = 300, num_loops: int = 40, num_wrong: int = 4,
+    drift: float = 1.0, start_ns: int = 0,
+) -> SimulatedGraph:  # fmt: skip
     """Return a graph; `drift` multiplies the drift of `tools.worlds.drift`."""
     # A loop is found when its later node is, and a node is every five seconds from `start_ns` on.
     true = _walked(num_nodes)

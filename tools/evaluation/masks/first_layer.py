@@ -45,13 +45,9 @@ def keyframes_of(log: Path, config: MapperConfig, max_keyframes: int | None = No
 
 
 def play_first_layer(
-    log: Path,
-    *,
-    config: MapperConfig | None = None,
-    segmenter: Segmenter | None = None,
-    extractor: FeatureExtractor | None = None,
-    max_keyframes: int | None = None,
-) -> Iterator[PlayedKeyframe]:
+    log: Path, *, config: MapperConfig | None = None, segmenter: Segmenter | None = None,
+    extractor: FeatureExtractor | None = None, max_keyframes: int | None = None,
+) -> Iterator[PlayedKeyframe]:  # fmt: skip
     """Yield every keyframe of a log with what perception and the core made of it; shapes are answered with failures."""
     config = config or MapperConfig()
     segmenter = segmenter or make_segmenter(config.perception)

@@ -10,13 +10,9 @@ _AROUND = 40
 
 
 def swept_distance_m(
-    primitives: Superquadrics,
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    half_extents_m: NDArray[np.float64],
-    *,
-    reach_m: float,
-) -> float:
+    primitives: Superquadrics, start: NDArray[np.float64], end: NDArray[np.float64],
+    half_extents_m: NDArray[np.float64], *, reach_m: float,
+) -> float:  # fmt: skip
     """Return how near the box moved from `start` to `end` (3,) comes to any primitive, at most `reach_m`."""
     # Below 0 where it touches, then without the depth. To about a micrometre.
     bounds = world_bounds(primitives)
@@ -27,12 +23,9 @@ def swept_distance_m(
 
 
 def _widest_slab(
-    primitives: Superquadrics,
-    index: int,
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
+    primitives: Superquadrics, index: int, start: NDArray[np.float64], end: NDArray[np.float64],
     half: NDArray[np.float64],
-) -> float:
+) -> float:  # fmt: skip
     # Return the largest distance between two parallel planes that keep body and primitive apart. By duality it is that
     # between the two. Over directions it has no local maxima above 0: a net over the sphere, then nets that shrink
     # around the best direction.

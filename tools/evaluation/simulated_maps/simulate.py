@@ -93,28 +93,14 @@ class _Descriptors:
 # Means of the cosines: same object 1 - noise, same class common + per_class, other common, each times (1 - noise).
 _DESCRIPTORS = {
     "easy": _Descriptors(
-        classes=25,
-        common=0.266,
-        per_class=0.532,
-        per_instance=0.202,
-        noise=0.06,
-        class_dimensions=17,
-        instance_dimensions=7,
-        noise_dimensions=12,
-        noise_shape=0.75,
+        classes=25, common=0.266, per_class=0.532, per_instance=0.202, noise=0.06, class_dimensions=17,
+        instance_dimensions=7, noise_dimensions=12, noise_shape=0.75,
     ),
     "hard": _Descriptors(
-        classes=6,
-        common=0.269,
-        per_class=0.720,
-        per_instance=0.011,
-        noise=0.07,
-        class_dimensions=40,
-        instance_dimensions=7,
-        noise_dimensions=12,
-        noise_shape=4.0,
+        classes=6, common=0.269, per_class=0.720, per_instance=0.011, noise=0.07, class_dimensions=40,
+        instance_dimensions=7, noise_dimensions=12, noise_shape=4.0,
     ),
-}
+}  # fmt: skip
 
 
 def simulate_pair(config: SimulationConfig, seed: int) -> SimulatedPair:

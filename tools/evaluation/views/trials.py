@@ -110,14 +110,9 @@ class ViewTrial:
 
 
 def try_views(
-    source: Source,
-    truth: Truth,
-    config: MapperConfig,
-    reconstructors: Mapping[str, Reconstructor],
-    out: Path,
-    saver: Callable[[MapFolder], Sink],
-    progress: Callable[[Progress], None] = lambda _: None,
-) -> dict[str, tuple[ViewTrial, ...]]:
+    source: Source, truth: Truth, config: MapperConfig, reconstructors: Mapping[str, Reconstructor], out: Path,
+    saver: Callable[[MapFolder], Sink], progress: Callable[[Progress], None] = lambda _: None,
+) -> dict[str, tuple[ViewTrial, ...]]:  # fmt: skip
     # `saver` makes the sink that saves the map.
     # Raises HickoryError: the log, the map folder or the truth cannot be used.
     mapping = replace(

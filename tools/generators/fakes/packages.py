@@ -102,15 +102,10 @@ class TrellisImageTo3DPipeline:
         pass
 
     def run(
-        self,
-        image: Any,
-        num_samples: int = 1,
-        seed: int = 42,
-        sparse_structure_sampler_params: Any = None,
-        slat_sampler_params: Any = None,
-        formats: tuple[str, ...] | list[str] = ("mesh", "gaussian", "radiance_field"),
+        self, image: Any, num_samples: int = 1, seed: int = 42, sparse_structure_sampler_params: Any = None,
+        slat_sampler_params: Any = None, formats: tuple[str, ...] | list[str] = ("mesh", "gaussian", "radiance_field"),
         preprocess_image: bool = True,
-    ) -> dict[str, list[Any]]:
+    ) -> dict[str, list[Any]]:  # fmt: skip
         assert image.mode == "RGBA" and set(np.asarray(image)[..., 3].ravel()) == {0, 255}
         assert list(formats) == ["mesh"] and preprocess_image and 0 <= seed < 1 << 31
         attributes = Tensor(np.hstack([COLORS / 255, np.zeros((4, 3))]))
@@ -162,17 +157,10 @@ class FoundationPose:
     """`estimater.FoundationPose`: it knows the corners of the one object."""
 
     def __init__(
-        self,
-        model_pts: Any,
-        model_normals: Any,
-        symmetry_tfs: Any = None,
-        mesh: Any = None,
-        scorer: ScorePredictor | None = None,
-        refiner: PoseRefinePredictor | None = None,
-        glctx: Any = None,
-        debug: int = 0,
-        debug_dir: str = "",
-    ) -> None:
+        self, model_pts: Any, model_normals: Any, symmetry_tfs: Any = None, mesh: Any = None,
+        scorer: ScorePredictor | None = None, refiner: PoseRefinePredictor | None = None, glctx: Any = None,
+        debug: int = 0, debug_dir: str = "",
+    ) -> None:  # fmt: skip
         assert isinstance(scorer, ScorePredictor) and isinstance(refiner, PoseRefinePredictor)
         assert isinstance(glctx, RasterizeCudaContext) and symmetry_tfs is None
         assert model_normals.shape == model_pts.shape and debug == 0 and debug_dir

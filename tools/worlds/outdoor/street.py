@@ -215,14 +215,9 @@ def _slightly(rng: np.random.Generator, spread: float) -> float:
 
 
 def _scatter(
-    rng: np.random.Generator,
-    placed: list[Placement],
-    terrain: Terrain,
-    recipe: Callable[[np.random.Generator], Model],
-    number: int,
-    span_m: tuple[float, float],
-    margin_m: float,
-) -> None:
+    rng: np.random.Generator, placed: list[Placement], terrain: Terrain, recipe: Callable[[np.random.Generator], Model],
+    number: int, span_m: tuple[float, float], margin_m: float,
+) -> None:  # fmt: skip
     middle = (terrain.kerbs_m[0] + terrain.kerbs_m[1]) / 2
     for _ in range(number):
         model = recipe(rng)
@@ -237,13 +232,9 @@ def _scatter(
 
 
 def _stand(
-    placed: list[Placement],
-    terrain: Terrain,
-    model: Model,
-    place: tuple[float, float],
-    yaw: float,
+    placed: list[Placement], terrain: Terrain, model: Model, place: tuple[float, float], yaw: float,
     margin_m: float = 0.05,
-) -> bool:
+) -> bool:  # fmt: skip
     upright = Placement(model=model, world_from_object=at_place(*place, 0.0, yaw))
     reach_m = _reach_m(model) + margin_m
     near = [

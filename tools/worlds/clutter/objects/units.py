@@ -34,13 +34,9 @@ def level_top(depth: float, length: float, height: float, x: float = 0.0, headro
 
 
 def fronts(
-    rng: np.random.Generator,
-    size: tuple[float, float, float],
-    plinth: float,
-    fields: tuple[int, int],
-    front: Texture,
+    rng: np.random.Generator, size: tuple[float, float, float], plinth: float, fields: tuple[int, int], front: Texture,
     knob: Texture,
-) -> list[Part]:
+) -> list[Part]:  # fmt: skip
     """Return a grid of panels on the front of a body with joints between them, and a handle on each."""
     depth, width, height = size
     columns, rows = fields
