@@ -16,9 +16,6 @@ READMES = (
 
 def filled(text: str, opening: str, closing: str, write: Callable[[re.Match[str]], str]) -> str:
     """Return a text with the lines between two marks replaced."""
-    # text: of a README.
-    # opening: pattern of the line before; `write` gets its named groups, and the present lines as `body`.
-    # closing: the line after.
-    # write: returns the new lines, without line breaks at their ends.
+    # `opening` is a pattern, whose named groups `write` gets, with the present lines as `body`.
     block = re.compile(rf"(?P<opening>{opening})\n(?P<body>.*?)\n?{re.escape(closing)}", re.DOTALL)
     return block.sub(lambda found: f"{found['opening']}\n{write(found)}\n{closing}", text)

@@ -1,7 +1,6 @@
 """Seeded damage to logs, as disks, networks and killed recorders cause it."""
-# Small sound logs of every container, with the same messages: a few hundred, of several sizes, in many chunks. For
-# tests and `tools/bench damage`: `damaged(...)` returns the bytes that it changed, so that the messages that must still
-# be readable follow from the sound log rather than from the reader under test.
+# `damaged(...)` returns the bytes that it changed: the messages that must stay readable follow from the sound log.
+# Sound logs of all containers hold the same messages.
 
 import mmap
 import sqlite3

@@ -1,7 +1,6 @@
 """Seeded changes to a map folder: faults of disks, and malicious edits."""
-# `change_map` edits a copy in place; files are replaced, never written into, so that the copy may be of hard links.
-# Where a file is guarded (a name with a hash, a CRC, a digest), half of the changes keep the guard right, to test the
-# code behind it.
+# `change_map` replaces files, since copies may share hard links. Half of the changes keep hashes and CRCs right, to
+# test the code behind them.
 
 import hashlib
 import json

@@ -1,8 +1,6 @@
 """The true pose of a map's frame, from a truth folder or from a ground-truth trajectory in a common frame."""
-# A map stores the estimated camera pose of every view that it keeps; the truth gives the pose of the camera, or of the
-# robot's body, at the same stamps. `world_from_map` and, for a body, the unknown `body_from_camera` follow from both by
-# the closed form of Shah (2013) for body_i X = W camera_i. The truth of an alignment is `a_from_b` =
-# inverse(world_from_map_a) world_from_map_b.
+# `world_from_map` and, for a body, `body_from_camera` follow from the poses of kept views and the truth at the same
+# stamps, by the closed form of Shah (2013) for body_i X = W camera_i.
 
 import csv
 from dataclasses import dataclass

@@ -1,12 +1,7 @@
 """Planning among a scene's boxes, meshes and layer 4: the paper's table of success and efficiency, and more."""
-# Occupancy of one scene by three obstacle models, boxes, meshes and layer 4, and the time to build each. The exact
-# shortest path over a grid (a visibility graph): the reference for the length of planned paths. Mesh-OBB is the convex
-# hull of each object's gravity-aligned box, Mesh-Full all triangles of all meshes, none left out. Both keep the margin
-# that layer 4 has built in. All are rasterised by the same kernel, exactly over the height band and in whole cells, so
-# that the methods differ in the shapes only. All are given the same walls, which belong to no object. All methods are
-# given the same robot, the same margin and the same seeded list of starts and goals. These are connected in the true
-# scene and keep a small distance from its obstacles, as robots do. The true scene is every true triangle, those of
-# walls included. Scenes to plan in: from a truth folder, and from a saved map as boxes, meshes or layer 4.
+# Boxes (Mesh-OBB), all triangles (Mesh-Full) and layer 4 share robot, margin, walls, rasteriser, and a seeded list of
+# starts and goals. These are connected in the true scene (every true triangle) and keep a small distance from it. The
+# reference length is the exact shortest path, by a visibility graph.
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -224,11 +219,9 @@ class TrueScene:
 class MethodScore:
     """One method on one scene."""
 
-    # `success` is the share of pairs with a path; `efficiency` is straight-line distance over path length,
-    # `over_optimum` path length over the shortest path of the true scene, both means over the successes, None without
-    # any. `free_space` is the share of all cells in the largest connected piece. `missed_cells` are called free but
-    # touch the true scene; `lost_cells` are reachable in the true scene but not called free. Seconds are CPU seconds;
-    # `query_s` is the mean per pair.
+    # `efficiency`: straight over path; `over_optimum`: path over the shortest; means over successes. `free_space`:
+    # share of cells in the largest piece. `missed_cells`: called free, touch the true scene; `lost_cells`: reachable,
+    # not called free. CPU seconds; `query_s` a pair.
     name: str
     pairs: int
     success: float

@@ -1,7 +1,6 @@
 """Oracle experiments: the same pipeline with more and more of it replaced by truth, to locate the loss."""
-# Each rung keeps the replacements of the rung below. `ours` is the product. `joins` joins our fragments by the true
-# object that they belong to. `masks` uses the true masks. `structure` gives the true structure of the room to the
-# segmenter and to the map. `association` matches every mask to the track of its true object, and merges no tracks.
+# Each rung keeps the one below: `ours`, `joins` of our fragments by the true object, true `masks`, true `structure`,
+# `association` by the true object without merges.
 
 from collections.abc import Mapping
 from dataclasses import replace

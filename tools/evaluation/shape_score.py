@@ -1,8 +1,6 @@
 """How alike two objects are by their superquadrics: the paper's s_geo, computed so that equal shapes score 1."""
-# The paper compares the k-th primitive of one object with the k-th of the other. The order of a fit is no invariant,
-# and neither are its parameters: a primitive with e1 = e2 has six equal forms, a square column two. Here primitives are
-# matched one to one so that the score is highest, every pair is compared over all orders of its axes, and volume that
-# finds no partner counts as 0. The literal formula is `literal_shape_score`.
+# The paper compares the k-th primitives, whose order and parameters are no invariants. Here primitives are matched one
+# to one for the highest score, over all orders of axes; volume without a partner counts as 0.
 
 from collections.abc import Sequence
 
@@ -82,10 +80,8 @@ def _pair_scores(a, b, sigma):
 
 @kernel
 def _over_orders(e1, e2, axes, f1, f2, other, sigma):
-    # Return the best term over the six ways to lay the axes of one primitive on those of the other. The outline in the
-    # plane of x and y is drawn by e2, that in the two others by e1: |de1| + |de2| of the paper is, for axes in the same
-    # order, the mean difference over the two upright planes plus that in the level one. Written so, it has a meaning
-    # for any order, and is the paper's for primitives whose exponents are equal.
+    # The outline in the plane of x and y is drawn by e2, in the two others by e1: |de1| + |de2| of the paper is the
+    # mean difference over the two upright planes plus the level one, which has a meaning for any order of axes.
     best = 0.0
     for z in range(3):
         # The axis of the other that lies on z, and the two orders of the rest.

@@ -1,9 +1,6 @@
 """From the trained network to a graph in eight bits whose every sum is exact."""
-# Batch normalisation is folded into the convolutions. Activations are bytes from 0 on, so that cutting at 0 is the
-# ReLU; what is concatenated shares its scale, so that it is copied. Weights have seven bits, one scale for each output
-# channel: processors without VNNI add pairs of products in sixteen bits, and 2 x 255 x 63 stays below 32768, so that
-# nothing is cut there that is not cut elsewhere. The graph is written node by node: what onnxruntime runs is what is
-# here.
+# Batch normalisation is folded in. Activations are bytes from 0 on: cutting at 0 is the ReLU; joined tensors share a
+# scale. Weights have seven bits: processors without VNNI add pairs in sixteen bits, and 2 x 255 x 63 < 32768.
 
 from collections.abc import Sequence
 from dataclasses import dataclass

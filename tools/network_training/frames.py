@@ -32,9 +32,8 @@ _TRIES = 4
 class TrueFrame:
     """A frame without defects, and `sensed_m` (H, W) float32: depth with those of a camera, where the scene has one."""
 
-    # `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32, NaN without a hit; `cosine` (H, W) float32 of the angle between
-    # ray and surface; `instances` (H, W) int32: a thing, 0 for structure, -1 where it is not known; the floor is at z =
-    # 0.
+    # `cosine` (H, W) of ray and surface; `instances` (H, W): 0 structure, -1 unknown; depth NaN without a hit; floor at
+    # z = 0.
     rgb: NDArray[np.uint8]
     depth_m: NDArray[np.float32]
     cosine: NDArray[np.float32]

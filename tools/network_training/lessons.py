@@ -1,8 +1,6 @@
 """A training example: a frame with defects of depth and colour drawn anew each time, and its target affinities."""
-# Depth gets the noise, holes and shadows of stereo cameras good and bad; colour is changed as light and cameras change
-# it, and is left out altogether a quarter of the time, so that the network is led by depth. Height and scale are left
-# out half of the time, and the noise that is assumed is not the true one.
-
+# Colour is left out a quarter of the time, so that depth leads; height and scale half of the time; the assumed noise is
+# not the true one.
 from dataclasses import dataclass
 
 import cv2

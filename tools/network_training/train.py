@@ -1,8 +1,6 @@
 """Training: balanced cross entropy of affinities, small things as dear as large; stopped and resumed at any step."""
-# Everything is drawn from the seed and the number of the step, so that a run that was broken off goes on as if it had
-# not been. The learning rate of a stage rises, stays, and falls over its last steps (Hu et al. 2024). Lessons in
-# batches, made by several processes ahead of the training that takes them. What a step learns from follows from the
-# seed and the number of the step alone, however many processes there are.
+# Everything follows from the seed and the number of the step, whatever the number of processes: a run resumes exactly.
+# The rate of a stage rises, stays, and falls over its last steps (Hu et al. 2024).
 
 import math
 import sys

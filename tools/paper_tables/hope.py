@@ -1,8 +1,6 @@
 """HOPE-Video in its published layout, as a log with truth."""
-# A scene is `NNNN_rgb.jpg`, `NNNN_depth.png` (millimetres) and `NNNN.json`: intrinsics, extrinsics (camera from world,
-# metres) and, for every object, its class and its pose in the camera's frame in centimetres, as its mesh
-# `meshes/eval/CLASS.obj` is. The units are those of the data set's README and of its own viewer, which turns the
-# scene's cloud, in metres, by the extrinsics before it scales it to centimetres.
+# Depth in millimetres, extrinsics camera from world in metres, poses and meshes (`meshes/eval/CLASS.obj`) of objects in
+# centimetres, as the README of the data set and its viewer have them.
 
 import json
 from collections.abc import Iterable

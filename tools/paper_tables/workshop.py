@@ -1,7 +1,6 @@
 """The folder of a run: what was measured stays, so that the same command goes on where it stopped."""
-# What a run measures: how many scenes of each data set, how long, and how many trials. `results/` holds a JSON for
-# every step, with a key of what it was made from; another key measures it again. A map is made by `hickory-stream
-# play`, a process of its own; one that was interrupted is begun anew.
+# `results/` holds a JSON for every step with a key of its inputs; another key measures again. `hickory-stream play`
+# makes a map in a process; an interrupted one starts again.
 
 import json
 import subprocess

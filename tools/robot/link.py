@@ -15,10 +15,8 @@ _MOST_QUEUED_S = 2.0
 class Faults:
     """What is wrong with a robot and its network."""
 
-    # `loss` is the share of messages that never arrive, `delay_s` and `jitter_s` (uniform, by which messages overtake
-    # each other) how late they do, `bandwidth_mbit` what the link carries (None: everything; what would wait for over 2
-    # s is dropped). `disconnects` are (at, for) in seconds. `clock_offset_s` moves all stamps; from `restart_s` on they
-    # begin at zero.
+    # `loss`: share that never arrives; `jitter_s`: uniform, messages overtake each other; `bandwidth_mbit`: None is
+    # all, a wait over 2 s drops; `disconnects`: (at, for) in s; from `restart_s` on stamps begin at zero.
     loss: float = 0.0
     delay_s: float = 0.0
     jitter_s: float = 0.0

@@ -1,8 +1,5 @@
 """Answers of alignment where it cannot know, and the calibration of its covariance."""
-# Places that look alike (`evaluation.maps.ambiguous`): how often an answer is wrong, and how often one is given where
-# it can be; the same with the furniture of worlds (`furnished_maps`). Furnished apartments without observed space: how
-# often two different ones are joined, and one with itself. Simulated pairs at 0 to 3 degrees of tilt: the squared error
-# in units of the covariance. Seeds from 0 on were tuned on; the figures are of others.
+# Shares of wrong answers, and of answers given where one can be. Seeds from 0 on were tuned on; figures are of others.
 
 from collections.abc import Iterable
 from dataclasses import replace

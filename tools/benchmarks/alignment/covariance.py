@@ -1,7 +1,6 @@
 """The calibration of alignment's covariance on maps of the whole pipeline: the squared error by its covariance."""
-# Two walks through a place are mapped, and parts of both are aligned, one of them turned, shifted, and tilted by 0 to 3
-# degrees. Own and foreign maps have exact poses; of the drifting ones one map has an odometry that drifts, corrected as
-# `play` does. The true place of a part follows from the camera's true poses around it: a map that drifts is not rigid.
+# Parts of two mapped walks are aligned, one turned, shifted and tilted by 0 to 3 degrees. The true place of a part
+# follows from the true poses of the camera around it: a map that drifts is not rigid.
 
 from collections.abc import Sequence
 from dataclasses import dataclass

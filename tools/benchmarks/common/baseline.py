@@ -1,8 +1,6 @@
 """The committed baseline of a benchmark: for each figure its last value, its goal, and by how much it may fall back."""
-# `baselines/NAME.json` (`tests/golden/baseline.json` for the golden logs) has for each figure `value` (null: not
-# measured yet), `goal` (null: none) and `tolerance`: a figure that is worse than its value by more than that is a
-# regression. A tolerance covers the noise of the figure; a text whose tolerance is 0, such as a digest, must stay as it
-# is.
+# `baselines/NAME.json` has `value`, `goal` and `tolerance` for each figure; null: none. A figure regresses when it is
+# worse than its value by more than the tolerance; a text with tolerance 0 must stay equal.
 
 import json
 from collections.abc import Sequence

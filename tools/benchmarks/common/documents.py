@@ -1,13 +1,8 @@
 """The tables of figures in Markdown files, filled from kept measurements: `tools/bench NAME --write-docs`."""
-# A table stands between `<!-- figures: NAME -->` and `<!-- end of figures -->`. The first column of a row explains a
-# figure, with its name in backticks; goals stand between; the last column, and the lines under the table, are written
-# from `measured/NAME.json`: date, commit, and whether code that the benchmark depends on has changed since. A comment
-# in the first cell is the format of the last one (`<!-- {found} of {things} -->`). - `<!-- figures: NAME, goals -->`:
-# the whole table is written, every figure for which the baseline has a goal. - `<!-- figures: by row -->`: the last
-# cell of a row names its benchmark (`tools/bench NAME`), and the last cell but one
-#   is filled.
-# A figure may be measured in parts (`--only kills`), at different times: each replaces older ones of the same name
-# alone.
+# A table stands between `<!-- figures: NAME -->` and `<!-- end of figures -->`; backticks name a row's figure. The last
+# column and the lines below come from `measured/NAME.json`; a comment in the first cell is the format of the last.
+# `NAME, goals` writes the whole table; `by row`: the last cell of a row names its benchmark. Parts replace figures by
+# name.
 
 import functools
 import json
@@ -64,12 +59,8 @@ def keep(
     name: str, figures: Sequence[Figure], *, options: str, code: str, folder: Path = MEASURED, **about: Any
 ) -> None:
     """Add the figures of a run to the kept ones; older figures of the same names are removed."""
-    # name: of the benchmark.
-    # figures: the measured ones.
-    # options: those of `tools/bench` that made it a part or a smaller sample.
-    # code: hash of the code that the benchmark depends on.
-    # folder: where measurements are kept.
-    # about: commit, date and load; those of now, if not given.
+    # `options` made the run a part or a smaller sample; `code` is the hash; `about`: commit, date, load, by default of
+    # now.
     about = {
         "commit": commit_of_the_code(),
         "date": datetime.now(tz=UTC).date().isoformat(),

@@ -1,7 +1,6 @@
 """The generalisation gate: rooms by others, real frames and fresh seeds of our worlds, with oracle ablations."""
-# `home`, `bookstore`, own worlds and the clouds of `mosd` are for tuning. `office`, `warehouse`, the kitchen and the
-# clouds of `mosd_report` are for reporting alone: nothing is chosen by them. Exact odometry, 5 Hz, 60 s. Each part is
-# cached by its log and by the code that makes maps.
+# `office`, `warehouse`, the kitchen and the clouds of `mosd_report` are for reporting alone; the others tune. Exact
+# odometry, 5 Hz, 60 s.
 
 import tempfile
 import time

@@ -1,8 +1,7 @@
 """Robots over every live route: from a fake robot to the ledger and to the map, on the loopback address."""
-# Five parts. Transport: 1280x720 JPEG colour and raw 16-bit depth at 30 Hz over each route, read and paired but not
-# mapped. Map: the embedded recording as a robot, mapped, recorded, and compared with the map of the recording; the
-# robot goes away once. Storm: losses, jitter, disconnections and a restart at once, mapped. Goals of the robot are
-# answered with paths. Safety: how soon a robot keeps off the things that it sees.
+# Transport reads 1280x720 at 30 Hz without mapping. Map: the embedded recording as a robot that goes away once. Storm:
+# losses, jitter, disconnections and a restart. Goals are answered by paths. Safety: when a robot keeps off what it
+# sees.
 
 import json
 import os

@@ -117,9 +117,7 @@ def _containers_equal(folder: Path) -> bool:
 
 
 def _layout_true(folder: Path, layout: str) -> bool:
-    # Compare the poses of a layout with the truth: within 1 mm and 0.05 degrees where the odometry has a pose. Images
-    # come at the rate of the visual odometry: between its poses the truth of a walk cannot be known to 1 mm. Frames
-    # after a jump of the odometry are as right as the jump can be known: 1 cm and half a degree.
+    # Poses agree to 1 mm and 0.05 degrees at odometry poses, after a jump to 1 cm and half a degree.
     config = RecordingConfig(layout=layout, seconds=4.0, rate_hz=_ODOMETRY_HZ, width=320, height=240)
     truth = make_recording(config, folder, layout)
     true = {frame.stamp_ns: frame.world_from_camera for frame in truth.frames}

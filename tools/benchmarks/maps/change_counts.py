@@ -44,11 +44,7 @@ def counts_of(
     new: Collection[int | None],
 ) -> PairCounts:  # fmt: skip
     """Return how reported changes compare with the true ones."""
-    # true: the changes.
-    # held: object of the map by true object, before and after.
-    # gone: objects of the earlier map that are reported as gone.
-    # moved: objects of the later map, by their number in the earlier one.
-    # new: objects of the later map that are reported as new.
+    # `held`: object of the map by true object, before and after; `moved`: later map's objects by their earlier number.
     in_a, in_b = held
     pairs = [(in_a[i], in_b[i]) for i in true.moved if i in in_a and i in in_b]
     is_held = [None not in pair for pair in pairs]

@@ -22,10 +22,8 @@ _REPEATS = 30
 
 def network_times(seed: int) -> list[Figure]:
     """Return the times of decoding a network's outputs and of the pipeline for its masks, on one core."""
-    # The tensors are those of a network that sees 100 blobs, each found by several anchors among 8,400. The first time
-    # is of the letterbox, the decoding, the suppression and 100 masks at 640 x 480; the second of what all segmenters
-    # share, for 100 masks before a wall 2 m away with a step, without the surface of the frame. Processor time, the
-    # least of the repeats.
+    # First: letterbox, decoding, suppression, 100 masks at 640 x 480. Second: the work that all segmenters share.
+    # Processor time, the least of the repeats.
     rng = np.random.default_rng(seed)
     predictions, prototypes = _tensors(rng)
     rgb = rng.integers(0, 255, (_HEIGHT, _WIDTH, 3), np.uint8)

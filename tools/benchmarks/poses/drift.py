@@ -37,9 +37,8 @@ CONFIG = ("journal.keep_images=false", "run.shape_cache=false")
 class Mapped:
     """The result of a run on a walk: errors of its poses, and of the map for each true object that counts."""
 
-    # `before_m` and `after_m` are the ATE of `num_poses` keyframes as odometry has them and as the map has them.
-    # `found_50` and `f1_5pct` are of the mesh of each true object, `tracks` how many objects lie mostly on it; the same
-    # `_aligned` with the truth placed where the ATE has it: a map whose first keyframes are off is turned as a whole.
+    # ATE of odometry and of the map. `found_50`, `f1_5pct` are by true object, `tracks` counts its objects; `_aligned`:
+    # with the truth placed as the ATE places it.
 
     before_m: float
     after_m: float

@@ -1,7 +1,6 @@
 """Fleets of synthetic robots: the robots that are joined, whether rightly, and the quality of the merged map."""
-# Rooms with two robots each, which start anywhere on a round of it, and the same with a third robot of another room, to
-# which no frame belongs; apartments with three robots, whose merged map is compared with the map of one robot that
-# walks as long as the three together.
+# Rooms with two robots; the same with a third robot of another room; apartments with three robots, compared with the
+# map of one robot that walks as long.
 
 import shutil
 import tempfile

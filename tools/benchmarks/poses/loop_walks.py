@@ -1,7 +1,5 @@
 """Whole logs through rooms that look alike, played as `play` does: the accepted loops, right and wrong."""
-# Four rooms in a row have one floor plan and one set of furniture, with a row of like cupboards along a wall. The robot
-# looks round in each, and then goes back to one of them, or into a fifth that is like them; its odometry drifts. The
-# images are cast from boxes, small, so that many walks are played.
+# Four like rooms in a row, then back to one or into a fifth; odometry drifts. Small images are cast from boxes.
 
 import tempfile
 from collections.abc import Sequence

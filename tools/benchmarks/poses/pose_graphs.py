@@ -1,7 +1,6 @@
 """The pose graph's solver on simulated graphs with known truth: time, loops accepted and rejected, drift removed."""
-# The graphs are rounds through a building by odometry that drifts, with true loops, and wrong ones. Wrong loops are of
-# three kinds, in turn: a look-alike place somewhere else, a place seen again but off by a shelf or a desk (a row of
-# like things), and one that is turned by half a turn.
+# Wrong loops are of three kinds in turn: a look-alike elsewhere, a place off by a shelf or a desk, one turned by half a
+# turn.
 
 import time
 from dataclasses import dataclass

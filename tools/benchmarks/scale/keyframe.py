@@ -1,8 +1,6 @@
 """The cost of a keyframe in a map of so many objects: one recorded walk, again and again, in a grid of rooms."""
-# The events of a short recorded run are given to the core room after room, each time `_PITCH_M` further; the files of
-# the engine are written: the journal with its checkpoints, and the map folder as the disk sink saves it, views as empty
-# files. There is no perception: only its request to the map, the prior, is made. Shapes are those of the recorded run,
-# one after another. A keyframe then costs the work on the map, and the view is the same in every room.
+# The core gets the events of a short run room after room, each `_PITCH_M` further; journal, checkpoints and map folder
+# are written, views as empty files. Shapes are those of the run. Perception only asks for its prior.
 
 import argparse
 import itertools
@@ -159,9 +157,7 @@ def _features(effect: ComputeFeatures, features: Features) -> FeaturesReady:
 class Cost:
     """The cost of the keyframes of one room, with so many objects in the map before it."""
 
-    # Processor milliseconds a keyframe: of the core and its prior, of journal and checkpoints, and of all; a save of
-    # the changes of 20 keyframes; and one of the changes of the next one, in no other figure. Megabytes: of the
-    # process, of the folder.
+    # Processor milliseconds a keyframe; a save of the changes of 20 keyframes, and one of the next one's; megabytes.
 
     objects: int
     keyframes: int

@@ -1,7 +1,6 @@
 """Portability of maps: the same log is played while libraries choose their code as on other processors."""
-# Each variant has one of the libraries choose its code as on another machine, by that library's own switch; the last
-# ones set all switches, and those of the workers alone. The kernels compiled by Numba are made for any x86-64 in one of
-# them, which takes minutes.
+# Each variant has one library choose its code as on another machine, by the library's own switch; the last ones set all
+# switches. One compiles the kernels for any x86-64, which takes minutes.
 
 import os
 import sys

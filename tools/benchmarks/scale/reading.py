@@ -25,9 +25,8 @@ _TRIES = 20
 class Reading:
     """Seconds of processor time; `space_seconds` is the grid that the paths are planned in."""
 
-    # `path_ms` is the median of `num_paths` that were found between places where the robot was. Of the map as it was
-    # known at the middle of the run, `known_records_seconds` and then `known_points_seconds` are until each object's
-    # record was read, and each object's points.
+    # `path_ms`: median of `num_paths`. `known_...`: until records, then points, of the map at the middle of the run
+    # were read.
 
     objects: int
     open_seconds: float

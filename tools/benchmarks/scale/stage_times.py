@@ -1,7 +1,5 @@
 """Processor time of a playback by stage, in a process of its own: the time of each thread for each of its calls."""
-# All work of a run is handed to executors; each call is timed by the processor time of its thread, so that neither
-# other load nor waiting counts. The event loop and start-up are the rest of the process; shapes are built by child
-# processes. Linux alone.
+# Each call to an executor is timed by the processor time of its thread; the event loop is the rest. Linux alone.
 
 import argparse
 import functools

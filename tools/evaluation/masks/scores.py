@@ -1,7 +1,6 @@
 """Scores of the masks of one image against its truth: F1 at IoU 0.5 and the best IoU."""
-# A mask is right when its IoU with a true thing is over 0.5; no mask can be right twice, for masks do not overlap.
-# Pixels of which the truth is not known, or that show things too small to count, count neither for nor against a mask;
-# a mask mostly on such pixels is left out, and so is, as in COCO, a wrong mask that is itself too small to count.
+# No mask is right twice. Pixels of unknown truth, and of things too small, do not count; a mask mostly on them, and a
+# wrong mask too small to count (as in COCO), is left out.
 
 import dataclasses
 from collections.abc import Iterable

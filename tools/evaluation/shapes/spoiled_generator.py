@@ -1,7 +1,6 @@
 """A generator that knows the truth, and spoils it by seed: `tools/bench layer2` places and judges its meshes."""
-# It turns and scales the true mesh (by 0.3 to 3), and, where it spoils, stretches it by up to 20 % along each axis,
-# invents what the best view does not show, smooths it and adds noise. Instead it may give another object of the same
-# class, or the mirror image. The transform of the part that is not invented stays known.
+# Spoilt: stretched by up to 20 % an axis, unseen surface invented, smoothed, noisy; or another object of the class, or
+# the mirror image. The transform of the true part stays known.
 
 from dataclasses import dataclass, replace
 from typing import Literal

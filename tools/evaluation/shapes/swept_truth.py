@@ -26,9 +26,8 @@ def _widest_slab(
     primitives: Superquadrics, index: int, start: NDArray[np.float64], end: NDArray[np.float64],
     half: NDArray[np.float64],
 ) -> float:  # fmt: skip
-    # Return the largest distance between two parallel planes that keep body and primitive apart. By duality it is that
-    # between the two. Over directions it has no local maxima above 0: a net over the sphere, then nets that shrink
-    # around the best direction.
+    # The widest slab, by duality the distance: without local maxima above 0 over directions, so a net over the sphere,
+    # then shrinking nets.
     rng = np.random.default_rng(index)
     directions, width = _sphere(_NET), 0.1
     best, at = -np.inf, directions[0]

@@ -1,7 +1,6 @@
 """Seeded pairs of maps of places that look alike: symmetric rooms, rows of like chairs, and buildings of like rooms."""
-# What is alike is one model at several places: the same shape and the same descriptor but for the noise of an
-# observation. `breaking` objects stand where nothing answers to them, and tell the true alignment from the others. A
-# place without any of them cannot be decided, and an answer about it is right by luck alone; two or more decide it.
+# Copies share shape and descriptor but for noise. `breaking` objects tell the true alignment; a place with none cannot
+# be decided, two or more decide it.
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,12 +28,9 @@ _WALL_M = 0.5
 class AmbiguousConfig:
     """One pair of maps of a place that looks alike."""
 
-    # `symmetric`: a room of about `num_objects` that is the same after a turn by 360 / `order` degrees; both maps are
-    # of all of it. `repeated`: a grid of about `num_objects` like chairs, of which each map has a part, shifted against
-    # the other's. `identical-rooms`: `num_rooms` rooms in each map, all furnished the same with `num_objects` each;
-    # none is in both, or one where `breaking` objects are in every room. `different-rooms`: as many rooms, all
-    # different, of which one is in both. Copies stand off by `jitter_m` on each level axis. Each map has the share
-    # `seen` of what it could have. `tilt_deg` is between the maps.
+    # `symmetric`: equal after 360 / `order` degrees. `repeated`: a grid of like chairs, a shifted part in each map.
+    # `identical-rooms`: `num_rooms` rooms in each map, none in both, or one where rooms have `breaking` objects.
+    # `different-rooms`: all differ, one is in both. `jitter_m` on each level axis; `seen`: share in a map.
     kind: AmbiguousKind
     num_objects: int = 24
     order: int = 2

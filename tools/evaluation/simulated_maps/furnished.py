@@ -1,7 +1,6 @@
 """Object maps of furnished places without rendering: the objects of `hickory_stream.worlds`, seen with noise."""
-# Layer 3 of an object has a box for each of its parts, its descriptor is drawn for its kind and instance (as in
-# `evaluation.maps.simulate`, whose noise this is). Furniture stands as people put it: along walls, in groups, at the
-# heights of floors and tables, and two apartments have the same kinds of things. There is no observed space.
+# Layer 3 has a box for each part; descriptors are drawn by kind and instance, with the noise of `simulate`. There is no
+# observed space.
 
 from collections.abc import Sequence
 from dataclasses import dataclass

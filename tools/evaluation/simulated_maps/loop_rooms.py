@@ -63,11 +63,8 @@ def bare_room(x: float, width: float = _WIDTH_M, depth: float = _DEPTH_M) -> lis
 
 def walk(rng: np.random.Generator, *, sigma_m: float, sigma_rad: float, returns: bool, differs: bool) -> list[SeenRoom]:
     """Return the submaps of a walk through all rooms and then into one of them, or into a further one like them."""
-    # rng: draws furniture, drift and the seen part.
-    # sigma_m: the graph's assumption of the odometry's error from one room to the next ...
-    # sigma_rad: ... and of the error of its heading.
-    # returns: whether the last room was visited before.
-    # differs: whether each room has a piece of its own.
+    # `sigma_m` and `sigma_rad`: the graph's assumption of the error from room to room; `returns`: the last room was
+    # visited before; `differs`: each room has a piece of its own.
     shared = [_piece(rng) for _ in range(3)]
     own = [_piece(rng) if differs else None for _ in range(_NUM_ROOMS + 1)]
     last = int(rng.integers(0, _NUM_ROOMS - 1)) if returns else _NUM_ROOMS

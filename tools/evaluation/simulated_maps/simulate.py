@@ -1,10 +1,7 @@
 """A seeded simulator of pairs of overlapping object maps with outliers, noise and tilt."""
-# Simulated maps of many robots, each of one part of a large place: which of them overlap is known. Objects stand in a
-# square of 2.5 m^2 each, at heights of 0 to 1.5 m; each map's frame is where its robot started. Some are in both maps;
-# the rest (the outliers) have no counterpart, but stand in the same square. Each map sees an object with its own noise:
-# 5 cm on each axis of the centroid, exponents +-0.1, semi-axes +-6 %, primitives that are lost, a descriptor that is a
-# little off. Descriptors are vectors, built so that their cosines have the wanted means and spreads: without the spread
-# a threshold on the cosine alone would solve everything.
+# Objects stand in 2.5 m^2 each, up to 1.5 m high; outliers are in one map alone. Each map sees them with its own noise:
+# 5 cm an axis, exponents +-0.1, semi-axes +-6 %, lost primitives. Cosines of descriptors have the wanted means and
+# spreads: without the spread a threshold would solve everything.
 
 from dataclasses import dataclass
 from functools import cache

@@ -1,8 +1,6 @@
 """Strategies compared: means over true objects, and what S is better by, object by object, with its certainty."""
-# Objects of one scene are not independent of one another: they share a walk, a light, a map. So differences are drawn
-# again scene by scene (the cluster bootstrap: Davison and Hinkley, Bootstrap Methods and their Application, section
-# 3.8). Of few scenes that says too little of the spread between scenes; there it is object by object, and the table
-# says so.
+# Objects of one scene depend on one another: differences are drawn by scene (cluster bootstrap: Davison and Hinkley,
+# Bootstrap Methods and their Application, section 3.8); of few scenes by object, which the table says.
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,6 @@
 """Small ONNX graphs with the names and shapes of FoundationPose's, and a view of an object that has no symmetry."""
-# The graphs compute what the real networks have learned, in a way that only works on this one object: the refiner moves
-# the middle of the rendered surface to the middle of the observed one, and turns its red and green parts towards the
-# same parts of the other; the scorer counts differences. Inputs, outputs, channels or turns exchanged lead elsewhere.
+# On this one object the graphs do what the networks learned: the refiner moves the rendered middle to the observed one
+# and turns red and green parts together; the scorer counts differences. Exchanged inputs or axes lead elsewhere.
 
 from __future__ import annotations
 
