@@ -1,6 +1,7 @@
 """A training example: a frame with defects of depth and colour drawn anew each time, and its target affinities."""
 # Colour is left out a quarter of the time, so that depth leads; height and scale half of the time; the assumed noise is
 # not the true one.
+
 from dataclasses import dataclass
 
 import cv2
