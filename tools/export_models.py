@@ -4,15 +4,14 @@ The check is made with what was exported: our masks, features or classes by the 
 prediction code, on a picture. A graph that differs is not kept.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +22,6 @@ from hickory_stream.perception.models.library import ModelEntry, add_model, mode
 from hickory_stream.perception.models.network import Network, NetworkConfig
 from hickory_stream.perception.models.preprocessing import built_in_picture, normalised
 from hickory_stream.perception.models.semantic_graph import MASK_THRESHOLD, MIN_OVERLAP, GraphSemantics, PanopticConfig
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 OPSET = 18
 LEAST_IOU = 0.99
@@ -67,15 +63,9 @@ def main() -> int:
             file = Path(temporary) / f"{name}.onnx"
             done = EXPORTS[arguments.kind](weights, file, arguments.input_px)
             entry = ModelEntry(
-                name=name,
-                kind=arguments.kind,
-                file=file.name,
-                sha256=sha256_of(file),
-                source=weights,
-                licence=licence,
-                input_px=done.input_px,
-                labels=done.labels,
-            )
+                name=name, kind=arguments.kind, file=file.name, sha256=sha256_of(file), source=weights, licence=licence,
+                input_px=done.input_px, labels=done.labels,
+            )  # fmt: skip
             add_model(folder, file, entry)
     except ModuleNotFoundError as error:
         print(f"{error.name} is missing; install the extra: pip install -e '.[export]'", file=sys.stderr)
@@ -215,13 +205,9 @@ ONEFORMER_PX = (640, 480)
 
 
 def export_oneformer_model(
-    model: Any,
-    task: Any,
-    labels: tuple[str, ...],
-    file: Path,
-    picture: np.ndarray[Any, Any],
+    model: Any, task: Any, labels: tuple[str, ...], file: Path, picture: np.ndarray[Any, Any],
     size: tuple[int, int] = ONEFORMER_PX,
-) -> float:
+) -> float:  # fmt: skip
     """Export a OneFormer, and return the share of pixels of a picture whose class is that of the package's own code."""
     import cv2
     import torch
@@ -270,7 +256,6 @@ def reference_classes(
 def _export(
     module: Any, example: Any, file: Path, outputs: list[str], axes: dict[str, dict[int, str]], *, sizes_are_open: bool
 ) -> None:
-    """Trace a module into a graph: the exporter by tracing keeps open sizes where the newer one specialises them."""
     import torch
 
     if sizes_are_open:
@@ -278,22 +263,15 @@ def _export(
     try:
         with torch.no_grad():
             torch.onnx.export(
-                module.eval(),
-                (example,),
-                str(file),
-                input_names=["image"],
-                output_names=outputs,
-                dynamic_axes=axes,
-                opset_version=OPSET,
-                dynamo=False,
-            )
+                module.eval(), (example,), str(file), input_names=["image"], output_names=outputs, dynamic_axes=axes,
+                opset_version=OPSET, dynamo=False,
+            )  # fmt: skip
     except torch.onnx.errors.OnnxExporterError as error:
         raise ModelError(f"torch cannot export this network: {error}") from error
     _use_single_precision(file)
 
 
 def _use_single_precision(file: Path) -> None:
-    """Make the places that a graph samples float: the tracer gives them as double, which no provider takes."""
     import onnx
 
     model = onnx.load(str(file))

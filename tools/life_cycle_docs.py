@@ -1,7 +1,5 @@
 """Writes `hickory_stream/mapping/LIFE_CYCLE.md`, the table of a track's life cycle, from the code that executes it."""
 
-from __future__ import annotations
-
 from hickory_stream.mapping.rules.lifecycle import life_cycle_table
 from tools.readmes import ROOT, filled
 

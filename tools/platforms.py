@@ -1,10 +1,6 @@
-"""`tools/check --platforms`: whether every runtime dependency has a wheel for the machines that a robot has.
-
-The package index is asked through pip (a dry run that installs nothing) for Linux on x86_64 and aarch64, Python 3.11 to
-3.13. Markers are evaluated for the machine that is asked for, which pip itself does not do.
-"""
-
-from __future__ import annotations
+"""`tools/check --platforms`: whether every runtime dependency has a wheel for the machines that a robot has."""
+# The package index is asked through pip (a dry run that installs nothing) for Linux on x86_64 and aarch64, Python 3.11
+# to 3.13. Markers are evaluated for the machine that is asked for, which pip itself does not do.
 
 import argparse
 import subprocess
@@ -33,28 +29,20 @@ class Target:
     python: str
 
     def environment(self, extra: str = "") -> dict[str, str]:
-        """Return what markers are evaluated in."""
         return {
-            **{name: str(value) for name, value in default_environment().items()},
-            "sys_platform": "linux",
-            "platform_system": "Linux",
-            "platform_machine": self.machine,
-            "python_version": self.python,
-            "python_full_version": f"{self.python}.0",
-            "extra": extra,
-        }
+            **{name: str(value) for name, value in default_environment().items()}, "sys_platform": "linux",
+            "platform_system": "Linux", "platform_machine": self.machine, "python_version": self.python,
+            "python_full_version": f"{self.python}.0", "extra": extra,
+        }  # fmt: skip
 
     @property
     def name(self) -> str:
-        """It, in words."""
         return f"Linux {self.machine}, Python {self.python}"
 
 
 def dependencies(target: Target) -> list[str]:
-    """Return what the project needs there to run, and what that needs, as requirements sorted by name.
-
-    What is not installed here (a dependency of another machine alone) is taken without its own.
-    """
+    """Return what the project needs there to run, and what that needs, as requirements sorted by name."""
+    # What is not installed here (a dependency of another machine alone) is taken without its own.
     found: dict[str, Requirement] = {}
     waiting = [(_PROJECT, "")]
     seen: set[tuple[str, str]] = set()

@@ -1,13 +1,8 @@
 """The READMEs, the pages of results, and the blocks in them that are written from the code."""
 
-from __future__ import annotations
-
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("hickory_stream", "players", "tools", "recordings")
@@ -20,13 +15,7 @@ READMES = (
 
 
 def filled(text: str, opening: str, closing: str, write: Callable[[re.Match[str]], str]) -> str:
-    """Return a text with the lines between two marks replaced.
-
-    Args:
-        text: of a README.
-        opening: pattern of the line before; `write` gets its named groups, and the present lines as `body`.
-        closing: the line after.
-        write: returns the new lines, without line breaks at their ends.
-    """
+    """Return a text with the lines between two marks replaced."""
+    # `opening` is a pattern, whose named groups `write` gets, with the present lines as `body`.
     block = re.compile(rf"(?P<opening>{opening})\n(?P<body>.*?)\n?{re.escape(closing)}", re.DOTALL)
     return block.sub(lambda found: f"{found['opening']}\n{write(found)}\n{closing}", text)

@@ -1,15 +1,12 @@
-"""Trees grown from lessons: which pairs of fragments, and of groups partly joined, are one thing by the truth.
+"""Trees grown from lessons: which pairs of fragments, and of groups partly joined, are one thing by the truth."""
+# A forest is grown twice: on pairs of fragments and of groups partly joined by the truth, then also on the groups that
+# the first trees come to. Everything is drawn from a seed.
 
-A forest is grown twice: on pairs of fragments and of groups partly joined by the truth, then also on the groups that
-the first trees come to. Everything is drawn from a seed.
-"""
-
-from __future__ import annotations
-
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hickory_stream.perception.regions.absolute_features import is_size
@@ -18,13 +15,7 @@ from hickory_stream.perception.regions.join import Groups, JoinConfig, rounds
 from hickory_stream.perception.regions.odds_features import odds_features
 from hickory_stream.perception.regions.pair_features import pair_features
 from hickory_stream.perception.regions.trees import Trees
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from tools.segmenter_lessons import Lesson
+from tools.segmenter_lessons import Lesson
 
 _PURE = 0.6
 _EAGER = 0.4
@@ -59,10 +50,8 @@ class Growth:
 def train(
     kinds: Sequence[Sequence[Lesson]], growth: Growth, shares: Sequence[float] | None = None
 ) -> tuple[Trees, int]:
-    """Return trees grown on the lessons of kinds of rooms, and on how many pairs.
-
-    `shares` is what each kind weighs; None: all count alike.
-    """
+    """Return trees grown on the lessons of kinds of rooms, and on how many pairs."""
+    # `shares` is what each kind weighs; None: all count alike.
     shares = shares or [1.0] * len(kinds)
     random = np.random.default_rng(growth.seed)
     kinds = [_partly_mute(kind) for kind in kinds] if growth.with_odds else kinds
@@ -80,7 +69,6 @@ def train(
 
 
 def _partly_mute(lessons: Sequence[Lesson]) -> list[Lesson]:
-    """Return the lessons, some without what the network says of them: trees learn to do without it, too."""
     return [replace(lesson, odds=None) if i % _MUTE_EVERY == 0 else lesson for i, lesson in enumerate(lessons)]
 
 
@@ -101,7 +89,6 @@ def _features_of(
 
 
 def _samples_of_truth(lesson: Lesson, share: float, names: tuple[str, ...], random: np.random.Generator) -> Samples:
-    """Return the pairs that are left when about this share of the true joins is made."""
     numbers = np.arange(len(lesson.shown))
     pairs, features = _features_of(lesson, numbers)
     if share > 0:
@@ -119,7 +106,6 @@ def _samples_of_rounds(
     names: tuple[str, ...],
     probabilities: Callable[[Mapping[str, NDArray[np.float64]]], NDArray[np.float64]],
 ) -> Iterable[Samples]:
-    """Yield the pairs of each round of joining by given probabilities, more eagerly than a segmenter joins."""
     for step in rounds(lesson.measures, probabilities, JoinConfig(probability=_EAGER), lesson.odds):
         yield _samples(lesson, step.numbers, step.pairs, step.features, names)
 
@@ -127,7 +113,6 @@ def _samples_of_rounds(
 def _truth_of(
     lesson: Lesson, numbers: NDArray[np.int64], pairs: NDArray[np.int64]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64]]:
-    """Return (K,) which pairs are one thing, which count (both are mostly of one owner, one of a thing), and pixels."""
     shown = np.zeros((int(numbers.max()) + 1, len(lesson.owners)))
     np.add.at(shown, numbers, lesson.shown)
     most, pixels = shown.argmax(axis=1), np.maximum(shown.sum(axis=1), 1)
@@ -139,12 +124,9 @@ def _truth_of(
 
 
 def _samples(
-    lesson: Lesson,
-    numbers: NDArray[np.int64],
-    pairs: NDArray[np.int64],
-    features: Mapping[str, NDArray[np.float64]],
+    lesson: Lesson, numbers: NDArray[np.int64], pairs: NDArray[np.int64], features: Mapping[str, NDArray[np.float64]],
     names: tuple[str, ...],
-) -> Samples:
+) -> Samples:  # fmt: skip
     is_one, counts, pixels = _truth_of(lesson, numbers, pairs)
     rows = np.stack([features[name] for name in names], axis=1)
     # What is small costs little where it is joined wrongly, but there is much of it.
@@ -158,15 +140,10 @@ def _grown(
     rows = np.concatenate([sample.features for samples in kinds for sample in samples])
     weight = np.concatenate([share * _alike(samples) for share, samples in zip(shares, kinds, strict=True)])
     classifier = HistGradientBoostingClassifier(
-        max_iter=growth.num_trees,
-        learning_rate=0.1,
-        max_leaf_nodes=growth.num_leaves,
-        min_samples_leaf=60,
-        l2_regularization=5.0,
-        early_stopping=False,
-        random_state=growth.seed,
+        max_iter=growth.num_trees, learning_rate=0.1, max_leaf_nodes=growth.num_leaves, min_samples_leaf=60,
+        l2_regularization=5.0, early_stopping=False, random_state=growth.seed,
         monotonic_cst=[_direction(name) for name in names],
-    )
+    )  # fmt: skip
     is_one = np.concatenate([sample.is_one for samples in kinds for sample in samples])
     classifier.fit(rows, is_one, sample_weight=weight / weight.mean())
     trees = exported(classifier, names)
@@ -178,17 +155,14 @@ def _grown(
 
 
 def _direction(name: str) -> int:
-    """Return 1 where more of an input can only make one thing likelier, -1 for the opposite, else 0.
-
-    What the network says of a pair is held to what it means, lest trees learn from where it is wrong in our rooms.
-    """
+    # Return 1 where more of an input can only make one thing likelier, -1 for the opposite, else 0. What the network
+    # says of a pair is held to what it means, lest trees learn from where it is wrong in our rooms.
     if name.startswith("odds_") and name not in ("odds_near_share", "odds_far_share"):
         return -1 if name.endswith(("_apart", "_below_even")) else 1
     return -1 if name.endswith("_odds_below_best") else 0
 
 
 def _alike(samples: Sequence[Samples]) -> NDArray[np.float64]:
-    """Return the weights of a kind's samples, that together weigh one."""
     weight = np.concatenate([sample.weight for sample in samples])
     return np.asarray(weight / weight.sum())
 
@@ -201,13 +175,9 @@ def exported(classifier: HistGradientBoostingClassifier, names: tuple[str, ...])
     shift = np.repeat(starts[:-1], np.diff(starts))
     is_leaf = every["is_leaf"].astype(bool)
     return Trees(
-        features=names,
-        baseline=float(classifier._baseline_prediction.item()),
-        roots=starts[:-1].astype(np.int32),
+        features=names, baseline=float(classifier._baseline_prediction.item()), roots=starts[:-1].astype(np.int32),
         feature=np.where(is_leaf, -1, every["feature_idx"]).astype(np.int16),
-        threshold=every["num_threshold"].astype(np.float64),
-        left=(every["left"] + shift).astype(np.int32),
-        right=(every["right"] + shift).astype(np.int32),
-        nan_left=every["missing_go_to_left"].astype(bool),
+        threshold=every["num_threshold"].astype(np.float64), left=(every["left"] + shift).astype(np.int32),
+        right=(every["right"] + shift).astype(np.int32), nan_left=every["missing_go_to_left"].astype(bool),
         value=every["value"].astype(np.float32),
-    )
+    )  # fmt: skip

@@ -1,42 +1,29 @@
-"""What the trees of the default segmenter learn from: the fragments of images, and what each of them shows in truth.
-
-A lesson keeps counts instead of the image, and from these every way of joining its fragments can be scored.
-"""
-
-from __future__ import annotations
+"""What the trees of the default segmenter learn from: the fragments of images, and what each of them shows in truth."""
+# A lesson keeps counts instead of the image, and from these every way of joining its fragments can be scored.
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.evaluation.truth import instances_of
+from hickory_stream.evaluation.truth import Truth, instances_of
 from hickory_stream.perception.affinity.odds_split import SplitConfig, divided_by_odds
+from hickory_stream.perception.affinity.pixel_network import PixelNetwork
+from hickory_stream.perception.fragments.over_segmentation import Fragments
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.masks import enlarged_mask
-from hickory_stream.perception.regions.fragment_odds import fragment_odds
+from hickory_stream.perception.regions.fragment_odds import FragmentOdds, fragment_odds
 from hickory_stream.perception.regions.join import region_graph_of
+from hickory_stream.perception.regions.region_graph import RegionGraph
 from hickory_stream.perception.regions.trees import Trees
-from hickory_stream.records import Frame, Segmentation
+from hickory_stream.records import Frame, MapPrior, Segmentation
 from hickory_stream.worlds.depth_camera import sensed_depth
 from tools.evaluation.masks.first_layer import play_first_layer
 from tools.evaluation.masks.scores import UNKNOWN, MaskScore, score_overlaps
-from tools.network_training.frames import frames_of_scene
+from tools.network_training.frames import Scene, TrueFrame, frames_of_scene
 from tools.network_training.lessons import drawn_camera
 from tools.worlds.clutter.frames import frames_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.perception.affinity.pixel_network import PixelNetwork
-    from hickory_stream.perception.fragments.over_segmentation import Fragments
-    from hickory_stream.perception.regions.fragment_odds import FragmentOdds
-    from hickory_stream.perception.regions.region_graph import RegionGraph
-    from hickory_stream.records import MapPrior
-    from tools.network_training.frames import Scene, TrueFrame
 
 _MIN_SHARE = 0.002
 _MIN_PIXELS = 16
@@ -44,12 +31,10 @@ _MIN_PIXELS = 16
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Lesson:
-    """An image to learn from: its fragments, and how many pixels (fragments, owners) of each show which `owners`.
+    """An image to learn from: its fragments, and how many pixels (fragments, owners) of each show which `owners`."""
 
-    Owner 0 is what is no thing. Row 0 is empty: what belongs to no fragment. `in_image` (owners,): all pixels of each.
-    `odds`: what the network of affinities says of the fragments, where it was asked.
-    """
-
+    # Owner 0 is what is no thing. Row 0 is empty: what belongs to no fragment. `in_image` (owners,): all pixels of
+    # each. `odds`: what the network of affinities says of the fragments, where it was asked.
     measures: RegionGraph
     shown: NDArray[np.float64]
     owners: NDArray[np.int64]
@@ -58,16 +43,10 @@ class Lesson:
 
 
 _NO_TREES = Trees(
-    features=(),
-    baseline=0.0,
-    roots=np.zeros(0, np.int32),
-    feature=np.zeros(0, np.int16),
-    threshold=np.zeros(0),
-    left=np.zeros(0, np.int32),
-    right=np.zeros(0, np.int32),
-    nan_left=np.zeros(0, np.bool_),
+    features=(), baseline=0.0, roots=np.zeros(0, np.int32), feature=np.zeros(0, np.int16), threshold=np.zeros(0),
+    left=np.zeros(0, np.int32), right=np.zeros(0, np.int32), nan_left=np.zeros(0, np.bool_),
     value=np.zeros(0, np.float32),
-)
+)  # fmt: skip
 
 
 class TrueMasks:
@@ -81,7 +60,6 @@ class TrueMasks:
         self.lessons: list[Lesson] = []
 
     def prepare(self, frame: Frame) -> object:
-        """Return the surface of a frame."""
         return self._segmenter.prepare(frame)
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
@@ -103,7 +81,6 @@ class TrueMasks:
 def lessons_of(
     log: Path, truth: Truth, max_keyframes: int | None = None, network: PixelNetwork | None = None
 ) -> list[Lesson]:
-    """Return the lessons of a log, played with its true masks."""
     teacher = TrueMasks(truth, network)
     for _ in play_first_layer(log, segmenter=teacher, max_keyframes=max_keyframes):
         pass
@@ -116,13 +93,9 @@ def lessons_of_rooms(seed: int, family: str, count: int) -> list[Lesson]:
     lessons: list[Lesson] = []
     for i, seen in enumerate(frames_of(seed, family, count)):
         frame = Frame(
-            index=i,
-            stamp_ns=i,
-            rgb=seen.rgb,
-            depth_m=seen.depth_m,
-            camera=seen.camera,
+            index=i, stamp_ns=i, rgb=seen.rgb, depth_m=seen.depth_m, camera=seen.camera,
             world_from_camera=seen.world_from_camera,
-        )
+        )  # fmt: skip
         things = seen.instances.astype(np.int32)
         shown = np.where((things == 0) & ~seen.is_structure, UNKNOWN, things).astype(np.int32)
         lessons += lesson_of_pieces(segmenter.fragments(frame), shown)
@@ -130,22 +103,17 @@ def lessons_of_rooms(seed: int, family: str, count: int) -> list[Lesson]:
 
 
 def lessons_of_scene(scene: Scene, folder: Path, network: PixelNetwork | None) -> list[Lesson]:
-    """Return the lessons of single views of a scene, without a map; rendered if they are not kept in `folder` yet.
-
-    Depth has the defects that the scene's own camera has, or those of cameras drawn from its seed.
-    """
+    """Return the lessons of single views of a scene, without a map; rendered if they are not kept in `folder` yet."""
+    # Depth has the defects that the scene's own camera has, or those of cameras drawn from its seed.
     segmenter = GeometricSegmenter(GeometricConfig(), _NO_TREES)
     rng = np.random.default_rng([scene.seed, 5])
     lessons: list[Lesson] = []
     for i, true in enumerate(frames_of_scene(scene, folder)):
         frame = Frame(
-            index=i,
-            stamp_ns=i,
-            rgb=true.rgb,
-            depth_m=_drawn_depth(true, rng) if true.sensed_m is None else true.sensed_m,
-            camera=true.camera,
+            index=i, stamp_ns=i, rgb=true.rgb,
+            depth_m=_drawn_depth(true, rng) if true.sensed_m is None else true.sensed_m, camera=true.camera,
             world_from_camera=true.world_from_camera,
-        )
+        )  # fmt: skip
         lessons += lesson_of_pieces(segmenter.fragments(frame), true.instances, network)
     return lessons
 
@@ -180,10 +148,8 @@ def score_groups(lesson: Lesson, numbers: NDArray[np.int64]) -> MaskScore:
 
 
 def lesson_of_pieces(pieces: Fragments, shown: NDArray[np.int32], network: PixelNetwork | None = None) -> list[Lesson]:
-    """Return the lesson of an image in pieces of which each pixel (H, W) shows what; none where there are no pieces.
-
-    A network divides the pieces further, as it does where maps are made.
-    """
+    """Return the lesson of an image in pieces of which each pixel (H, W) shows what; none where there are no pieces."""
+    # A network divides the pieces further, as it does where maps are made.
     said = None if network is None else network.odds(pieces.surface, None)
     if said is not None:
         pieces = replace(pieces, labels=divided_by_odds(pieces.labels, said, SplitConfig()))

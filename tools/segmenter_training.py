@@ -1,41 +1,127 @@
 """Grow the trees that join fragments into things, from synthetic rooms and their truth.
 
-Each image falls into fragments, and their true owners say which pairs are one thing (`segmenter_growth`); from which
-images each forest is grown, and with which inputs, is in `segmenter_recipes`. Everything is drawn from seeds. Needs the
-optional group `train`, but no torch: the forest `odds` asks the network that is in the package.
+Each image falls into fragments, and their true owners say which pairs are one thing. Everything is drawn from seeds.
+Needs the optional group `train`, but no torch: the forest `odds` asks the network that is in the package.
 """
-
-from __future__ import annotations
+# `mixed`: two forests whose log-odds are averaged, one on our apartments and table-tops, with all inputs, and one on
+# random rooms as well, which count as much as these, with inputs that know no sizes. `odds`: also what the network of
+# affinities says of a pair; only scenes that the network was not trained on, for of those it is too sure.
 
 import argparse
 import hashlib
 import sys
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
 import sklearn
+from numpy.typing import NDArray
 
 from hickory_stream.base.caches import cache_root
 from hickory_stream.base.json_text import dumps_exactly
+from hickory_stream.evaluation.truth import Truth, load_truth
 from hickory_stream.perception.affinity import pixel_network
 from hickory_stream.perception.affinity.pixel_network import PixelNetwork
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig
 from hickory_stream.perception.regions.join import JoinConfig, rounds
-from hickory_stream.perception.regions.trees import EMBEDDED
+from hickory_stream.perception.regions.trees import EMBEDDED, Trees, averaged
 from tools.evaluation.masks.scores import MaskScore, total
 from tools.network_training.scenes import HELD_OUT as HELD_OUT_VIEWS
-from tools.segmenter_lessons import lessons_of, lessons_of_scene, score_groups, true_groups
-from tools.segmenter_recipes import grown_mixed, grown_with_odds, name_of, recording
+from tools.network_training.scenes import Scene, told
+from tools.segmenter_growth import EVERY, Growth, train
+from tools.segmenter_lessons import Lesson, lessons_of, lessons_of_rooms, lessons_of_scene, score_groups, true_groups
+from tools.worlds.cache import cached_recording
+from tools.worlds.recording_config import RecordingConfig
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+ROOMS = (0, 1)
+"""Seeds of random rooms of the family `training`, `IMAGES` of each, for `mixed`."""
+IMAGES = 300
+LOGS = (
+    *(("apartment", seed, walk) for seed, walk in ((24, 0), (25, 1), (26, 0), (27, 1), (28, 0))),
+    *(("apartment", seed, walk) for seed, walk in ((29, 1), (30, 0), (31, 1), (32, 0))),
+    *(("tabletop", seed, 0) for seed in (33, 34, 35)),
+)
+"""Scenes, seeds and walks; those of `tools/bench` are others."""
+ODDS_LOGS = tuple(
+    log for log in LOGS if log[:2] not in {("apartment", s) for s in (27, 28, 31, 32)} | {("tabletop", 35)}
+)
+ODDS_VIEWS = (
+    *(Scene(kind="apartment", seed=seed, frames=16) for seed in range(400, 412)),
+    *(Scene(kind="tabletop", seed=seed, frames=10) for seed in range(400, 412, 2)),
+)
+ODDS_ROOMS = tuple(Scene(kind="clutter-training", seed=seed, frames=48) for seed in range(200, 224, 2))
+ODDS_SHARES = (1.0, 0.6, 0.3)
+"""What logs, single views of own rooms, and random rooms weigh in `odds`."""
+RATE_HZ = 1.5
 
-    import numpy as np
-    from numpy.typing import NDArray
 
-    from hickory_stream.perception.regions.trees import Trees
-    from tools.segmenter_lessons import Lesson
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Grown:
+    """A forest, and what its card tells of how it was grown."""
+
+    trees: Trees
+    told: dict[str, object]
+
+
+def grown_mixed(seed: int, num_trees: int) -> Grown:
+    """Return the mixture of a forest of sizes and of one of shapes."""
+    rooms = [lesson for room in ROOMS for lesson in lessons_of_rooms(room, "training", IMAGES)]
+    logs = [lesson for scene in LOGS for lesson in lessons_of(*recording(*scene))]
+    growth = Growth(seed=seed, num_trees=num_trees)
+    of_sizes, size_pairs = train([logs], growth)
+    of_shapes, shape_pairs = train([rooms, logs[::EVERY]], Growth(seed=seed, num_trees=num_trees, with_sizes=False))
+    return Grown(
+        trees=averaged(of_sizes, of_shapes),
+        told={
+            "trained_on": [
+                *(f"random rooms, family training, seed {room}: {IMAGES} images" for room in ROOMS),
+                *(name_of(*scene) for scene in LOGS),
+            ],
+            "images_per_second": RATE_HZ,
+            "images": [len(rooms), len(logs)],
+            "pairs": {"forest_of_sizes": size_pairs, "forest_of_shapes": shape_pairs},
+        },
+    )
+
+
+def grown_with_odds(seed: int, num_trees: int, network: PixelNetwork, folder: Path) -> Grown:
+    """Return a forest that has the network's odds among its inputs; `folder` keeps rendered views."""
+    kinds = [
+        [lesson for scene in ODDS_LOGS for lesson in lessons_of(*recording(*scene), network=network)],
+        _lessons_of_views(ODDS_VIEWS, folder, network),
+        _lessons_of_views(ODDS_ROOMS, folder, network),
+    ]
+    trees, num_pairs = train(kinds, Growth(seed=seed, num_trees=num_trees, with_odds=True), ODDS_SHARES)
+    return Grown(
+        trees=trees,
+        told={
+            "trained_on": {
+                "logs": [name_of(*scene) for scene in ODDS_LOGS], "views": told(ODDS_VIEWS), "rooms": told(ODDS_ROOMS),
+            },
+            "images_per_second": RATE_HZ, "images": [len(kind) for kind in kinds], "shares": ODDS_SHARES,
+            "pairs": num_pairs,
+        },
+    )  # fmt: skip
+
+
+def _lessons_of_views(scenes: Sequence[Scene], folder: Path, network: PixelNetwork) -> list[Lesson]:
+    return [lesson for scene in scenes for lesson in lessons_of_scene(scene, folder, network)]
+
+
+def recording(scene: str, seed: int, walk: int) -> tuple[Path, Truth]:
+    print(f"recording {name_of(scene, seed, walk)}", file=sys.stderr, flush=True)
+    config = RecordingConfig(
+        scene=scene, seed=seed, walk_index=walk, seconds=None, rate_hz=RATE_HZ, width=640, height=480
+    )
+    log, _ = cached_recording(config)
+    return log, load_truth(log.with_suffix(".truth"))
+
+
+def name_of(scene: str, seed: int, walk: int) -> str:
+    return f"{scene} {seed}, walk {walk}"
+
 
 _PACKAGE = Path(__file__).resolve().parents[1] / "hickory_stream" / "perception"
 HELD_OUT = (("apartment", 38, 0), ("tabletop", 40, 0))
@@ -44,7 +130,6 @@ _TREES = {"mixed": 120, "odds": 160}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return the exit status."""
     parser = argparse.ArgumentParser(prog="tools/train_segmenter", description=__doc__)
     parser.add_argument("--forest", choices=_TREES, default="odds", help="which one; that of sizes is older than this")
     parser.add_argument("--out", type=Path, default=(_PACKAGE / EMBEDDED["odds"]).parent, help="folder of trees, card")
@@ -71,15 +156,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "made_by": f"tools/train_segmenter --forest {options.forest} --seed {options.seed} --trees {num_trees}",
         "licence": "Apache-2.0, as the project: grown on scenes of its own generators alone, no data of others",
         "scikit_learn": sklearn.__version__,
-        **({} if network is None else {"network_sha256": _digest(_PACKAGE / pixel_network.EMBEDDED)}),
-        **grown.told,
-        "trees": len(grown.trees.roots),
-        "inputs": len(grown.trees.features),
-        "bytes": path.stat().st_size,
+        **({} if network is None else {"network_sha256": _digest(_PACKAGE / pixel_network.EMBEDDED)}), **grown.told,
+        "trees": len(grown.trees.roots), "inputs": len(grown.trees.features), "bytes": path.stat().st_size,
         "held_out_from_probability": join.probability,
         "held_out": {name: _scores(lessons, grown.trees, join) for name, lessons in _held_out(network, frames).items()},
         "processor_minutes": round((time.process_time() - started_s) / 60, 1),
-    }
+    }  # fmt: skip
     text = dumps_exactly(card, indent=2)
     path.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
     print(text)
@@ -87,14 +169,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _held_out(network: PixelNetwork | None, frames: Path) -> dict[str, list[Lesson]]:
-    """Return by name lessons from which nothing was grown; logs are seen with the map of their true masks."""
     scenes = HELD_OUT if network is None else HELD_OUT[:1]
     logs = {name_of(*scene): lessons_of(*recording(*scene), network=network) for scene in scenes}
     return logs | {scene.name: lessons_of_scene(scene, frames, network) for scene in HELD_OUT_VIEWS}
 
 
 def _scores(lessons: Sequence[Lesson], trees: Trees, join: JoinConfig) -> dict[str, dict[str, float]]:
-    """Return the scores of masks with our joins and with true ones."""
     return {
         "ours": _told(total(score_groups(lesson, joined(lesson, trees, join)) for lesson in lessons)),
         "true_joins": _told(total(score_groups(lesson, true_groups(lesson)) for lesson in lessons)),
@@ -102,7 +182,6 @@ def _scores(lessons: Sequence[Lesson], trees: Trees, join: JoinConfig) -> dict[s
 
 
 def joined(lesson: Lesson, trees: Trees, join: JoinConfig) -> NDArray[np.int64]:
-    """Return (fragments,) the groups that the fragments of a lesson are joined to."""
     *_, last = rounds(lesson.measures, trees.probabilities, join, lesson.odds)
     return last.numbers
 
@@ -113,12 +192,9 @@ def _digest(path: Path) -> str:
 
 def _told(score: MaskScore) -> dict[str, float]:
     return {
-        "f1_50": round(score.f1, 3),
-        "best_iou": round(score.best_iou, 3),
-        "found_fraction": round(score.found_fraction, 3),
-        "things": score.num_things,
-        "masks": score.num_masks,
-    }
+        "f1_50": round(score.f1, 3), "best_iou": round(score.best_iou, 3),
+        "found_fraction": round(score.found_fraction, 3), "things": score.num_things, "masks": score.num_masks,
+    }  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,7 +1,5 @@
 """Layer 3 of real maps as `tools/evaluation/simulated_maps/shapes.npz`: what simulated objects are drawn from."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -15,10 +13,8 @@ _OUT = Path(__file__).resolve().parent / "evaluation" / "simulated_maps" / "shap
 
 
 def main(maps: list[str]) -> int:
-    """Write the library; the one in the repository is of the first walks of apartments 1000 and 1001.
-
-    `tools/bench align` plays them into out/maps/.
-    """
+    """Write the library; the one in the repository is of the first walks of apartments 1000 and 1001."""
+    # `tools/bench align` plays them into out/maps/.
     fits = [item.shape.fitted for name in maps for item in open_map(Path(name)).snapshot.objects if item.shape]
     if not fits:
         print("usage: tools/make_shape_library MAP...; found no object with layer 3", file=sys.stderr)

@@ -1,18 +1,14 @@
 """`tools/check --size`: how large the code base is, against the limits that it keeps to."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.settings import Settings
 from tools.readmes import READMES, RESULTS, ROOT
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
 
 # Where tools/test notes the processor time of its last whole run.
 TEST_TIMES = ROOT / ".venv" / "test-times"
@@ -33,7 +29,6 @@ class Measure:
 
 
 def measures() -> Iterator[Measure]:
-    """Yield the figures."""
     product, players, tools, tests = (sources(name) for name in ("hickory_stream", "players", "tools", "tests"))
     yield Measure(name="files of hickory_stream", value=len(product), limit=520)
     yield Measure(name="lines of hickory_stream", value=lines(product), limit=78_000)
@@ -54,17 +49,14 @@ def measures() -> Iterator[Measure]:
 
 
 def sources(folder: str) -> list[Path]:
-    """Return the Python files of a folder."""
     return sorted((ROOT / folder).rglob("*.py"))
 
 
 def lines(files: Iterable[Path]) -> int:
-    """Return how many lines the files have."""
     return sum(file.read_bytes().count(b"\n") for file in files)
 
 
 def keys(config: Any, where: str = "") -> Iterator[str]:
-    """Yield the keys of a configuration and of its sections."""
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hickory_stream.alignment.object_map import taken
 from hickory_stream.batch.place_signature import candidate_pairs, place_signatures
-from tools.evaluation.simulated_maps.fleet import FleetMaps, FleetMapsConfig, simulate_fleet
+from tools.evaluation.simulated_maps.simulate import FleetMaps, FleetMapsConfig, simulate_fleet
 from tools.evaluation.simulated_maps.variants import moved_map, random_frame
 
 

@@ -7,9 +7,16 @@ from hickory_stream.navigation.robot import load_robot
 from hickory_stream.navigation.search import NoPath, Path, SearchConfig, plan
 from tests.engine.snapshot_fixtures import box_mesh
 from tests.navigation.rooms import boxes
-from tools.evaluation.navigation_methods import Obstacles, built, triangles
-from tools.evaluation.navigation_optimum import OptimalLengths
-from tools.evaluation.navigation_table import draw_pairs, format_table, table_of, true_scene
+from tools.evaluation.navigation_table import (
+    Obstacles,
+    OptimalLengths,
+    built,
+    draw_pairs,
+    format_table,
+    table_of,
+    triangles,
+    true_scene,
+)
 
 
 def shifted(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:

@@ -13,12 +13,11 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`: pip instal
 from test_network_lessons import true_frame  # noqa: E402 -- after what is skipped without torch
 from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, OFFSETS, THING, PixelNetwork  # noqa: E402
 from hickory_stream.perception.models.network import Network, NetworkConfig  # noqa: E402
-from tools.network_training.batches import batches  # noqa: E402
 from tools.network_training.export import export  # noqa: E402
 from tools.network_training.lessons import UNKNOWN, lesson_of  # noqa: E402
 from tools.network_training.model import inputs_of  # noqa: E402
-from tools.network_training.stages import Schedule, Stage  # noqa: E402
-from tools.network_training.train import accuracies, read_checkpoint, train, truth_of  # noqa: E402
+from tools.network_training.scenes import Schedule, Stage  # noqa: E402
+from tools.network_training.train import accuracies, batches, read_checkpoint, train, truth_of  # noqa: E402
 
 pytestmark = [pytest.mark.reference, pytest.mark.timeout(600)]
 FIRST, SECOND = Stage(steps=4, batch=1, rooms=(0, 1), rising=2), Stage(steps=2, batch=2, rooms=(1, 4), rising=2)

@@ -13,16 +13,13 @@ from hickory_stream.geometry.rigid import apply, invert
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.room import furnished_room
 from tools.paper_tables import hope
-from tools.paper_tables.chart import chart
+from tools.paper_tables.counterparts import write_hope, write_replica_cad
 from tools.paper_tables.data_sets import DATA_SETS, HOPE, KIMERA_MULTI
 from tools.paper_tables.logs import kimera_pairs
-from tools.paper_tables.plan import QUICK
 from tools.paper_tables.published import ALIGNMENT, VIEWS
 from tools.paper_tables.replica_cad import read_apartment, scene_names
-from tools.paper_tables.tables import Cell, Column, Table, as_csv, as_json, markdown
-from tools.paper_tables.workshop import Workshop
-from tools.paper_tables.write_hope import write_hope
-from tools.paper_tables.write_replica_cad import write_replica_cad
+from tools.paper_tables.tables import Cell, Column, Table, as_csv, as_json, chart, markdown
+from tools.paper_tables.workshop import QUICK, Workshop
 from tools.worlds.recording_config import RecordingConfig, drawn_frame
 from tools.worlds.routes import clearance_of_surfaces
 

@@ -1,7 +1,5 @@
 """`tools/bench NAME`: run one benchmark, print its table, write its records."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys
@@ -17,7 +15,6 @@ from tools.benchmarks.table import BENCHMARKS, code_of
 
 
 def main() -> int:
-    """Parse the arguments and run."""
     parser = _parser()
     given = parser.parse_args()
     if given.name is None:

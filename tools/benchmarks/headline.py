@@ -1,10 +1,6 @@
-"""The rows of the main README's table of results, each measured by its benchmark in a process of its own.
-
-A row that is as new as the code it depends on is not measured again, so that a call that was stopped continues. The
-times beside the rows are those of two cores with empty caches; they add up to at most 45 minutes.
-"""
-
-from __future__ import annotations
+"""The rows of the main README's table of results, each measured by its benchmark in a process of its own."""
+# A row that is as new as the code it depends on is not measured again, so that a call that was stopped continues. The
+# times beside the rows are those of two cores with empty caches; they add up to at most 45 minutes.
 
 import subprocess
 import sys
@@ -36,10 +32,8 @@ ROWS: tuple[tuple[str, ...], ...] = (
 
 
 def measure(options: Options) -> list[Figure]:
-    """Measure the rows that are older than the code (with `fresh` all) and write each into the READMEs.
-
-    No row begins after 45 minutes, or `minutes`.
-    """
+    """Measure the rows that are older than the code (with `fresh` all) and write each into the READMEs."""
+    # No row begins after 45 minutes, or `minutes`.
     until = time.monotonic() + 60 * min(options.minutes, _MINUTES)
     for name, *arguments in ROWS:
         row = " ".join(["tools/bench", name, *arguments])
@@ -58,6 +52,5 @@ def measure(options: Options) -> list[Figure]:
 
 
 def is_current(name: str, arguments: Sequence[str], folder: Path = MEASURED) -> bool:
-    """Return whether a row was measured with these options, and its code is as it was."""
     options = "".join(f" {word}" for word in arguments)
     return any((run.options, run.code) == (options, code_of(name, options)) for run in read_measured(name, folder))

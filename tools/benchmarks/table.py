@@ -1,7 +1,5 @@
 """The benchmarks by name: module and function, description, and the code that their figures depend on."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,10 +10,9 @@ from tools.benchmarks.common.figures import Figure, Options
 
 @dataclass(frozen=True, slots=True)
 class Benchmark:
-    """A function `(Options) -> list[Figure]` of a module, and the code on which its figures depend.
+    """A function `(Options) -> list[Figure]` of a module, and the code on which its figures depend."""
 
-    Figures of a run that is not quick depend on the code of `whole`, too.
-    """
+    # Figures of a run that is not quick depend on the code of `whole`, too.
 
     module: str
     about: str
@@ -43,20 +40,16 @@ BENCHMARKS = {
     "golden": Benchmark("maps.golden", "digests and figures of three small logs, as a gate"),
     "foreign": Benchmark("foreign.gate", "maps of rooms by others, a labelled kitchen, streets; oracle ablations"),
     "changes": Benchmark(
-        "maps.changes",
-        "differences between two days and within a run; passers-by; questions to a map",
+        "maps.changes", "differences between two days and within a run; passers-by; questions to a map",
         (*MAPS, "hickory_stream/alignment", "hickory_stream/changes", "hickory_stream/query"),
     ),
     "navigation": Benchmark(
-        "maps.navigation",
-        "occupancy and paths on boxes, meshes and layer 4",
-        (*_SHAPES, "hickory_stream/navigation"),
+        "maps.navigation", "occupancy and paths on boxes, meshes and layer 4", (*_SHAPES, "hickory_stream/navigation"),
         whole=MAPS,
     ),
     "perception": Benchmark("perception.frames", "masks of single frames, features, time and memory of layer 1"),
     "rules": Benchmark(
-        "perception.constants",
-        "the count of numbers set by hand",
+        "perception.constants", "the count of numbers set by hand",
         ("hickory_stream/mapping", "hickory_stream/perception"),
     ),
     "shapes": Benchmark(
@@ -75,7 +68,7 @@ BENCHMARKS = {
     "engine": Benchmark("scale.engine", "determinism, kills, stops, live overload, hours of playback"),
     "scale": Benchmark("scale.scale", "large maps and alignments, real time by stage, a batch, a building"),
     "headline": Benchmark("headline", "the rows of the main README's table, in 45 minutes; continues where it stopped"),
-}
+}  # fmt: skip
 
 
 def code_of(name: str, options: str = "") -> str:

@@ -1,11 +1,6 @@
-"""Seeded changes to a map folder: faults of disks, and malicious edits.
-
-`change_map` edits a copy in place; files are replaced, never written into, so that the copy may be of hard links. Where
-a file is guarded (a name with a hash, a CRC, a digest), half of the changes keep the guard right, to test the code
-behind it.
-"""
-
-from __future__ import annotations
+"""Seeded changes to a map folder: faults of disks, and malicious edits."""
+# `change_map` replaces files, since copies may share hard links. Half of the changes keep hashes and CRCs right, to
+# test the code behind them.
 
 import hashlib
 import json
@@ -85,7 +80,6 @@ def change_text(text: str, rng: np.random.Generator) -> str:
 
 
 def _change_json(path: Path, file: Path, rng: np.random.Generator) -> str:
-    """Change the bytes of a file, or a value of its JSON; the digest is then made right in half of the cases."""
     name = file.relative_to(path)
     if file.suffix != ".json" or rng.random() < 0.25:
         data, change = _damaged(file.read_bytes(), rng)
@@ -103,7 +97,6 @@ def _change_json(path: Path, file: Path, rng: np.random.Generator) -> str:
 
 
 def _change_named(path: Path, folder: str, rng: np.random.Generator) -> str:
-    """Change a file whose name has the hash of its content; in most cases the name is made right again."""
     file = _one(path / folder, "*", rng)
     change = _replace_compressed(file, 0, rng)
     if rng.random() < 0.8:
@@ -117,7 +110,6 @@ def _change_named(path: Path, folder: str, rng: np.random.Generator) -> str:
 
 
 def _replace_compressed(file: Path, header: int, rng: np.random.Generator) -> str:
-    """Change the bytes of a file, or the compressed part after a header, with a whole frame around it."""
     data = file.read_bytes()
     if rng.random() < 0.5:
         changed, change = _damaged(data, rng)
@@ -144,7 +136,6 @@ def _change_png(file: Path, rng: np.random.Generator) -> str:
 
 
 def _change_journal(path: Path, rng: np.random.Generator) -> str:
-    """Change the bytes of the journal, or one message of it, whose checksum will be right."""
     file = path / JOURNAL
     if rng.random() < 0.35:
         data, change = _damaged(file.read_bytes(), rng)
@@ -168,7 +159,6 @@ def _change_journal(path: Path, rng: np.random.Generator) -> str:
 
 
 def _put_link(path: Path, rng: np.random.Generator) -> str:
-    """Put a link that leads out in the place of a file or a folder, or where a file would be written."""
     outside = path.parent / OUTSIDE
     names = ["views", "shapes", "points", "space", "failed", ".lock", ".objects.json.partial", ".journal.mcap.partial"]
     victim = _any_file(path, rng) if rng.random() < 0.5 else path / str(rng.choice(names))
@@ -205,7 +195,6 @@ def _damaged(data: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
 
 
 def _change_value(document: Any, rng: np.random.Generator) -> str:
-    """Put something hostile in the place of a value of nested lists, dicts and tags, or remove it."""
     places = list(_places(document))
     container, key = places[int(rng.integers(len(places)))]
     if isinstance(container, dict) and rng.random() < 0.15:
@@ -226,7 +215,6 @@ def _places(value: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _make_digest_right(path: Path) -> None:
-    """Write the digest of the present content into the manifest, as far as it can be read."""
     try:
         digest = map_digest(open_map(path, warns=False).snapshot)
         manifest = json.loads((path / "manifest.json").read_bytes())

@@ -1,26 +1,16 @@
-"""The paper's table of alignments: pairs, translation and rotation for each scene and method, means and success.
+"""The paper's table of alignments: pairs, translation and rotation for each scene and method, means and success."""
+# Two errors are given: that of the paper, which is the error of the transform itself (its translation is measured at
+# the origin of map b), and the error where the maps overlap, which is the one that matters to a robot.
 
-Two errors are given: that of the paper, which is the error of the transform itself (its translation is measured at the
-origin of map b), and the error where the maps overlap, which is the one that matters to a robot.
-"""
-
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.alignment.answer import Alignment
+from hickory_stream.alignment.answer import Alignment, NoAlignment
 from hickory_stream.geometry.rigid import apply, invert, rotation_angle_rad
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.answer import NoAlignment
-
 
 SUCCESS_M = 0.5
 SUCCESS_DEG = 5.0
@@ -63,7 +53,6 @@ class Row:
 
 
 def row_of(scene: str, method: str, answer: Alignment | NoAlignment, true_a_from_b: NDArray[np.float64] | None) -> Row:
-    """Return the table row of one answer of `align`."""
     if not isinstance(answer, Alignment):
         return Row(scene=scene, method=method, num_pairs=0, error=None, refusal=answer.refusal.value)
     error = None
@@ -82,7 +71,6 @@ def format_table(rows: Sequence[Row]) -> str:
 
 
 def table_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return the rows for machines."""
     return [
         {
             "scene": row.scene,

@@ -1,35 +1,19 @@
-"""The true pose of a map's frame, from a truth folder or from a ground-truth trajectory in a common frame.
-
-A map stores the estimated camera pose of every view that it keeps; the truth gives the pose of the camera, or of the
-robot's body, at the same stamps. `world_from_map` and, for a body, the unknown `body_from_camera` follow
-from both by the closed form of Shah (2013) for body_i X = W camera_i. The truth of an alignment is `a_from_b` =
-inverse(world_from_map_a) world_from_map_b.
-"""
-
-from __future__ import annotations
+"""The true pose of a map's frame, from a truth folder or from a ground-truth trajectory in a common frame."""
+# `world_from_map` and, for a body, `body_from_camera` follow from the poses of kept views and the truth at the same
+# stamps, by the closed form of Shah (2013) for body_i X = W camera_i.
 
 import csv
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import load_truth
-from hickory_stream.geometry.rigid import (
-    from_rotation_translation,
-    interpolate,
-    is_rigid,
-    rotation_from_quaternion,
-)
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapSnapshot
+from hickory_stream.geometry.rigid import from_rotation_translation, interpolate, is_rigid, rotation_from_quaternion
+from hickory_stream.records import MapSnapshot
 
 _MAX_GAP_NS = 500_000_000
 _MIN_POSES = 3
@@ -47,11 +31,8 @@ class TrueTrajectory:
 
 
 def read_true_trajectory(path: Path) -> TrueTrajectory:
-    """Return the trajectory of a truth folder, a Kimera-Multi `<robot>_gt_odom.csv`, or a TUM file.
-
-    Raises:
-        RecordingError: it is none of these, or damaged.
-    """
+    """Return the trajectory of a truth folder, a Kimera-Multi `<robot>_gt_odom.csv`, or a TUM file."""
+    # Raises RecordingError: it is none of these, or damaged.
     if path.is_dir():
         frames = load_truth(path).frames
         return TrueTrajectory(
@@ -118,14 +99,12 @@ def pose_at(truth: TrueTrajectory, stamp_ns: int) -> NDArray[np.float64] | None:
 
 
 def _common_frame(bodies: NDArray[np.float64], cameras: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the least-squares W of body_i = W camera_i: the mean rotation, then the mean of the remaining offsets."""
     rotation = Rotation.from_matrix(bodies[:, :3, :3] @ cameras[:, :3, :3].transpose(0, 2, 1)).mean().as_matrix()
     translation = (bodies[:, :3, 3] - cameras[:, :3, 3] @ rotation.T).mean(axis=0)
     return from_rotation_translation(rotation, translation)
 
 
 def _hand_eye(bodies: NDArray[np.float64], cameras: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return W of body_i X = W camera_i, X unknown (Shah, 2013); an undetermined translation of X is kept smallest."""
     turns = Rotation.from_matrix(cameras[0, :3, :3].T @ cameras[:, :3, :3]).magnitude()
     if turns.max() < _MIN_TURN_RAD:
         return _common_frame(bodies, cameras)

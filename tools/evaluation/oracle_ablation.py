@@ -1,41 +1,30 @@
-"""Oracle experiments: the same pipeline with more and more of it replaced by truth, to locate the loss.
+"""Oracle experiments: the same pipeline with more and more of it replaced by truth, to locate the loss."""
+# Each rung keeps the one below: `ours`, `joins` of our fragments by the true object, true `masks`, true `structure`,
+# `association` by the true object without merges.
 
-Each rung keeps the replacements of the rung below. `ours` is the product. `joins` joins our fragments by the true
-object that they belong to. `masks` uses the true masks. `structure` gives the true structure of the room to the
-segmenter and to the map. `association` matches every mask to the track of its true object, and merges no tracks.
-"""
-
-from __future__ import annotations
-
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.config import MapperConfig
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.truth import frame_at, instances_of
+from hickory_stream.evaluation.truth import Truth, frame_at, instances_of
+from hickory_stream.events import FrameObserved
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.core import MapperCore
+from hickory_stream.mapping.entities.track import Track
 from hickory_stream.mapping.rules.association import Match
 from hickory_stream.perception.choose import make_segmenter
+from hickory_stream.perception.fragments.over_segmentation import Fragments
 from hickory_stream.perception.geometric_segmenter import GeometricSegmenter
 from hickory_stream.perception.masks import enlarged_mask
 from hickory_stream.perception.network_segmenter import NetworkSegmenter
+from hickory_stream.perception.perceive import PerceptionConfig
 from hickory_stream.perception.regions.join import Joined
-from hickory_stream.records import Segmentation
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.config import MapperConfig
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.events import FrameObserved
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.mapping.entities.track import Track
-    from hickory_stream.perception.fragments.over_segmentation import Fragments
-    from hickory_stream.perception.perceive import PerceptionConfig
-    from hickory_stream.records import Frame, MapPrior, Observation
+from hickory_stream.records import Frame, MapPrior, Observation, Segmentation
 
 Rung = Literal["ours", "joins", "masks", "structure", "association"]
 RUNGS: tuple[Rung, ...] = get_args(Rung)
@@ -81,11 +70,9 @@ class TrueSegmenter:
         self._ours = ours
 
     def prepare(self, frame: Frame) -> object:
-        """Return the surface of a frame."""
         return self._ours.prepare(frame)
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Return the instances and the structure of a frame."""
         pieces = self._ours.fragments(frame, prior, prepared)
         shown = self._images.at(frame.stamp_ns)
         if self._rung == "joins":
@@ -123,7 +110,6 @@ class TrueAssociation:
         self._created = 0
 
     def __call__(self, event: FrameObserved, tracks: Mapping[int, Track]) -> list[Match]:
-        """Return one match per observation."""
         # The core numbers new tracks in the order of the unmatched observations; nothing else creates a track here.
         assert max(tracks, default=0) <= self._created, "a track was made that this association knows nothing of"
         shown = self._images.at(event.stamp_ns)
@@ -151,12 +137,10 @@ class TrueAssociation:
 
 
 def segmenter_of(rung: Rung, images: TrueImages, config: MapperConfig) -> TrueSegmenter | None:
-    """Return the segmenter of a rung, None for the product's own."""
     return None if rung == "ours" else TrueSegmenter(rung, images, config.perception)
 
 
 def core_of(rung: Rung, images: TrueImages, config: MapperConfig) -> MapperCore:
-    """Return the core of a rung."""
     associator = TrueAssociation(images) if rung == "association" else None
     return MapperCore(mapping_of(rung, config.mapping), associator)
 
@@ -169,7 +153,6 @@ def mapping_of(rung: Rung, config: MappingConfig) -> MappingConfig:
 
 
 def _dense(ids: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return ids >= 0 renumbered without gaps; 0 stays 0, whether there is one or not."""
     _, dense = np.unique(np.concatenate([[0], ids.ravel()]), return_inverse=True)
     return dense[1:].reshape(ids.shape).astype(np.int32)
 

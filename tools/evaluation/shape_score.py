@@ -1,33 +1,21 @@
-"""How alike two objects are by their superquadrics: the paper's s_geo, computed so that equal shapes score 1.
+"""How alike two objects are by their superquadrics: the paper's s_geo, computed so that equal shapes score 1."""
+# The paper compares the k-th primitives, whose order and parameters are no invariants. Here primitives are matched one
+# to one for the highest score, over all orders of axes; volume without a partner counts as 0.
 
-The paper compares the k-th primitive of one object with the k-th of the other. The order of a fit is no invariant, and
-neither are its parameters: a primitive with e1 = e2 has six equal forms, a square column two. Here primitives are
-matched one to one so that the score is highest, every pair is compared over all orders of its axes, and volume that
-finds no partner counts as 0. The literal formula is `literal_shape_score`.
-"""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from hickory_stream.base.compiled import kernel
 from hickory_stream.geometry.superquadric import Superquadrics, volumes_m3
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
 
 def shape_score(a: Superquadrics, b: Superquadrics, *, sigma_geo: float = 1.0) -> float:
-    """Return s_geo of Eq. (sgeo) over the best one-to-one matching, in 0..1; 0 where either has no primitive.
-
-    Symmetric in `a` and `b`; independent of their poses, of the order of their primitives and of equal
-    parameterisations. A matched pair weighs the smaller of its two shares of volume.
-    """
+    """Return s_geo of Eq. (sgeo) over the best one-to-one matching, in 0..1; 0 where either has no primitive."""
+    # Symmetric in `a` and `b`; independent of their poses, of the order of their primitives and of equal
+    # parameterisations. A matched pair weighs the smaller of its two shares of volume.
     return _matched(_features(a), _features(b), sigma_geo)
 
 
@@ -43,10 +31,8 @@ def shape_scores(
 def literal_shape_score(
     a: Superquadrics, b: Superquadrics, *, sigma_geo: float = 1.0, count: int | None = None
 ) -> float:
-    """Return Eq. (sgeo) as it is written: the k-th primitive with the k-th, weights from `a`, for comparison.
-
-    `count` is K; by default that of the object with fewer primitives.
-    """
+    """Return Eq. (sgeo) as it is written: the k-th primitive with the k-th, weights from `a`, for comparison."""
+    # `count` is K; by default that of the object with fewer primitives.
     k = min(len(a), len(b)) if count is None else min(count, len(a), len(b))
     if k == 0:
         return 0.0
@@ -61,7 +47,6 @@ def _ratios(a: Superquadrics, b: Superquadrics, k: int) -> NDArray[np.float64]:
 
 
 def _features(primitives: Superquadrics) -> NDArray[np.float64]:
-    """Return (N, 6): e1, e2, the semi-axes, and the share of the object's volume."""
     volumes = volumes_m3(primitives)
     return np.column_stack([primitives.exponents, primitives.semi_axes_m, volumes / max(volumes.sum(), 1e-300)])
 
@@ -76,7 +61,6 @@ def _matched(a: NDArray[np.float64], b: NDArray[np.float64], sigma_geo: float) -
 
 @kernel
 def _pair_scores(a, b, sigma):
-    """Return the (A, B) terms of Eq. (sgeo), each over the order of axes, and the dual, that suits it best."""
     out = np.zeros((len(a), len(b)))
     for i in range(len(a)):
         for j in range(len(b)):
@@ -96,12 +80,8 @@ def _pair_scores(a, b, sigma):
 
 @kernel
 def _over_orders(e1, e2, axes, f1, f2, other, sigma):
-    """Return the best term over the six ways to lay the axes of one primitive on those of the other.
-
-    The outline in the plane of x and y is drawn by e2, that in the two others by e1: |de1| + |de2| of the paper is, for
-    axes in the same order, the mean difference over the two upright planes plus that in the level one. Written so, it
-    has a meaning for any order, and is the paper's for primitives whose exponents are equal.
-    """
+    # The outline in the plane of x and y is drawn by e2, in the two others by e1: |de1| + |de2| of the paper is the
+    # mean difference over the two upright planes plus the level one, which has a meaning for any order of axes.
     best = 0.0
     for z in range(3):
         # The axis of the other that lies on z, and the two orders of the rest.

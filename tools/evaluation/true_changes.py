@@ -1,25 +1,19 @@
 """What changed between two truths of one world whose ids stay, as those of `worlds.days` do."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from hickory_stream.evaluation.truth import Truth
+from hickory_stream.evaluation.truth import Truth
 
 _SAME_M, _SAME_TURN = 0.01, 0.02
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrueChanges:
-    """Ids of the objects that stayed, that were moved, that are gone and that are new, each sorted.
+    """Ids of the objects that stayed, that were moved, that are gone and that are new, each sorted."""
 
-    `exchanged` are pairs of one that is gone and a new one in its very place; they are in `gone` and `new` as well.
-    """
-
+    # `exchanged` are pairs of one that is gone and a new one in its very place; they are in `gone` and `new` as well.
     stayed: tuple[int, ...]
     moved: tuple[int, ...]
     gone: tuple[int, ...]
@@ -28,19 +22,15 @@ class TrueChanges:
 
 
 def true_changes(a: Truth, b: Truth) -> TrueChanges:
-    """Return what changed from truth a to truth b, which are in one frame."""
     before = {item.id: item.world_from_object for item in a.objects}
     after = {item.id: item.world_from_object for item in b.objects}
     both = sorted(before.keys() & after.keys())
     moved = tuple(i for i in both if not _is_same(before[i], after[i]))
     gone, new = tuple(sorted(before.keys() - after.keys())), tuple(sorted(after.keys() - before.keys()))
     return TrueChanges(
-        stayed=tuple(i for i in both if i not in moved),
-        moved=moved,
-        gone=gone,
-        new=new,
+        stayed=tuple(i for i in both if i not in moved), moved=moved, gone=gone, new=new,
         exchanged=tuple((i, j) for i in gone for j in new if _is_same(before[i], after[j])),
-    )
+    )  # fmt: skip
 
 
 def _is_same(one: np.ndarray, other: np.ndarray) -> bool:

@@ -1,17 +1,14 @@
-"""FoundationPose (github.com/NVlabs/FoundationPose, code and weights for research only) as a refiner of poses.
-
-| what | its convention | ours |
-|---|---|---|
-| camera, rgb | K (3, 3) float64, pixels; (H, W, 3) uint8, red first | as they are |
-| depth | (H, W) float32 metres along the optical axis; 0 (never NaN), and what is below 0.1 m, is none | as it is |
-| mask | (H, W) bool | as it is |
-| model | a trimesh in metres, in any frame; the package centres it and puts it back | as it is |
-| pose | `register` gives camera_from_mesh (4, 4) for columns, camera x right, y down, z forward | as it is |
-| failure | under 4 pixels of mask with depth: the identity as rotation, no error | looked for before and after |
-
-Set up (Linux, CUDA): `install foundationpose` beside this file. The folder `FoundationPose/weights` then holds
-2023-10-28-18-33-37 (refiner) and 2024-01-11-20-02-45 (scorer).
-"""
+"""FoundationPose (github.com/NVlabs/FoundationPose, code and weights for research only) as a refiner of poses."""
+# | what | its convention | ours |
+# |---|---|---|
+# | camera, rgb | K (3, 3) float64, pixels; (H, W, 3) uint8, red first | as they are |
+# | depth | (H, W) float32 metres along the optical axis; 0 (never NaN), and what is below 0.1 m, is none | as it is |
+# | mask | (H, W) bool | as it is |
+# | model | a trimesh in metres, in any frame; the package centres it and puts it back | as it is |
+# | pose | `register` gives camera_from_mesh (4, 4) for columns, camera x right, y down, z forward | as it is |
+# | failure | under 4 pixels of mask with depth: the identity as rotation, no error | looked for before and after |
+# Set up (Linux, CUDA): `install foundationpose` beside this file. The folder `FoundationPose/weights` then holds
+# 2023-10-28-18-33-37 (refiner) and 2024-01-11-20-02-45 (scorer).
 
 import sys
 import tempfile
@@ -43,15 +40,9 @@ def load() -> tuple[Callable[[View, Model], np.ndarray], dict[str, str]]:
             raise NoShapeError(f"fewer than {_MIN_PIXELS} pixels of the mask have depth")
         mesh = trimesh.Trimesh(model.vertices, model.faces, vertex_colors=model.colors, process=False)
         estimator = FoundationPose(
-            model_pts=mesh.vertices,
-            model_normals=mesh.vertex_normals,
-            mesh=mesh,
-            scorer=scorer,
-            refiner=refiner,
-            glctx=context,
-            debug=0,
-            debug_dir=str(Path(tempfile.gettempdir()) / "foundationpose"),
-        )
+            model_pts=mesh.vertices, model_normals=mesh.vertex_normals, mesh=mesh, scorer=scorer, refiner=refiner,
+            glctx=context, debug=0, debug_dir=str(Path(tempfile.gettempdir()) / "foundationpose"),
+        )  # fmt: skip
         depth = np.ascontiguousarray(view.depth_m, dtype=np.float32)
         pose = array_of(
             estimator.register(K=view.K, rgb=view.rgb, depth=depth, ob_mask=view.mask, iteration=_ITERATIONS)

@@ -1,24 +1,20 @@
-"""FoundationPose's two ONNX files as a refiner of poses, with crops rendered here: no CUDA is compiled, no torch.
-
-The files are NVIDIA's (`nvidia/isaac/foundationpose`, NVIDIA Open Model License, commercial use allowed); names, shapes
-and scales are those of NVIDIA-ISAAC-ROS/isaac_ros_pose_estimation (Apache 2.0), which runs them.
-
-| what | its convention | ours |
-|---|---|---|
-| both | `input1` rendered, `input2` observed: (N, 160, 160, 6) float32, red, green, blue, x, y, z | so |
-| colour | 0..1; rendered: times 0.8 + 0.5 of how it faces the camera, 0 beside the object | so |
-| x, y, z | right, down, forward from the pose's place, in radii of the model | so |
-| | 0 where there is none, nearer than 0.1 m or beyond 2 radii | so |
-| crop | 1.2 diameters about the pose's place, 1.1 for scores, to whole pixels | so |
-| | observed at the corners of its pixels, rendered at their middles, and a pixel narrower | so |
-| refine_model | `output1` (N, 3): radii to move; `output2` (N, 3): its tanh times 20 degrees, for rows | turned back |
-| score_model | `output1`: N numbers, higher is better; all poses at once, since it compares them | so |
-| model | metres, about the middle of its bounding box; a diameter is the largest distance of vertices | put back |
-| first poses | 42 directions by 6 turns, at the middle of the mask and its median depth | so |
-
-Its own pipeline smooths depth before it takes the first place from it; that is left out. Set up: `install
-foundationpose_onnx` beside this file; both files go into `weights/`.
-"""
+"""FoundationPose's two ONNX files as a refiner of poses, with crops rendered here: no CUDA is compiled, no torch."""
+# The files are NVIDIA's (`nvidia/isaac/foundationpose`, NVIDIA Open Model License, commercial use allowed); names,
+# shapes and scales are those of NVIDIA-ISAAC-ROS/isaac_ros_pose_estimation (Apache 2.0), which runs them.
+# | what | its convention | ours |
+# |---|---|---|
+# | both | `input1` rendered, `input2` observed: (N, 160, 160, 6) float32, red, green, blue, x, y, z | so |
+# | colour | 0..1; rendered: times 0.8 + 0.5 of how it faces the camera, 0 beside the object | so |
+# | x, y, z | right, down, forward from the pose's place, in radii of the model | so |
+# | | 0 where there is none, nearer than 0.1 m or beyond 2 radii | so |
+# | crop | 1.2 diameters about the pose's place, 1.1 for scores, to whole pixels | so |
+# | | observed at the corners of its pixels, rendered at their middles, and a pixel narrower | so |
+# | refine_model | `output1` (N, 3): radii to move; `output2` (N, 3): tanh times 20 degrees, for rows | turned back |
+# | score_model | `output1`: N numbers, higher is better; all poses at once, since it compares them | so |
+# | model | metres, about the middle of its bounding box; a diameter is the largest distance of vertices | put back |
+# | first poses | 42 directions by 6 turns, at the middle of the mask and its median depth | so |
+# Its own pipeline smooths depth before it takes the first place from it; that is left out. Set up: `install
+# foundationpose_onnx` beside this file; both files go into `weights/`.
 
 import sys
 from collections.abc import Callable
@@ -107,7 +103,6 @@ def subject_of(model: Model) -> Subject:
 
 
 def _diameter_m(vertices: np.ndarray) -> float:
-    """Return the largest distance between two vertices, of every n-th one where there are many."""
     some = vertices[:: -(-len(vertices) // _MOST_VERTICES)]
     squares = (some**2).sum(axis=1)
     blocks = [(some[i : i + 500], squares[i : i + 500]) for i in range(0, len(some), 500)]
@@ -166,7 +161,6 @@ def _refined(refiner: Any, poses: np.ndarray, subject: Subject, view: View) -> n
 
 
 def _crops(poses: np.ndarray, subject: Subject, view: View, ratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return what would be seen at each pose, and what is: two (N, 160, 160, 6) float32."""
     points = np.nan_to_num(view.points())
     rendered, observed = [], []
     for pose in poses:
@@ -185,7 +179,6 @@ def six_channels(color: np.ndarray, xyz: np.ndarray, pose: np.ndarray, subject: 
 
 
 def _window(pose: np.ndarray, reach_m: float, K: np.ndarray) -> np.ndarray:
-    """Return left, top, right, bottom in whole pixels."""
     z = max(pose[2, 3], _NEAREST_M)
     middle = (K @ np.append(pose[:2, 3] / z, 1))[:2]
     reach = reach_m / z * max(K[0, 0], K[1, 1])
@@ -194,7 +187,6 @@ def _window(pose: np.ndarray, reach_m: float, K: np.ndarray) -> np.ndarray:
 
 
 def _rendered(pose: np.ndarray, subject: Subject, window: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the colours in 0..1 and the points of the camera (160, 160, 3) of a model at a pose; 0 where it is not."""
     steps = (np.arange(_SIDE) + 0.5) * (_SIDE - 1) / _SIDE**2
     x = (window[0] + steps * (window[2] - window[0]) - K[0, 2]) / K[0, 0]
     y = (window[1] + steps * (window[3] - window[1]) - K[1, 2]) / K[1, 1]
@@ -202,12 +194,9 @@ def _rendered(pose: np.ndarray, subject: Subject, window: np.ndarray, K: np.ndar
     rotation, place = pose[:3, :3], pose[:3, 3]
     origins = np.broadcast_to((-rotation.T @ place).astype(np.float32), rays.shape)
     found = subject.scene.run(
-        np.ascontiguousarray(origins),
-        (rays @ rotation).astype(np.float32),
-        dists=np.inf,
-        query="INTERSECT",
+        np.ascontiguousarray(origins), (rays @ rotation).astype(np.float32), dists=np.inf, query="INTERSECT",
         output=True,
-    )
+    )  # fmt: skip
     hit = np.flatnonzero(found["primID"] >= 0)
     u, v = found["u"][hit, None], found["v"][hit, None]
     corners = subject.faces[found["primID"][hit]]
@@ -222,7 +211,6 @@ def _rendered(pose: np.ndarray, subject: Subject, window: np.ndarray, K: np.ndar
 
 
 def _observed(rgb: np.ndarray, points: np.ndarray, window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the colours in 0..1 and the points of the camera (160, 160, 3) of a window of a view; 0 beyond it."""
     import cv2
 
     (scale_x, scale_y), (left, top) = _SIDE / (window[2:] - window[:2]), window[:2]

@@ -1,17 +1,14 @@
-"""SAM 3D Objects (github.com/facebookresearch/sam-3d-objects, SAM licence, weights gated) as a generator with depth.
-
-| what | its convention | ours |
-|---|---|---|
-| image, mask | (H, W, 3) uint8, (H, W) bool | as they are |
-| pointmap | (H, W, 3) metres in PyTorch3D's camera: x left, y up, z forward | x and y change their signs |
-| mesh | `glb`: y up, the one export that is turned; the pose belongs to the z-up Gaussians | turned back to z up |
-| rotation | quaternion w, x, y, z; for rows: p' = (s p) R + t, in PyTorch3D's camera | transposed, signs changed |
-| scale | three equal numbers; may be wrong although depth was given | placement decides |
-
-Set up (Linux, CUDA 12.1): `install sam3d` beside this file, then its doc/setup.md (Python 3.11, torch 2.5.1, a conda
-environment: without CONDA_PREFIX its inference.py does not import); ask for the weights and put them into
-`sam-3d-objects/checkpoints/hf`. The command of the TOML is the python of that environment.
-"""
+"""SAM 3D Objects (github.com/facebookresearch/sam-3d-objects, SAM licence, weights gated) as a generator with depth."""
+# | what | its convention | ours |
+# |---|---|---|
+# | image, mask | (H, W, 3) uint8, (H, W) bool | as they are |
+# | pointmap | (H, W, 3) metres in PyTorch3D's camera: x left, y up, z forward | x and y change their signs |
+# | mesh | `glb`: y up, the one export that is turned; the pose belongs to the z-up Gaussians | turned back to z up |
+# | rotation | quaternion w, x, y, z; for rows: p' = (s p) R + t, in PyTorch3D's camera | transposed, signs changed |
+# | scale | three equal numbers; may be wrong although depth was given | placement decides |
+# Set up (Linux, CUDA 12.1): `install sam3d` beside this file, then its doc/setup.md (Python 3.11, torch 2.5.1, a conda
+# environment: without CONDA_PREFIX its inference.py does not import); ask for the weights and put them into
+# `sam-3d-objects/checkpoints/hf`. The command of the TOML is the python of that environment.
 
 import os
 import sys

@@ -46,11 +46,9 @@ class Made:
 
 @dataclass(frozen=True)
 class Model:
-    """A mesh of true size whose pose is asked for, in a frame of its own.
+    """A mesh of true size whose pose is asked for, in a frame of its own."""
 
-    `vertices` (V, 3) metres, `faces` (F, 3), `colors` (V, 3) uint8 or None.
-    """
-
+    # `vertices` (V, 3) metres, `faces` (F, 3), `colors` (V, 3) uint8 or None.
     vertices: np.ndarray
     faces: np.ndarray
     colors: np.ndarray | None = None
@@ -168,15 +166,10 @@ def glb(made: Made) -> bytes:
         start += len(content)
     binary = b"".join(content for content, _ in arrays)
     document = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": attributes, "indices": 1, "mode": 4}]}],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": len(binary)}],
-    }
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 1, "mode": 4}]}], "accessors": accessors,
+        "bufferViews": views, "buffers": [{"byteLength": len(binary)}],
+    }  # fmt: skip
     text = json.dumps(document, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
@@ -191,10 +184,8 @@ def array_of(values: Any) -> np.ndarray:
 
 
 def squared(view: View, foreground: float, background: float) -> tuple[np.ndarray, float]:
-    """Return a square (N, N, 3) uint8 image of the object alone, its longer side `foreground` of it; and that in px.
-
-    `background` in 0..1 is the grey of what is not the object.
-    """
+    """Return a square (N, N, 3) uint8 image of the object alone, its longer side `foreground` of it; and that in px."""
+    # `background` in 0..1 is the grey of what is not the object.
     rows, columns = np.nonzero(view.mask)
     top, left = rows.min(), columns.min()
     height, width = rows.max() + 1 - top, columns.max() + 1 - left

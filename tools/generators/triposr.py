@@ -1,15 +1,12 @@
-"""TripoSR (github.com/VAST-AI-Research/TripoSR, code and weights MIT) as a generator: one image, no depth, no scale.
-
-| what | its convention | ours |
-|---|---|---|
-| image | square RGB, the object 85 % of it, grey 0.5 around it | cut out here by the mask; rembg is not needed |
-| mesh | z up, +x towards the camera of the image, +y to its right | kept; `camera_from_mesh` says so |
-| size | as seen from 1.9 units away with 40 degrees across | from the mask and the median depth, as a first guess |
-| colours | float 0..1 per vertex, or none where a texture is baked | bytes |
-
-Set up (Linux, CUDA): `install triposr` beside this file; config.yaml and model.ckpt of stabilityai/TripoSR go into
-`weights/`.
-"""
+"""TripoSR (github.com/VAST-AI-Research/TripoSR, code and weights MIT) as a generator: one image, no depth, no scale."""
+# | what | its convention | ours |
+# |---|---|---|
+# | image | square RGB, the object 85 % of it, grey 0.5 around it | cut out here by the mask; rembg is not needed |
+# | mesh | z up, +x towards the camera of the image, +y to its right | kept; `camera_from_mesh` says so |
+# | size | as seen from 1.9 units away with 40 degrees across | from the mask and the median depth, as a first guess |
+# | colours | float 0..1 per vertex, or none where a texture is baked | bytes |
+# Set up (Linux, CUDA): `install triposr` beside this file; config.yaml and model.ckpt of stabilityai/TripoSR go into
+# `weights/`.
 
 import inspect
 import sys

@@ -4,13 +4,11 @@ A run that was broken off goes on from its checkpoint. Frames are rendered once 
 caches: up to 7 GB, which no cap removes.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,11 +17,17 @@ from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.perception.affinity import pixel_network
 from hickory_stream.perception.affinity.pixel_inputs import CHANNELS
 from tools.network_training.frames import frames_of_scene, rendered
-from tools.network_training.scenes import BROAD, HELD_OUT, OWN, OWN_SHARE, RENDERED_AT, STAGES, drawn_frames, told
-from tools.network_training.stages import Schedule
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from tools.network_training.scenes import (
+    BROAD,
+    HELD_OUT,
+    OWN,
+    OWN_SHARE,
+    RENDERED_AT,
+    STAGES,
+    Schedule,
+    drawn_frames,
+    told,
+)
 
 _PACKAGE = Path(pixel_network.__file__).parents[1]
 _CALIBRATED_ON = 64
@@ -31,7 +35,6 @@ LICENCE = "Apache-2.0, as the project: trained on scenes of its own generators a
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return the exit status."""
     parser = argparse.ArgumentParser(prog="tools/train_network", description=__doc__)
     file = Path(pixel_network.EMBEDDED)
     parser.add_argument("--out", type=Path, default=_PACKAGE / file.parent, help="folder of the network and its card")
@@ -86,24 +89,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "UOIS-Net (Xie et al. 2021), UCN (Xiang et al. 2020): led by depth, trained on synthetic clutter",
             "Wolf et al. 2018, Lee et al. 2017: affinities at growing distances; Bailoni et al. 2019: average linkage",
         ],
-        "made_by": f"tools/train_network --seed {options.seed}",
-        "steps_done": kept["step"],
+        "made_by": f"tools/train_network --seed {options.seed}", "steps_done": kept["step"],
         "training_minutes": round(kept["elapsed_s"] / 60, 1),
-        "trained_with": f"{kept['device']}, lessons by {max(kept['processes'], 1)} processes",
-        "licence": LICENCE,
+        "trained_with": f"{kept['device']}, lessons by {max(kept['processes'], 1)} processes", "licence": LICENCE,
         "torch": torch.__version__,
-        "trained_on": {
-            "own": told(OWN),
-            "broad": told(BROAD),
-            "own_share": OWN_SHARE,
-            "rendered_at": RENDERED_AT,
-        },
-        "schedule": dataclasses.asdict(schedule),
-        "inputs": list(CHANNELS),
-        "weights": sum(p.numel() for p in net.parameters()),
-        "bytes": path.stat().st_size,
+        "trained_on": {"own": told(OWN), "broad": told(BROAD), "own_share": OWN_SHARE, "rendered_at": RENDERED_AT},
+        "schedule": dataclasses.asdict(schedule), "inputs": list(CHANNELS),
+        "weights": sum(p.numel() for p in net.parameters()), "bytes": path.stat().st_size,
         "held_out_balanced_accuracy": held_out,
-    }
+    }  # fmt: skip
     text = dumps_exactly(card, indent=2)
     path.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
     print(text)

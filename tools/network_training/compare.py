@@ -5,17 +5,16 @@ it, and synthetic rooms that nothing was trained on. Masks are scored as `tools/
 the truth would make of the same fragments, `network-joins` of those that the network divided further.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.caches import cache_root
 from hickory_stream.evaluation.truth import load_truth
@@ -23,23 +22,15 @@ from hickory_stream.perception.affinity.odds_split import SplitConfig
 from hickory_stream.perception.affinity.pixel_network import PixelNetwork
 from hickory_stream.perception.geometric_segmenter import GeometricConfig, GeometricSegmenter
 from hickory_stream.perception.network_segmenter import NetworkJoinConfig, NetworkSegmenter
-from hickory_stream.records import Frame
+from hickory_stream.records import Frame, MapPrior
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
 from tools.benchmarks.foreign.logs import foreign_log, worlds_folder
 from tools.evaluation.masks.first_layer import play_first_layer
 from tools.evaluation.masks.labelled_clouds import clouds_in, load_cloud
 from tools.evaluation.masks.scores import UNKNOWN, MaskScore, score_masks, total
 from tools.evaluation.oracle_ablation import TrueImages, truly_joined
-from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, frames_of_scene
+from tools.network_training.frames import HEIGHT_PX, WIDTH_PX, Scene, frames_of_scene
 from tools.network_training.scenes import HELD_OUT
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.records import MapPrior
-    from tools.network_training.frames import Scene
 
 MIN_SHARE = 0.002
 _DIVIDING = 0.5
@@ -61,7 +52,6 @@ SETS = ("clouds", "home", "bookstore", *(scene.name for scene in HELD_OUT))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m tools.network_training.compare", description=__doc__)
     parser.add_argument("--sets", nargs="+", choices=SETS, default=SETS)
     parser.add_argument("--ways", nargs="+", choices=("trees", "learned", "joins", "network-joins"))
@@ -95,7 +85,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def ways_of(network: PixelNetwork) -> dict[str, Callable[[Shown], NDArray[np.int32]]]:
-    """Return by name what gives the masks of a frame."""
     config = GeometricConfig()
     trees = GeometricSegmenter(config)
 
@@ -129,7 +118,6 @@ def _frames_of_set(name: str, options: argparse.Namespace) -> Iterator[Shown]:
 
 
 def of_clouds(folder: Path) -> Iterator[Shown]:
-    """Yield the labelled clouds of a folder."""
     for path in clouds_in(folder):
         cloud = load_cloud(path)
         truth = np.where(cloud.truth == 0, UNKNOWN, np.where(cloud.truth == 1, 0, cloud.truth)).astype(np.int32)
@@ -158,19 +146,14 @@ def of_scene(scene: Scene, folder: Path) -> Iterator[Shown]:
         if sensed is None:
             sensed = sensed_depth(true.depth_m, true.cosine, true.camera.fx, _USUAL, rng)
         frame = Frame(
-            index=i,
-            stamp_ns=0,
-            rgb=true.rgb,
-            depth_m=sensed,
-            camera=true.camera,
+            index=i, stamp_ns=0, rgb=true.rgb, depth_m=sensed, camera=true.camera,
             world_from_camera=true.world_from_camera,
-        )
+        )  # fmt: skip
         assert sensed.shape == (HEIGHT_PX, WIDTH_PX)
         yield Shown(name=f"{scene.name}-{i}", frame=frame, prior=None, truth=true.instances)
 
 
 def scored(masks: NDArray[np.int32], shown: Shown) -> MaskScore:
-    """Return the score of the masks of a frame."""
     return score_masks(masks, shown.truth, int(MIN_SHARE * shown.truth.size))
 
 
@@ -199,7 +182,6 @@ def picture(shown: Shown, masks: Mapping[str, NDArray[np.int32]], width_px: int 
 
 
 def painted(rgb: NDArray[np.uint8], masks: NDArray[np.int32]) -> NDArray[np.uint8]:
-    """Return an image with its masks in colours of their own."""
     colors = np.random.default_rng(3).integers(60, 256, (int(masks.max(initial=0)) + 1, 3))
     colors[0] = 0
     grey = np.asarray(rgb).mean(axis=2, keepdims=True)

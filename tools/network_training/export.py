@@ -1,32 +1,20 @@
-"""From the trained network to a graph in eight bits whose every sum is exact.
+"""From the trained network to a graph in eight bits whose every sum is exact."""
+# Batch normalisation is folded in. Activations are bytes from 0 on: cutting at 0 is the ReLU; joined tensors share a
+# scale. Weights have seven bits: processors without VNNI add pairs in sixteen bits, and 2 x 255 x 63 < 32768.
 
-Batch normalisation is folded into the convolutions. Activations are bytes from 0 on, so that cutting at 0 is the ReLU;
-what is concatenated shares its scale, so that it is copied. Weights have seven bits, one scale for each output channel:
-processors without VNNI add pairs of products in sixteen bits, and 2 x 255 x 63 stays below 32768, so that nothing is
-cut there that is not cut elsewhere. The graph is written node by node: what onnxruntime runs is what is here.
-"""
-
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import onnx
 import torch
+from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from hickory_stream.perception.affinity.pixel_inputs import NUM_INPUTS, UNIT, ZERO
 from hickory_stream.perception.affinity.pixel_network import NUM_OUTPUTS, ODDS_UNIT, ODDS_ZERO
-from tools.network_training.model import inputs_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from tools.network_training.model import AffinityNet, Layer
+from tools.network_training.model import AffinityNet, Layer, inputs_of
 
 _MOST_WEIGHT = 63
 _OPSET, _IR_VERSION = 18, 10
@@ -65,8 +53,6 @@ def export(net: AffinityNet, inputs: Sequence[NDArray[np.uint8]], path: Path) ->
 
 
 class _Graph:
-    """An ONNX graph as it grows."""
-
     def __init__(self) -> None:
         self._nodes: list[onnx.NodeProto] = []
         self._constants: list[onnx.TensorProto] = []
@@ -75,7 +61,6 @@ class _Graph:
     def convolution(
         self, name: str, source: str, before: tuple[float, int], folded: Folded, after: tuple[float, int]
     ) -> str:
-        """Add a convolution between bytes of two scales and zeros, and return its output."""
         # The scales that are in the file: what is said of weights and bias holds for them exactly.
         x_scale, y_scale = np.float32(before[0]), np.float32(after[0])
         most = np.abs(folded.weights).max(axis=(1, 2, 3))
@@ -83,16 +68,13 @@ class _Graph:
         weights = np.rint(folded.weights / w_scales.astype(np.float64)[:, None, None, None])
         bias = np.rint(folded.bias / (np.float64(x_scale) * w_scales.astype(np.float64)))
         inputs = [
-            source,
-            self._constant(f"{name}_x_scale", x_scale),
-            self._constant(f"{name}_x_zero", np.uint8(before[1])),
+            source, self._constant(f"{name}_x_scale", x_scale), self._constant(f"{name}_x_zero", np.uint8(before[1])),
             self._constant(f"{name}_weights", np.clip(weights, -_MOST_WEIGHT, _MOST_WEIGHT).astype(np.int8)),
             self._constant(f"{name}_w_scales", w_scales),
             self._constant(f"{name}_w_zeros", np.zeros(len(w_scales), dtype=np.int8)),
-            self._constant(f"{name}_y_scale", y_scale),
-            self._constant(f"{name}_y_zero", np.uint8(after[1])),
+            self._constant(f"{name}_y_scale", y_scale), self._constant(f"{name}_y_zero", np.uint8(after[1])),
             self._constant(f"{name}_bias", np.clip(bias, -(2**30), 2**30).astype(np.int32)),
-        ]
+        ]  # fmt: skip
         side = folded.weights.shape[2]
         self._nodes.append(
             helper.make_node(
@@ -108,7 +90,6 @@ class _Graph:
         return name
 
     def enlarged_and_joined(self, name: str, below: str, beside: str) -> str:
-        """Add what doubles the sides of a tensor and puts another one's channels after its own; return its output."""
         self._nodes.append(
             helper.make_node(
                 "Resize",
@@ -124,15 +105,11 @@ class _Graph:
         return name
 
     def model(self) -> onnx.ModelProto:
-        """Return the graph, checked."""
         told = helper.make_tensor_value_info
         graph = helper.make_graph(
-            self._nodes,
-            "affinities",
-            [told("inputs", TensorProto.UINT8, [1, NUM_INPUTS, "height", "width"])],
-            [told("odds", TensorProto.UINT8, [1, NUM_OUTPUTS, "half_height", "half_width"])],
-            self._constants,
-        )
+            self._nodes, "affinities", [told("inputs", TensorProto.UINT8, [1, NUM_INPUTS, "height", "width"])],
+            [told("odds", TensorProto.UINT8, [1, NUM_OUTPUTS, "half_height", "half_width"])], self._constants,
+        )  # fmt: skip
         model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)])
         model.ir_version = _IR_VERSION
         onnx.checker.check_model(model, full_check=True)
@@ -156,10 +133,8 @@ def _array(tensor: torch.Tensor) -> NDArray[np.float64]:
 
 
 def _scales(net: AffinityNet, inputs: Sequence[NDArray[np.uint8]]) -> dict[int | tuple[str, int], float]:
-    """Return what one step of a byte is worth: for level i what is kept and enlarged there, and for other tensors.
-
-    The greatest activations are cut: a few in ten thousand may be over the range, for which all others are finer.
-    """
+    # Return what one step of a byte is worth: for level i what is kept and enlarged there, and for other tensors. The
+    # greatest activations are cut: a few in ten thousand may be over the range, for which all others are finer.
     found: dict[tuple[str, int], list[float]] = {}
 
     def watch(key: tuple[str, int]):  # type: ignore[no-untyped-def]

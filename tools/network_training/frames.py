@@ -1,36 +1,26 @@
-"""Training frames, rendered without sensor defects and cached; defects are drawn anew for each lesson.
-
-Cameras stand where one can walk, but look from any height between a small robot's and a tall person's, at any pitch,
-with a little roll and a field of view of their own.
-"""
-
-from __future__ import annotations
+"""Training frames, rendered without sensor defects and cached; defects are drawn anew for each lesson."""
+# Cameras stand where one can walk, but look from any height between a small robot's and a tall person's, at any pitch,
+# with a little roll and a field of view of their own.
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, overload
+from pathlib import Path
+from typing import overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.camera import Camera, backproject
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.worlds.rendering import Renderer
-from hickory_stream.worlds.trajectory import camera_rotation
+from hickory_stream.worlds.trajectory import Trajectory, camera_rotation
 from tools.worlds.clutter.frames import frames_of
 from tools.worlds.recording_config import RecordingConfig, walkable_world
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.trajectory import Trajectory
 
 WIDTH_PX, HEIGHT_PX = 320, 240
 _NEAR_M = 0.35
@@ -40,12 +30,10 @@ _TRIES = 4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TrueFrame:
-    """A frame without defects, and `sensed_m` (H, W) float32: depth with those of a camera, where the scene has one.
+    """A frame without defects, and `sensed_m` (H, W) float32: depth with those of a camera, where the scene has one."""
 
-    `rgb` (H, W, 3) uint8; `depth_m` (H, W) float32, NaN without a hit; `cosine` (H, W) float32 of the angle between ray
-    and surface; `instances` (H, W) int32: a thing, 0 for structure, -1 where it is not known; the floor is at z = 0.
-    """
-
+    # `cosine` (H, W) of ray and surface; `instances` (H, W): 0 structure, -1 unknown; depth NaN without a hit; floor at
+    # z = 0.
     rgb: NDArray[np.uint8]
     depth_m: NDArray[np.float32]
     cosine: NDArray[np.float32]
@@ -57,18 +45,15 @@ class TrueFrame:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scene:
-    """A synthetic world and how many frames of it are learnt from.
+    """A synthetic world and how many frames of it are learnt from."""
 
-    `kind` is that of a recording, or `clutter-FAMILY`: random rooms.
-    """
-
+    # `kind` is that of a recording, or `clutter-FAMILY`: random rooms.
     kind: str
     seed: int
     frames: int
 
     @property
     def name(self) -> str:
-        """What its file is called."""
         return f"{self.kind}-{self.seed}-{self.frames}"
 
 
@@ -79,7 +64,6 @@ class KeptFrames(Sequence[TrueFrame]):
         self._kept = np.load(file, mmap_mode="r")
 
     def __len__(self) -> int:
-        """Return how many there are."""
         return len(self._kept)
 
     @overload
@@ -95,18 +79,14 @@ class KeptFrames(Sequence[TrueFrame]):
         kept = self._kept[index]
         fx, fy, cx, cy = kept["camera"].tolist()
         return TrueFrame(
-            rgb=np.array(kept["rgb"]),
-            depth_m=_metres(kept["depth"]),
-            cosine=kept["cosine"].astype(np.float32) / np.float32(255),
-            instances=kept["instances"].astype(np.int32),
+            rgb=np.array(kept["rgb"]), depth_m=_metres(kept["depth"]),
+            cosine=kept["cosine"].astype(np.float32) / np.float32(255), instances=kept["instances"].astype(np.int32),
             camera=Camera(width=WIDTH_PX, height=HEIGHT_PX, fx=fx, fy=fy, cx=cx, cy=cy),
-            world_from_camera=np.array(kept["pose"]),
-            sensed_m=_metres(kept["sensed"]) if kept["is_sensed"] else None,
-        )
+            world_from_camera=np.array(kept["pose"]), sensed_m=_metres(kept["sensed"]) if kept["is_sensed"] else None,
+        )  # fmt: skip
 
 
 def frames_of_scene(scene: Scene, folder: Path) -> KeptFrames:
-    """Return the frames of a scene; rendered if they are not kept in `folder` yet."""
     file = folder / f"{scene.name}.npy"
     if not file.is_file():
         started = time.monotonic()
@@ -127,7 +107,6 @@ def rendered(scenes: Sequence[Scene], folder: Path, processes: int) -> None:
 
 
 def _render(scene: Scene, folder: Path) -> None:
-    """Leave the frames of a scene on the disk: what a process returned would be sent to another one."""
     frames_of_scene(scene, folder)
 
 
@@ -141,18 +120,13 @@ def _of_random_rooms(scene: Scene, family: str) -> Iterator[TrueFrame]:
         is_known = frame.is_structure | (frame.instances > 0)
         instances = np.where(is_known, frame.instances.astype(np.int32), np.int32(-1))
         yield TrueFrame(
-            rgb=frame.rgb,
-            depth_m=frame.exact_depth_m,
-            cosine=_cosine(frame.exact_depth_m, frame.camera),
-            instances=instances.astype(np.int32),
-            camera=frame.camera,
-            world_from_camera=frame.world_from_camera,
+            rgb=frame.rgb, depth_m=frame.exact_depth_m, cosine=_cosine(frame.exact_depth_m, frame.camera),
+            instances=instances.astype(np.int32), camera=frame.camera, world_from_camera=frame.world_from_camera,
             sensed_m=frame.depth_m,
-        )
+        )  # fmt: skip
 
 
 def _cosine(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Return (H, W) the cosine between ray and surface, by the neighbours to the right and below; 1 at edges."""
     points = backproject(depth_m, camera).astype(np.float64)
     right, below = np.roll(points, -1, axis=1) - points, np.roll(points, -1, axis=0) - points
     normal = np.cross(right, below)
@@ -178,13 +152,9 @@ def _of_walk(scene: Scene) -> Iterator[TrueFrame]:
             ids, pixels = np.unique(seen.instances[seen.instances > 0], return_counts=True)
             if near < 0.1 and np.count_nonzero(pixels >= _LEAST_THING_PX) >= 2 and len(ids) >= 2:
                 yield TrueFrame(
-                    rgb=seen.rgb,
-                    depth_m=seen.depth_m,
-                    cosine=seen.cosine,
-                    instances=seen.instances.astype(np.int32),
-                    camera=camera,
-                    world_from_camera=pose,
-                )
+                    rgb=seen.rgb, depth_m=seen.depth_m, cosine=seen.cosine, instances=seen.instances.astype(np.int32),
+                    camera=camera, world_from_camera=pose,
+                )  # fmt: skip
                 break
 
 
@@ -195,7 +165,6 @@ def _camera(rng: np.random.Generator) -> Camera:
 
 
 def _pose(kind: str, trajectory: Trajectory, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return `world_from_camera` near a walk."""
     before = trajectory.pose_at(float(rng.uniform(0, trajectory.times_s[-1])))
     forward = before[:3, 2]
     yaw, pitch = np.arctan2(forward[1], forward[0]), np.arcsin(np.clip(forward[2], -1, 1))
@@ -212,18 +181,11 @@ def _pose(kind: str, trajectory: Trajectory, rng: np.random.Generator) -> NDArra
 
 
 _IMAGE = (HEIGHT_PX, WIDTH_PX)
-_KEPT = np.dtype(
-    [
-        ("rgb", np.uint8, (*_IMAGE, 3)),
-        ("depth", np.uint16, _IMAGE),
-        ("sensed", np.uint16, _IMAGE),
-        ("is_sensed", np.bool_),
-        ("cosine", np.uint8, _IMAGE),
-        ("instances", np.int16, _IMAGE),
-        ("camera", np.float64, 4),
-        ("pose", np.float64, (4, 4)),
-    ]
-)
+_KEPT = np.dtype([
+    ("rgb", np.uint8, (*_IMAGE, 3)), ("depth", np.uint16, _IMAGE), ("sensed", np.uint16, _IMAGE),
+    ("is_sensed", np.bool_), ("cosine", np.uint8, _IMAGE), ("instances", np.int16, _IMAGE), ("camera", np.float64, 4),
+    ("pose", np.float64, (4, 4)),
+])  # fmt: skip
 
 
 def _write(file: Path, frames: Sequence[TrueFrame]) -> None:
@@ -241,7 +203,6 @@ def _write(file: Path, frames: Sequence[TrueFrame]) -> None:
 
 
 def _fifths_mm(depth_m: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return depth in a fifth of a millimetre, 0 for none."""
     return np.asarray(np.nan_to_num(np.clip(np.round(5000.0 * depth_m), 0, 65535)))
 
 

@@ -1,17 +1,12 @@
-"""A training example: a frame with defects of depth and colour drawn anew each time, and its target affinities.
-
-Depth gets the noise, holes and shadows of stereo cameras good and bad; colour is changed as light and cameras change
-it, and is left out altogether a quarter of the time, so that the network is led by depth. Height and scale are left out
-half of the time, and the noise that is assumed is not the true one.
-"""
-
-from __future__ import annotations
+"""A training example: a frame with defects of depth and colour drawn anew each time, and its target affinities."""
+# Colour is left out a quarter of the time, so that depth leads; height and scale half of the time; the assumed noise is
+# not the true one.
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.depth_sensor import DepthSensor
 from hickory_stream.geometry.rigid import from_rotation_translation
@@ -19,11 +14,7 @@ from hickory_stream.perception.affinity.pixel_inputs import CHANNELS, ZERO, pixe
 from hickory_stream.perception.surface import SurfaceConfig, surface_of
 from hickory_stream.records import Frame
 from hickory_stream.worlds.depth_camera import DepthCameraConfig, sensed_depth
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from tools.network_training.frames import TrueFrame
+from tools.network_training.frames import TrueFrame
 
 UNKNOWN = -1
 _COLORS = [i for i, name in enumerate(CHANNELS) if name in ("light", "green_red", "blue_yellow")]
@@ -34,28 +25,21 @@ _MIRRORED = CHANNELS.index("normal_right")
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Lesson:
-    """Bytes (NUM_INPUTS, H, W), and (H / 2, W / 2) the thing at each pixel of the output.
+    """Bytes (NUM_INPUTS, H, W), and (H / 2, W / 2) the thing at each pixel of the output."""
 
-    0 is structure, `UNKNOWN` what is not to be learnt.
-    """
-
+    # 0 is structure, `UNKNOWN` what is not to be learnt.
     inputs: NDArray[np.uint8]
     labels: NDArray[np.int32]
 
 
 def lesson_of(frame: TrueFrame, rng: np.random.Generator) -> Lesson:
-    """Return a lesson with defects that are drawn."""
     depth = _defective_depth(frame, rng)
     pose = _tilted(frame.world_from_camera, rng)
     seen = Frame(
-        index=0,
-        stamp_ns=0,
-        rgb=_changed_color(frame.rgb, rng),
-        depth_m=depth,
-        camera=frame.camera,
+        index=0, stamp_ns=0, rgb=_changed_color(frame.rgb, rng), depth_m=depth, camera=frame.camera,
         world_from_camera=pose,
         sensor=DepthSensor(noise_per_m=float(np.exp(rng.uniform(np.log(0.0012), np.log(0.0035))))),
-    )
+    )  # fmt: skip
     surface = surface_of(seen, SurfaceConfig())
     inputs = pixel_inputs(surface, float(rng.normal(0, 0.02)) if rng.random() < 0.5 else None)
     if rng.random() < 0.25:
@@ -73,7 +57,6 @@ def lesson_of(frame: TrueFrame, rng: np.random.Generator) -> Lesson:
 def _mirrored(
     inputs: NDArray[np.uint8], width: int, labels: NDArray[np.int32]
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
-    """Return a lesson with left and right exchanged; the outputs are those of even pixels in either."""
     out, named = inputs.copy(), labels.copy()
     # One column more to the right, so that even pixels stay even.
     out[:, :, 1:width] = inputs[:, :, 1:width][:, :, ::-1]
@@ -84,21 +67,14 @@ def _mirrored(
 
 
 def drawn_camera(rng: np.random.Generator) -> DepthCameraConfig:
-    """Return a stereo camera, good or bad."""
     sigma_px = float(np.exp(rng.uniform(np.log(0.004), np.log(0.06))))
     return DepthCameraConfig(
-        baseline_m=float(rng.uniform(0.05, 0.12)),
-        min_depth_m=0.25,
-        max_depth_m=float(rng.uniform(4.0, 8.0)),
-        disparity_sigma_px=sigma_px,
-        correlation_px=float(rng.uniform(0.6, 2.0)),
-        white_share=float(rng.uniform(0.05, 0.7)),
-        disparity_step_px=sigma_px * float(rng.uniform(0.2, 1.2)),
-        edge_loss=float(rng.uniform(0.0, 0.5)),
-        flying_share=float(rng.uniform(0.0, 0.35)),
-        dropout_share=float(rng.uniform(0.001, 0.08)),
-        grazing_cosine=float(rng.uniform(0.02, 0.25)),
-    )
+        baseline_m=float(rng.uniform(0.05, 0.12)), min_depth_m=0.25, max_depth_m=float(rng.uniform(4.0, 8.0)),
+        disparity_sigma_px=sigma_px, correlation_px=float(rng.uniform(0.6, 2.0)),
+        white_share=float(rng.uniform(0.05, 0.7)), disparity_step_px=sigma_px * float(rng.uniform(0.2, 1.2)),
+        edge_loss=float(rng.uniform(0.0, 0.5)), flying_share=float(rng.uniform(0.0, 0.35)),
+        dropout_share=float(rng.uniform(0.001, 0.08)), grazing_cosine=float(rng.uniform(0.02, 0.25)),
+    )  # fmt: skip
 
 
 def _defective_depth(frame: TrueFrame, rng: np.random.Generator) -> NDArray[np.float32]:
@@ -115,7 +91,6 @@ def _defective_depth(frame: TrueFrame, rng: np.random.Generator) -> NDArray[np.f
 
 
 def _tilted(world_from_camera: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a pose whose gravity is off by a degree or so."""
     turned, _ = cv2.Rodrigues(np.array([*rng.normal(0, 0.015, 2), 0.0]))
     return from_rotation_translation(turned @ world_from_camera[:3, :3], world_from_camera[:3, 3])
 

@@ -1,11 +1,7 @@
-"""The network in torch: a small U-Net whose every layer has an exact form in eight bits.
-
-Encoder and decoder of Ronneberger et al. 2015 with skips, output at half the input's size; affinities to neighbours at
-growing distances as in Wolf et al. 2018 and Lee et al. 2017. Only convolutions with a ReLU, nearest enlargement and
-concatenation: in eight bits the first is integers and one rounding, the others are copies (`export.py`).
-"""
-
-from __future__ import annotations
+"""The network in torch: a small U-Net whose every layer has an exact form in eight bits."""
+# Encoder and decoder of Ronneberger et al. 2015 with skips, output at half the input's size; affinities to neighbours
+# at growing distances as in Wolf et al. 2018 and Lee et al. 2017. Only convolutions with a ReLU, nearest enlargement
+# and concatenation: in eight bits the first is integers and one rounding, the others are copies (`export.py`).
 
 from itertools import pairwise
 
@@ -28,7 +24,6 @@ class Layer(nn.Module):
         self.norm = nn.BatchNorm2d(outputs)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the activations."""
         return torch.relu(self.norm(self.conv(x)))
 
 
@@ -47,7 +42,6 @@ class AffinityNet(nn.Module):
         self.head = nn.Conv2d(DECODED[0], NUM_OUTPUTS, 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the log-odds."""
         kept = []
         for down, same in zip(self.down, self.same, strict=True):
             x = same(down(x))

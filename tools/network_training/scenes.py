@@ -1,20 +1,55 @@
 """Which synthetic scenes are learnt from: mostly rooms of the broad generator, beside own ones."""
+# The schedule of the training: steps, learning rate and batch size of each stage.
 
-from __future__ import annotations
-
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from tools.network_training.frames import Scene, frames_of_scene
-from tools.network_training.stages import Stage
+import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
+from tools.network_training.frames import KeptFrames, Scene, TrueFrame, frames_of_scene
 
-    import numpy as np
 
-    from tools.network_training.frames import KeptFrames, TrueFrame
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Stage:
+    """So many steps of so many lessons; the rate rises, stays and falls."""
+
+    # `rooms`: those of the broad scenes that are learnt from, from the first to before the last.
+    steps: int
+    batch: int
+    rooms: tuple[int, int]
+    rate: float = 2e-3
+    rising: int = 100
+    falling_share: float = 1 / 7
+
+    def rate_at(self, step: int) -> float:
+        falling = max(1.0, self.falling_share * self.steps)
+        return self.rate * min(1.0, (step + 1) / self.rising, max(0.01, (self.steps - step) / falling))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Schedule:
+    """Stages in turn; `precision` of the products in training."""
+
+    stages: tuple[Stage, ...]
+    seed: int = 0
+    weight_decay: float = 1e-2
+    precision: str = "bfloat16"
+    told_every: int = 50
+    kept_every: int = 100
+
+    @property
+    def steps(self) -> int:
+        return sum(stage.steps for stage in self.stages)
+
+    def at(self, step: int) -> tuple[Stage, int]:
+        for stage in self.stages:
+            if step < stage.steps:
+                return stage, step
+            step -= stage.steps
+        raise IndexError(f"step {self.steps + step}; the schedule has {self.steps}")
+
 
 _FRAMES = 48
 OWN = (

@@ -1,15 +1,10 @@
-"""Measure the paper's tables: `tools/paper [--table NAME] [--data DIR] [-o FOLDER] [--quick]`.
-
-`tools/paper views|alignment|navigation ...` compares on one's own logs and maps instead.
-"""
-
-from __future__ import annotations
+"""Measure the paper's tables: `tools/paper [--table NAME] [--data DIR] [-o FOLDER] [--quick]`."""
+# `tools/paper views|alignment|navigation ...` compares on one's own logs and maps instead.
 
 import argparse
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -19,18 +14,13 @@ from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import HickoryError
 from tools.paper_tables import own_maps
 from tools.paper_tables.alignment import alignment_table
-from tools.paper_tables.chart import chart
 from tools.paper_tables.counterparts import write_counterparts
 from tools.paper_tables.data_sets import DATA_SETS
 from tools.paper_tables.navigation import navigation_table
-from tools.paper_tables.plan import FULL, QUICK
 from tools.paper_tables.storage import storage_table
-from tools.paper_tables.tables import as_csv, as_json, markdown
+from tools.paper_tables.tables import Table, as_csv, as_json, chart, markdown
 from tools.paper_tables.views import views_table
-from tools.paper_tables.workshop import Workshop
-
-if TYPE_CHECKING:
-    from tools.paper_tables.tables import Table
+from tools.paper_tables.workshop import FULL, QUICK, Workshop
 
 TABLES = {
     "views": views_table, "shapes": storage_table, "alignment": alignment_table, "navigation": navigation_table,

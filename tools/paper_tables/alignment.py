@@ -1,29 +1,19 @@
 """The paper's table of alignment: two maps of a place by our method and its competitors, against truth."""
 
-from __future__ import annotations
+from pathlib import Path
+from typing import Any
 
-from typing import TYPE_CHECKING, Any
-
-from hickory_stream.alignment.methods import align_by
+from hickory_stream.alignment.methods import Method, align_by
 from hickory_stream.alignment.object_map import object_map
 from hickory_stream.errors import HickoryError
 from hickory_stream.geometry.rigid import invert
-from hickory_stream.map_folder.saved_map import open_map
+from hickory_stream.map_folder.saved_map import SavedMap, open_map
 from tools.evaluation.alignment_table import row_of, table_json
 from tools.evaluation.alignment_truth import read_true_trajectory, world_from_map
-from tools.paper_tables.logs import apartment_pairs, kimera_pairs, nus_pairs
+from tools.paper_tables.logs import Pair, apartment_pairs, kimera_pairs, nus_pairs
 from tools.paper_tables.published import ALIGNMENT, Aligned
 from tools.paper_tables.tables import Cell, Column, Table
-from tools.paper_tables.workshop import refusal
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.alignment.methods import Method
-    from hickory_stream.map_folder.saved_map import SavedMap
-    from tools.paper_tables.logs import Pair
-    from tools.paper_tables.plan import Plan
-    from tools.paper_tables.workshop import Workshop
+from tools.paper_tables.workshop import Plan, Workshop, refusal
 
 _METHODS: dict[Method, str] = {
     "bbox": "Mesh-BBox", "roman-xl": "ROMAN-XL", "roman-one": "ROMAN-One", "sq": "Superquadrics (ours)",

@@ -1,38 +1,125 @@
-"""Synthetic counterparts of the data sets, written in their layouts so that the same readers read them.
-
-The scenes are drawn from seeds that nothing else in the project uses. A scene that is there stays.
-"""
-
-from __future__ import annotations
+"""Synthetic counterparts of the data sets, written in their layouts so that the same readers read them."""
+# A world of our own generator written in the layout of ReplicaCAD. A recording with truth written in the layout of
+# HOPE-Video. The scenes are drawn from seeds that nothing else in the project uses. A scene that is there stays.
 
 import shutil
 import tempfile
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from hickory_stream.base.json_text import dumps
+from hickory_stream.evaluation.truth import Truth, mesh_of, moved_mesh
+from hickory_stream.geometry.mesh import Mesh, write_glb
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.worlds.object_models import model_mesh
 from hickory_stream.worlds.recording import make_recording
+from hickory_stream.worlds.scene import World
+from players import open_source
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
-from tools.paper_tables.write_hope import write_hope
-from tools.paper_tables.write_replica_cad import write_replica_cad
+from tools.paper_tables.hope import CM_PER_M
+from tools.paper_tables.replica_cad import Z_UP_FROM_Y_UP
+from tools.paper_tables.workshop import Plan
 from tools.worlds.layouts import KimeraMultiLog
 from tools.worlds.outdoor.walk import outdoors
 from tools.worlds.recording_config import RecordingConfig, drawn_frame, walkable_world
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+_Y_UP_FROM_Z_UP = invert(Z_UP_FROM_Y_UP)
 
-    from numpy.typing import NDArray
 
-    from hickory_stream.evaluation.truth import Truth
-    from tools.paper_tables.plan import Plan
+def write_replica_cad(world: World, root: Path, name: str) -> None:
+    """Write a world as the apartment `name` of the data set in `root`, which may hold others."""
+    for folder in ("configs/scenes", "configs/objects", "objects", "stages"):
+        (root / folder).mkdir(parents=True, exist_ok=True)
+    stage = f"{name}_stage"
+    walls = _merged([model_mesh(model) for model in world.structure])
+    write_glb(moved_mesh(walls, _Y_UP_FROM_Z_UP), root / "stages" / f"{stage}.glb")
+    instances = []
+    for item in world.objects:
+        template = f"{name}_{item.id:03d}_{item.model.kind}"
+        mesh = moved_mesh(model_mesh(item.model), _Y_UP_FROM_Z_UP)
+        write_glb(mesh, root / "objects" / f"{template}.glb")
+        config = {"render_asset": f"../../objects/{template}.glb", "mass": 1.0}
+        (root / "configs" / "objects" / f"{template}.object_config.json").write_text(dumps(config), encoding="utf-8")
+        pose = _Y_UP_FROM_Z_UP @ item.world_from_object @ Z_UP_FROM_Y_UP
+        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
+        instances.append({
+            "template_name": f"objects/{template}", "motion_type": "STATIC", "translation": pose[:3, 3].tolist(),
+            "rotation": [w, x, y, z],
+        })  # fmt: skip
+    scene = {
+        "translation_origin": "asset_local",
+        "stage_instance": {"template_name": f"stages/{stage}", "translation_origin": "asset_local"},
+        "object_instances": instances,
+        "articulated_object_instances": [],
+    }
+    (root / "configs" / "scenes" / f"{name}.scene_instance.json").write_text(dumps(scene, indent=1), encoding="utf-8")
+
+
+def _merged(meshes: Sequence[Mesh]) -> Mesh:
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])[:-1]
+    return Mesh(
+        vertices=np.concatenate([mesh.vertices for mesh in meshes]),
+        faces=np.concatenate([mesh.faces + at for mesh, at in zip(meshes, offsets, strict=True)]).astype(np.int32),
+        colors=np.concatenate([mesh.colors for mesh in meshes]),
+        is_seen=np.concatenate([mesh.is_seen for mesh in meshes]),
+    )
+
+
+_MM_PER_M = 1000.0
+
+
+def write_hope(log: Path, truth: Truth, scene: Path, meshes: Path) -> None:
+    """Write a log and its truth as the folder of a scene, and the meshes of its objects into the data set's."""
+    scene.mkdir(parents=True, exist_ok=True)
+    meshes.mkdir(parents=True, exist_ok=True)
+    names = {item.id: f"{scene.name}_{item.id:02d}_{item.kind}" for item in truth.objects}
+    for item in truth.objects:
+        _write_obj(mesh_of(truth, item), meshes / f"{names[item.id]}.obj")
+    source = open_source(log)
+    for number, raw in enumerate(source.frames()):
+        frame = raw.decode()
+        camera_from_world = invert(frame.world_from_camera)
+        annotated: list[dict[str, Any]] = []
+        for item in truth.objects:
+            camera_from_object = camera_from_world @ item.world_from_object
+            camera_from_object[:3, 3] *= CM_PER_M
+            annotated.append({"class": names[item.id], "pose": camera_from_object.tolist()})
+        record = {
+            "camera": {
+                "width": frame.camera.width,
+                "height": frame.camera.height,
+                "intrinsics": frame.camera.K.tolist(),
+                "extrinsics": camera_from_world.tolist(),
+            },
+            "objects": annotated,
+        }
+        (scene / f"{number:04d}.json").write_text(dumps(record), encoding="utf-8")
+        depth_mm = np.nan_to_num(frame.depth_m * _MM_PER_M).round().clip(0, 65535).astype(np.uint16)
+        _write_image(scene / f"{number:04d}_rgb.jpg", np.ascontiguousarray(frame.rgb[..., ::-1]))
+        _write_image(scene / f"{number:04d}_depth.png", depth_mm)
+    source.close()
+
+
+def _write_image(path: Path, image: Any) -> None:
+    path.write_bytes(cv2.imencode(path.suffix, image)[1].tobytes())
+
+
+def _write_obj(mesh: Mesh, path: Path) -> None:
+    rows = np.concatenate([mesh.vertices.astype(np.float64) * CM_PER_M, mesh.colors / 255.0], axis=1)
+    lines = ["v " + " ".join(f"{value:.5f}" for value in row) for row in rows]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in mesh.faces]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+
 
 _SEED = 41_000
 # Walks of the robots of each pair; odd walks go the other way round.
@@ -57,7 +144,6 @@ def write_counterparts(plan: Plan, data: Path, told: Callable[[str], None]) -> N
 
 
 def _once(target: Path, told: Callable[[str], None], write: Callable[[Path], None]) -> None:
-    """Write a folder whole or not at all."""
     if target.is_dir():
         return
     told(f"writing {target.parent.name}/{target.name}")
@@ -73,17 +159,11 @@ def _table(plan: Plan, i: int, target: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         truth = make_recording(config, Path(folder), "table")
         # Meshes are shared by all scenes of the data set, two folders above.
-        meshes = _data_set_folder(target) / "meshes" / "eval"
+        meshes = target.parents[2] / "meshes" / "eval"
         write_hope(Path(folder) / "table.mcap", truth, target, meshes)
 
 
-def _data_set_folder(target: Path) -> Path:
-    """Return hope-dataset for hope-dataset/hope_video/.unfinished/scene_0000."""
-    return target.parents[2]
-
-
 def _robots(plan: Plan, i: int, target: Path) -> None:
-    """Write a pair of robots' bags and their ground truth in a common frame; the first pair drive opposite ways."""
     target.mkdir()
     base = RecordingConfig(
         scene="outdoor", seed=_SEED + 200 + i, seconds=plan.robot_seconds, rate_hz=5.0, layout="kimera_multi",
@@ -119,13 +199,11 @@ def _run(base: RecordingConfig, target: Path, walk: int) -> None:
 
 
 def _side_by_side(record: Callable[[int], None], walks: tuple[int, ...]) -> None:
-    """Record walks in processes of their own: an outdoor frame takes a second of one processor."""
     with ProcessPoolExecutor(len(walks), mp_context=get_context("spawn")) as pool:
         list(pool.map(record, walks))
 
 
 def _csv_rows(truth: Truth, config: RecordingConfig, camera_from_body: NDArray[np.float64]) -> list[str]:
-    """Return `stamp_ns,x,y,z,qw,qx,qy,qz` of the body, in the frame that all robots share."""
     rows = []
     for stamp_ns, pose in _common(truth, config):
         x, y, z, (qx, qy, qz, qw) = _numbers(pose @ camera_from_body)
@@ -134,7 +212,6 @@ def _csv_rows(truth: Truth, config: RecordingConfig, camera_from_body: NDArray[n
 
 
 def _tum_rows(truth: Truth, config: RecordingConfig) -> list[str]:
-    """Return `seconds x y z qx qy qz qw` of the camera, in the frame that all runs share."""
     rows = []
     for stamp_ns, pose in _common(truth, config):
         x, y, z, (qx, qy, qz, qw) = _numbers(pose)
@@ -144,7 +221,6 @@ def _tum_rows(truth: Truth, config: RecordingConfig) -> list[str]:
 
 
 def _common(truth: Truth, config: RecordingConfig) -> list[tuple[int, NDArray[np.float64]]]:
-    """Return stamps and common_from_camera (4, 4): the true poses are in the robot's own frame."""
     robot_from_common = drawn_frame(config)
     common_from_robot = np.eye(4) if robot_from_common is None else invert(robot_from_common)
     return [(frame.stamp_ns, common_from_robot @ frame.world_from_camera) for frame in truth.frames]

@@ -1,15 +1,8 @@
-"""The four data sets: what they are called, where they come from, and what of them is missing in a folder.
-
-Nothing is downloaded. Sizes and licences are those of the data sets' own pages.
-"""
-
-from __future__ import annotations
+"""The four data sets: what they are called, where they come from, and what of them is missing in a folder."""
+# Nothing is downloaded. Sizes and licences are those of the data sets' own pages.
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from pathlib import Path
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -26,11 +19,9 @@ class DataSet:
     counterpart: str
 
     def folder(self, data: Path) -> Path | None:
-        """Return the data set's folder below `data`, None if there is none."""
         return next((data / name for name in self.folders if (data / name).is_dir()), None)
 
     def missing(self, data: Path) -> list[str]:
-        """Return what is missing of the data set below `data`, a line each; [] if it is complete."""
         folder = self.folder(data)
         if folder is None:
             return [f"{self.title}: no folder {' or '.join(str(data / name) for name in self.folders)}"]
@@ -41,7 +32,6 @@ class DataSet:
         ]
 
     def how_to_get(self) -> str:
-        """Return what to download, from where, its size and licence."""
         needs = "; ".join(f"{pattern} ({what})" for pattern, what in self.needs)
         return (
             f"{self.title}: from {self.where}; {self.size}; {self.licence}. "
@@ -50,58 +40,42 @@ class DataSet:
 
 
 HOPE = DataSet(
-    name="hope",
-    title="HOPE-Video",
-    folders=("hope-dataset", "hope"),
+    name="hope", title="HOPE-Video", folders=("hope-dataset", "hope"),
     needs=(
         ("hope_video/scene_*/0000.json", "scenes with NNNN_rgb.jpg, NNNN_depth.png and NNNN.json"),
         ("meshes/eval/*.obj", "the meshes of its objects"),
     ),
-    where="github.com/swtyree/hope-dataset, by its setup.py (hope_video and meshes_eval)",
-    size="2.9 GB and 33 MB",
-    licence="CC BY-NC-SA 4.0",
-    counterpart="table-tops of our own generator",
-)
+    where="github.com/swtyree/hope-dataset, by its setup.py (hope_video and meshes_eval)", size="2.9 GB and 33 MB",
+    licence="CC BY-NC-SA 4.0", counterpart="table-tops of our own generator",
+)  # fmt: skip
 REPLICA_CAD = DataSet(
-    name="replica_cad",
-    title="ReplicaCAD",
-    folders=("ReplicaCAD_dataset", "replica_cad_dataset", "replica_cad"),
+    name="replica_cad", title="ReplicaCAD", folders=("ReplicaCAD_dataset", "replica_cad_dataset", "replica_cad"),
     needs=(
         ("configs/scenes/apt_*.scene_instance.json", "the apartments"),
         ("configs/objects/*.object_config.json", "which file shows which object"),
         ("objects/*.glb", "the objects"),
         ("stages/*.glb", "walls and floors"),
     ),
-    where="huggingface.co/datasets/ai-habitat/ReplicaCAD_dataset (ReplicaCAD Interactive)",
-    size="132 MB",
-    licence="CC BY 4.0",
-    counterpart="apartments of our own generator",
-)
+    where="huggingface.co/datasets/ai-habitat/ReplicaCAD_dataset (ReplicaCAD Interactive)", size="132 MB",
+    licence="CC BY 4.0", counterpart="apartments of our own generator",
+)  # fmt: skip
 KIMERA_MULTI = DataSet(
-    name="kimera_multi",
-    title="Kimera-Multi",
-    folders=("kimera_multi", "Kimera-Multi-Data"),
+    name="kimera_multi", title="Kimera-Multi", folders=("kimera_multi", "Kimera-Multi-Data"),
     needs=(
         ("**/*_vio.bag", "visual odometry of each robot, <robot>_vio.bag, made by replaying Kimera-VIO"),
         ("**/*_gt_odom.csv", "the ground truth of each robot, <robot>_gt_odom.csv"),
         ("**/*[!o].bag", "the bag of each robot, 10_14_<robot>.bag"),
     ),
-    where="github.com/MIT-SPARK/Kimera-Multi-Data, on request",
-    size="its size is not published",
-    licence="no licence is stated",
-    counterpart="streets of our own generator",
-)
+    where="github.com/MIT-SPARK/Kimera-Multi-Data, on request", size="its size is not published",
+    licence="no licence is stated", counterpart="streets of our own generator",
+)  # fmt: skip
 NUS_CLB = DataSet(
-    name="nus_clb",
-    title="NUS-CLB",
-    folders=("nus_clb", "NUS-CLB"),
+    name="nus_clb", title="NUS-CLB", folders=("nus_clb", "NUS-CLB"),
     needs=(
         ("*/metadata.yaml", "the ROS 2 bag of each run, a folder"),
         ("*.tum", "the true poses of each run, RUN.tum beside RUN/"),
     ),
-    where="the paper's authors",
-    size="not published",
-    licence="not published",
+    where="the paper's authors", size="not published", licence="not published",
     counterpart="apartments of our own generator, seen from a quadruped",
-)
+)  # fmt: skip
 DATA_SETS = (HOPE, REPLICA_CAD, KIMERA_MULTI, NUS_CLB)

@@ -1,24 +1,23 @@
-"""HOPE-Video in its published layout, as a log with truth.
-
-A scene is `NNNN_rgb.jpg`, `NNNN_depth.png` (millimetres) and `NNNN.json`: intrinsics, extrinsics (camera from world,
-metres) and, for every object, its class and its pose in the camera's frame in centimetres, as its mesh
-`meshes/eval/CLASS.obj` is. The units are those of the data set's README and of its own viewer, which turns the scene's
-cloud, in metres, by the extrinsics before it scales it to centimetres.
-"""
-
-from __future__ import annotations
+"""HOPE-Video in its published layout, as a log with truth."""
+# Depth in millimetres, extrinsics camera from world in metres, poses and meshes (`meshes/eval/CLASS.obj`) of objects in
+# centimetres, as the README of the data set and its viewer have them.
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.base.json_text import dumps_exactly
 from hickory_stream.errors import RecordingError
 from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, TruthFrame, TruthObject, truth_record
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.mesh import write_glb
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.records import Frame
 from hickory_stream.worlds.object_models import model_mesh
 from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.scene import World, WorldObject
@@ -26,15 +25,6 @@ from hickory_stream.worlds.visibility import SeenSurface
 from hickory_stream.worlds.zed_log import encode_png
 from players import open_source
 from tools.paper_tables.meshes import model_of_file
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.records import Frame
 
 CM_PER_M = 100.0
 # How far annotations of one object may disagree over a scene, and what may cover a pixel of an object.
@@ -49,19 +39,13 @@ class _Annotated:
 
 
 def scene_folders(root: Path) -> list[Path]:
-    """Return the scenes of a data set's folder."""
     return sorted(folder for folder in (root / "hope_video").glob("scene_*") if folder.is_dir())
 
 
 def write_truth(scene: Path, meshes: Path, target: Path) -> Truth:
-    """Write the truth of a scene's objects into a new folder and return it.
-
-    An object is one of a class, the n-th of its json; its place is the median over all frames.
-
-    Raises:
-        RecordingError: a json or a mesh is missing or damaged, or an object does not stay in place, which means other
-            units than expected.
-    """
+    # An object is one of a class, the n-th of its json; its place is the median over all frames.
+    # Raises RecordingError: a json or a mesh is missing or damaged, or an object does not stay in place, which means
+    # other units than expected.
     numbers = sorted(int(file.name[:4]) for file in scene.glob("[0-9][0-9][0-9][0-9].json"))
     objects = _objects(scene, numbers, meshes)
     world = World(objects=objects, structure=(), rooms_m=((-2.0, -2.0, 2.0, 2.0),), middle_m=(0.0, 0.0))
@@ -154,7 +138,6 @@ def _objects(scene: Path, numbers: list[int], meshes: Path) -> tuple[WorldObject
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], list[_Annotated]]:
-    """Return world_from_camera and the objects of a frame, in metres."""
     try:
         record: Any = json.loads(path.read_bytes())
         camera_from_world = np.array(record["camera"]["extrinsics"], dtype=np.float64).reshape(4, 4)

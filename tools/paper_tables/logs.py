@@ -1,30 +1,21 @@
 """The logs of the data sets below a folder, whether real or written by us."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from hickory_stream.errors import RecordingError
-from hickory_stream.evaluation.truth import TRUTH_FILE, load_truth
+from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, load_truth
 from hickory_stream.worlds.recording import film
 from hickory_stream.worlds.shots import Stage
 from hickory_stream.worlds.trajectory import NoWalk
 from tools.paper_tables import hope, replica_cad
 from tools.paper_tables.data_sets import HOPE, KIMERA_MULTI, NUS_CLB, REPLICA_CAD
-from tools.paper_tables.workshop import Log
+from tools.paper_tables.workshop import Log, Plan, Workshop
 from tools.worlds.clutter.walk import wander_through
 from tools.worlds.recording_config import RecordingConfig
 from tools.worlds.routes import clearance_of_surfaces
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hickory_stream.evaluation.truth import Truth
-    from tools.paper_tables.plan import Plan
-    from tools.paper_tables.workshop import Workshop
 
 _ATTEMPTS, _WALK_SECONDS = 20, 90.0
 # Where the camera sits on the quadruped was not published: it is estimated from each log.
@@ -42,18 +33,14 @@ class Pair:
 
 
 def hope_logs(data: Path, plan: Plan) -> list[Log]:
-    """Return the first scenes of HOPE-Video."""
     root = HOPE.folder(data)
     folders = [] if root is None else hope.scene_folders(root)[: plan.hope_scenes]
     return [Log(data_set=HOPE.name, scene=folder.name, name="all", files=(folder,)) for folder in folders]
 
 
 def hope_truth(data: Path, log: Log, shop: Workshop) -> Truth:
-    """Return the truth of a scene of HOPE-Video, made once.
-
-    Raises:
-        RecordingError: a json or a mesh is missing or damaged.
-    """
+    """Return the truth of a scene of HOPE-Video, made once."""
+    # Raises RecordingError: a json or a mesh is missing or damaged.
     root, target = HOPE.folder(data), shop.folder / "truth" / log.label
     assert root is not None
     if not (target / TRUTH_FILE).is_file():
@@ -63,11 +50,8 @@ def hope_truth(data: Path, log: Log, shop: Workshop) -> Truth:
 
 
 def apartment_pairs(data: Path, plan: Plan, shop: Workshop) -> list[Pair]:
-    """Return two walks through each of the first apartments of ReplicaCAD, rendered by our own renderer, once.
-
-    Raises:
-        RecordingError: a file of an apartment is missing or damaged, or nobody can walk through it.
-    """
+    """Return two walks through each of the first apartments of ReplicaCAD, rendered by our own renderer, once."""
+    # Raises RecordingError: a file of an apartment is missing or damaged, or nobody can walk through it.
     root = REPLICA_CAD.folder(data)
     names = [] if root is None else replica_cad.scene_names(root)[: plan.apartments]
     pairs = []
@@ -137,7 +121,6 @@ def _ground_truth(folder: Path, robot: str) -> Path:
 
 
 def _robot_log(folder: Path, robot: str) -> Log | None:
-    """Return a robot's bag (10_14_ROBOT.bag or ROBOT.bag) with that of its odometry; None if one is missing."""
     bags = [file for file in sorted(folder.glob(f"*{robot}.bag")) if file.stem in (robot, *_dated(file.stem, robot))]
     odometry = folder / f"{robot}_vio.bag"
     if not bags or not odometry.is_file():
@@ -146,7 +129,6 @@ def _robot_log(folder: Path, robot: str) -> Log | None:
 
 
 def _dated(stem: str, robot: str) -> tuple[str, ...]:
-    """Return the stem if it is MM_DD_ROBOT: acl_jackal2 is not a bag of jackal2."""
     date = stem.removesuffix(f"_{robot}").replace("_", "")
     return (stem,) if stem.endswith(f"_{robot}") and date.isdigit() else ()
 

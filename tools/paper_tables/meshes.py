@@ -1,33 +1,23 @@
-"""Meshes of others as models of our worlds: GLB and OBJ files with textures, materials or vertex colours.
+"""Meshes of others as models of our worlds: GLB and OBJ files with textures, materials or vertex colours."""
+# A model's part has one plain colour: faces are grouped by their colour in steps of 32 grey levels.
 
-A model's part has one plain colour: faces are grouped by their colour in steps of 32 grey levels.
-"""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import RecordingError
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.worlds.object_models import Model, Part
 from hickory_stream.worlds.textures import Texture
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
 _STEP = 32
 
 
 def model_of_file(path: Path, kind: str, model_from_file: NDArray[np.float64]) -> Model:
-    """Return the model in a GLB or OBJ file; `model_from_file` (4, 4) may scale.
-
-    Raises:
-        RecordingError: the file is missing, or holds no triangles.
-    """
+    """Return the model in a GLB or OBJ file; `model_from_file` (4, 4) may scale."""
+    # Raises RecordingError: the file is missing, or holds no triangles.
     import trimesh
 
     if not path.is_file():
@@ -71,7 +61,6 @@ def _parts(mesh: Any, model_from_file: NDArray[np.float64]) -> list[Part]:
 
 
 def _face_colors(mesh: Any) -> NDArray[np.int64]:
-    """Return the (F, 3) colours of faces, 0 to 255: means of what their vertices have, or of the texture there."""
     visual = mesh.visual
     if visual.kind == "texture":
         visual = visual.to_color()

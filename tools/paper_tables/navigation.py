@@ -1,8 +1,7 @@
 """The paper's table of navigation: boxes, meshes and layer 4 of our maps as obstacles, planned on, against truth."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.errors import HickoryError
 from hickory_stream.evaluation.truth import load_truth
@@ -13,13 +12,7 @@ from tools.evaluation.navigation_table import score_saved_map, table_json
 from tools.paper_tables.logs import apartment_pairs
 from tools.paper_tables.published import NAVIGATION
 from tools.paper_tables.tables import Cell, Column, Table, mean_of
-from tools.paper_tables.workshop import refusal
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tools.paper_tables.plan import Plan
-    from tools.paper_tables.workshop import Log, Workshop
+from tools.paper_tables.workshop import Log, Plan, Workshop, refusal
 
 _TITLES = {"mesh-obb": "Mesh-OBB", "mesh-full": "Mesh-Full", "layer-4": "Layer 4 (ours)"}
 _CELL_M = 0.033

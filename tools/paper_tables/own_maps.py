@@ -1,26 +1,30 @@
 """The paper's comparisons on one's own logs and maps: `tools/paper views|alignment|navigation ...`."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.methods import align_by
 from hickory_stream.base.config_text import read_config
 from hickory_stream.base.json_text import dumps
 from hickory_stream.cli.maps.align import METHODS, objects_of
 from hickory_stream.cli.option_values import open_map_at, positive
+from hickory_stream.config import MapperConfig
 from hickory_stream.engine.shape_jobs.generators.choose import check_generator, generating
 from hickory_stream.engine.shape_jobs.generators.spec import find_spec, generators_folder, read_spec
 from hickory_stream.errors import ConfigError, InputError
 from hickory_stream.evaluation.truth import load_truth
 from hickory_stream.geometry.rigid import invert
+from hickory_stream.map_folder.saved_map import SavedMap
 from hickory_stream.navigation.robot import load_robot
-from hickory_stream.progress import ProgressPrinter
+from hickory_stream.ports import Reconstructor
+from hickory_stream.progress import ProgressPrinter, Style
 from hickory_stream.settings import Settings
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
@@ -28,27 +32,14 @@ from players import open_source
 from tools.evaluation import alignment_table, navigation_table
 from tools.evaluation.alignment_truth import read_true_trajectory, world_from_map
 from tools.evaluation.views.comparison import compare, format_comparison
-from tools.evaluation.views.trials import try_views
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from hickory_stream.config import MapperConfig
-    from hickory_stream.map_folder.saved_map import SavedMap
-    from hickory_stream.ports import Reconstructor
-    from hickory_stream.progress import Style
-    from tools.evaluation.views.trials import ViewTrial
+from tools.evaluation.views.trials import ViewTrial, try_views
 
 EMBEDDED: Literal["single_view"] = "single_view"
 
 
 def main(arguments: list[str]) -> int:
-    """Compare on the named logs or maps, and print the table.
-
-    Raises:
-        HickoryError: a log, map or truth cannot be read, or does not fit the others.
-    """
+    """Compare on the named logs or maps, and print the table."""
+    # Raises HickoryError: a log, map or truth cannot be read, or does not fit the others.
     parser = argparse.ArgumentParser(prog="tools/paper", description=__doc__)
     commands = parser.add_subparsers(required=True)
     views = commands.add_parser("views", help="compare the strategies of choosing views on logs")
@@ -106,11 +97,8 @@ def _views(options: argparse.Namespace) -> None:
 
 
 def reconstructors_of(names: list[str] | None, config: MapperConfig) -> dict[str, Reconstructor]:
-    """Return the reconstructors by name; without `names`, the embedded one and every generator that starts.
-
-    Raises:
-        ConfigError: a named one cannot be used.
-    """
+    """Return the reconstructors by name; without `names`, the embedded one and every generator that starts."""
+    # Raises ConfigError: a named one cannot be used.
     found: dict[str, Reconstructor] = {}
     for name in names or [EMBEDDED, *sorted(str(path) for path in generators_folder().glob("*.toml"))]:
         if name == EMBEDDED:
@@ -155,12 +143,7 @@ def _navigation(options: argparse.Namespace) -> None:
     if robot.num_headings != 1:
         raise InputError(f"the robot {robot.name} is not round; the comparison is for round robots, e.g. point")
     rows = navigation_table.score_saved_map(
-        open_map_at(options.map),
-        load_truth(options.truth),
-        robot,
-        cell_m=options.cell,
-        unknown=options.unknown,
-        trials=positive(options.trials, "--trials"),
-        seeds=range(positive(options.seeds, "--seeds")),
-    )
+        open_map_at(options.map), load_truth(options.truth), robot, cell_m=options.cell, unknown=options.unknown,
+        trials=positive(options.trials, "--trials"), seeds=range(positive(options.seeds, "--seeds")),
+    )  # fmt: skip
     print(dumps({"rows": navigation_table.table_json(rows)}) if options.json else navigation_table.format_table(rows))

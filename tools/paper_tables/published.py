@@ -1,10 +1,6 @@
-"""The figures of the paper's tables, to stand beside the measured ones.
-
-Tables `tab:reconstruction_avg`, `tab:representation_storage_runtime`, `tab:reloc_eval_full` and `tab:nav_eval`;
-measured by its authors with SAM 3D, DINO features and an RTX 4090 on the data sets themselves.
-"""
-
-from __future__ import annotations
+"""The figures of the paper's tables, to stand beside the measured ones."""
+# Tables `tab:reconstruction_avg`, `tab:representation_storage_runtime`, `tab:reloc_eval_full` and `tab:nav_eval`;
+# measured by its authors with SAM 3D, DINO features and an RTX 4090 on the data sets themselves.
 
 from dataclasses import dataclass
 

@@ -6,14 +6,14 @@ of the mesh's bounding box, as in Habitat. Articulated things stand as they do a
 documentation of habitat-sim's JSON attributes and from the loaders of Habitat and ManiSkill.
 """
 
-from __future__ import annotations
-
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.errors import RecordingError
@@ -21,11 +21,6 @@ from hickory_stream.geometry.rigid import apply, from_rotation_translation, rota
 from hickory_stream.worlds.object_models import Model, Part
 from hickory_stream.worlds.scene import World, WorldObject
 from tools.paper_tables.meshes import joined, model_of_file
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 Z_UP_FROM_Y_UP = from_rotation_translation(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
 _UP_COSINE, _FLOOR_STEP_M, _FLOOR_SHARE = 0.95, 0.02, 0.3
@@ -42,11 +37,8 @@ def scene_names(root: Path) -> list[str]:
 
 
 def read_apartment(root: Path, name: str) -> World:
-    """Return an apartment, z up, with its floor at z = 0.
-
-    Raises:
-        RecordingError: a file is missing or damaged; the text names it and says what was expected.
-    """
+    """Return an apartment, z up, with its floor at z = 0."""
+    # Raises RecordingError: a file is missing or damaged; the text names it and says what was expected.
     path = root / "configs" / "scenes" / f"{name}.scene_instance.json"
     scene = _json(path)
     try:
@@ -108,7 +100,6 @@ def _stage(root: Path, instance: dict[str, Any]) -> Model:
 
 
 def _object(root: Path, instance: dict[str, Any], origin: str) -> tuple[Model, NDArray[np.float64]]:
-    """Return an object in its own frame, z up, and world_from_object."""
     name = _base(instance["template_name"])
     config_path = root / "configs" / "objects" / f"{name}.object_config.json"
     config = _json(config_path)
@@ -139,7 +130,6 @@ def _articulated(root: Path, instance: dict[str, Any]) -> tuple[Model, NDArray[n
 
 
 def _visuals(path: Path) -> list[tuple[Path, NDArray[np.float64]]]:
-    """Return the meshes that a URDF shows, each with robot_from_mesh (4, 4) at joint position zero."""
     try:
         robot = ET.parse(path).getroot()
     except (OSError, ET.ParseError) as error:
@@ -166,7 +156,6 @@ def _visuals(path: Path) -> list[tuple[Path, NDArray[np.float64]]]:
 
 
 def _origin(origin: ET.Element | None) -> NDArray[np.float64]:
-    """Return parent_from_child of a URDF's origin: xyz in metres, fixed-axis roll, pitch, yaw in radians."""
     if origin is None:
         return np.eye(4)
     xyz = [float(word) for word in (origin.get("xyz") or "0 0 0").split()]
@@ -175,7 +164,6 @@ def _origin(origin: ET.Element | None) -> NDArray[np.float64]:
 
 
 def _placed(instance: dict[str, Any]) -> NDArray[np.float64]:
-    """Return world_from_object (4, 4) with both z up, of an instance's translation and rotation (w, x, y, z)."""
     w, x, y, z = (float(value) for value in instance.get("rotation", (1.0, 0.0, 0.0, 0.0)))
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if not length > 0:
@@ -187,7 +175,6 @@ def _placed(instance: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _with_own_frame(model: Model, world_from_object: NDArray[np.float64]) -> tuple[Model, NDArray[np.float64]]:
-    """Return a model whose origin is the centre of its base, as that of our own, and its pose."""
     low, high = model.bounds_m()
     base = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     parts = tuple(Part(vertices=p.vertices - base, faces=p.faces, texture=p.texture) for p in model.parts)

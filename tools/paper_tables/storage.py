@@ -1,9 +1,8 @@
 """The paper's table of storage and time: what each layer takes on disk, and how long it takes to build."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.errors import HickoryError
 from hickory_stream.map_folder.saved_map import open_map
@@ -11,13 +10,7 @@ from tools.paper_tables.data_sets import DATA_SETS
 from tools.paper_tables.logs import apartment_pairs, hope_logs, kimera_pairs, nus_pairs
 from tools.paper_tables.published import NUM_OBJECTS, STORAGE
 from tools.paper_tables.tables import Cell, Column, Table, mean_of
-from tools.paper_tables.workshop import refusal
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tools.paper_tables.plan import Plan
-    from tools.paper_tables.workshop import Log, Workshop
+from tools.paper_tables.workshop import Log, Plan, Workshop, refusal
 
 _LAYERS = {1: "Layer 1: point cloud", 2: "Layer 2: mesh", 3: "Layer 3: superquadrics", 4: "Layer 4: inflated"}
 # Scale (3), exponents (2), rotation (3) and translation (3) in float32, as the paper counts a superquadric.

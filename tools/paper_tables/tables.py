@@ -1,24 +1,23 @@
 """A table of figures with the paper's own beside them: as Markdown, CSV and JSON."""
-
-from __future__ import annotations
+# A table as a figure: for every column a group of bars, ours dark with its interval, the paper's light below it.
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+import numpy as np
+
+from hickory_stream.pictures.drawing import Drawing, Line, Text
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cell:
-    """A measured figure: `low` and `high` are its 95 % interval, `num` of how many it is the mean or the share.
+    """A measured figure: `low` and `high` are its 95 % interval, `num` of how many it is the mean or the share."""
 
-    `value` None: not measured, for the reason `why`. `paper` is what the paper has there, None where it has nothing.
-    """
-
+    # `value` None: not measured, for the reason `why`. `paper` is what the paper has there, None where it has nothing.
     value: float | None
     paper: float | None = None
     low: float | None = None
@@ -40,11 +39,9 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Table:
-    """A table; every row has a title and a cell for each column. `notes` are printed below it.
+    """A table; every row has a title and a cell for each column. `notes` are printed below it."""
 
-    `groups` are how many rows each are to be compared with one another, e.g. those of one scene; (): all of them.
-    """
-
+    # `groups` are how many rows each are to be compared with one another, e.g. those of one scene; (): all of them.
     name: str
     caption: str
     columns: tuple[Column, ...]
@@ -79,7 +76,6 @@ def markdown(table: Table) -> str:
 
 
 def as_csv(table: Table) -> str:
-    """Return one line for each cell."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["table", "row", "column", "unit", "value", "low", "high", "num", "paper", "why"])
@@ -92,7 +88,6 @@ def as_csv(table: Table) -> str:
 
 
 def as_json(table: Table) -> dict[str, Any]:
-    """Return the table for machines."""
     return {
         "table": table.name,
         "caption": table.caption,
@@ -122,7 +117,6 @@ def _best(column: Column, values: Sequence[float | None]) -> float | None:
 
 
 def _is_shown_as(value: float | None, top: float | None, digits: int) -> bool:
-    """Return whether a value has the digits of the best one: what looks the same is as good."""
     return value is not None and top is not None and f"{value:.{digits}f}" == f"{top:.{digits}f}"
 
 
@@ -138,5 +132,60 @@ def _shown(cell: Cell, column: Column, *, is_best: bool) -> str:
 
 
 def mean_of(values: Sequence[float]) -> float | None:
-    """Return the mean, None of nothing."""
     return sum(values) / len(values) if values else None
+
+
+_OURS, _PAPER, _INK, _SOFT, _RULE = (28, 98, 196), (198, 205, 217), (29, 35, 48), (102, 102, 119), (225, 228, 234)
+_LETTER, _BAR, _PANEL, _GAP, _ROW, _TOP = 8, 150, 320, 20, 34, 86
+
+
+def chart(table: Table) -> Drawing:
+    """Return the figure; a column without figures is left out."""
+    shown = [
+        (column, [cells[i] for _, cells in table.rows])
+        for i, column in enumerate(table.columns)
+        if any(cells[i].value is not None or cells[i].paper is not None for _, cells in table.rows)
+    ]
+    left = 30 + _LETTER * max((len(title) for title, _ in table.rows), default=0)
+    width = left + max(len(shown), 1) * (_PANEL + _GAP)
+    drawing = Drawing(width, _TOP + _ROW * len(table.rows) + 24)
+    drawing.add(Text(place_px=(16, 24), text=table.caption, color=_INK))
+    drawing.add(
+        Line(places_px=np.array([[16, 44], [40, 44]]), color=_OURS, width_px=9),
+        Text(place_px=(46, 48), text="ours, with its 95 % interval", color=_SOFT),
+        Line(places_px=np.array([[250, 44], [274, 44]]), color=_PAPER, width_px=9),
+        Text(place_px=(280, 48), text="the paper's own", color=_SOFT),
+    )
+    for i, (title, _) in enumerate(table.rows):
+        drawing.add(Text(place_px=(left - 12, _TOP + _ROW * i + 20), text=title, color=_INK, anchor="end"))
+    for j, (column, cells) in enumerate(shown):
+        _panel(drawing, left + j * (_PANEL + _GAP), column, cells)
+    return drawing
+
+
+def _panel(drawing: Drawing, left: float, column: Column, cells: list[Cell]) -> None:
+    unit = f", {column.unit}" if column.unit else ""
+    drawing.add(Text(place_px=(left, _TOP - 8), text=f"{column.title}{unit}", color=_INK))
+    figures = [x for cell in cells for x in (cell.value, cell.paper, cell.high) if x is not None]
+    largest = max([*figures, 1e-12])
+    drawing.add(Line(places_px=np.array([[left, _TOP], [left, _TOP + _ROW * len(cells)]]), color=_RULE, width_px=1))
+    for i, cell in enumerate(cells):
+        y = _TOP + _ROW * i
+        _bar(drawing, left, y + 10, cell.value, largest, (_OURS, column.digits))
+        _bar(drawing, left, y + 24, cell.paper, largest, (_PAPER, column.digits))
+        if cell.value is not None and cell.low is not None and cell.high is not None:
+            ends = [left + _BAR * max(x, 0.0) / largest for x in (cell.low, cell.high)]
+            drawing.add(Line(places_px=np.array([[ends[0], y + 10], [ends[1], y + 10]]), color=_INK, width_px=1.5))
+        if cell.value is None and cell.why:
+            drawing.add(Text(place_px=(left + 4, y + 15), text=cell.why, color=_SOFT))
+
+
+def _bar(
+    drawing: Drawing, left: float, y: float, value: float | None, largest: float, look: tuple[tuple[int, int, int], int]
+) -> None:
+    if value is None:
+        return
+    color, digits = look
+    end = left + _BAR * max(value, 0.0) / largest
+    drawing.add(Line(places_px=np.array([[left, y], [end, y]]), color=color, width_px=9))
+    drawing.add(Text(place_px=(left + _BAR + 10, y + 4), text=f"{value:.{digits}f}", color=_SOFT))

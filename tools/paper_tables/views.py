@@ -1,16 +1,14 @@
 """The paper's table of views: every strategy, each object reconstructed from its one best view, against true meshes."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hickory_stream.config import MapperConfig
 from hickory_stream.errors import HickoryError
-from hickory_stream.evaluation.truth import load_truth
+from hickory_stream.evaluation.truth import Truth, load_truth
 from hickory_stream.shapes.build import make_reconstructor
 from hickory_stream.sinks.disk_sink import DiskSink
 from players import open_source
@@ -20,20 +18,12 @@ from tools.paper_tables.data_sets import HOPE, REPLICA_CAD
 from tools.paper_tables.logs import apartment_pairs, hope_logs, hope_truth
 from tools.paper_tables.published import VIEWS
 from tools.paper_tables.tables import Cell, Column, Table
-from tools.paper_tables.workshop import identity_of, refusal
-
-if TYPE_CHECKING:
-    from hickory_stream.evaluation.truth import Truth
-    from tools.paper_tables.plan import Plan
-    from tools.paper_tables.workshop import Log, Workshop
+from tools.paper_tables.workshop import Log, Plan, Workshop, identity_of, refusal
 
 _TITLES = {
-    "initial": "Initial view",
-    "max_area": "Largest mask",
-    "max_box": "Largest 2D box",
-    "max_volume": "Largest 3D volume",
-    "s_score": "View score S (ours)",
-}
+    "initial": "Initial view", "max_area": "Largest mask", "max_box": "Largest 2D box",
+    "max_volume": "Largest 3D volume", "s_score": "View score S (ours)",
+}  # fmt: skip
 # ADD-S counts as right below this share of an object's diameter, as in the paper.
 _ADDS_SHARE = {HOPE.name: 0.05, REPLICA_CAD.name: 0.1}
 
@@ -73,7 +63,6 @@ def views_table(data: Path, plan: Plan, shop: Workshop, caption: str) -> Table:
 
 
 def _found(name: str, data: Path, plan: Plan, shop: Workshop) -> dict[str, list[Any]] | str:
-    """Return by strategy [F1, ADD-S over the diameter or None] of every true object that counts, or why it is empty."""
     try:
         logs = _logs(name, data, plan, shop)
         rows = [row for log, truth in logs for row in _objects(log, truth, shop)]

@@ -1,27 +1,21 @@
-"""The folder of a run: what was measured stays, so that the same command goes on where it stopped.
-
-`results/` holds a JSON for every step, with a key of what it was made from; another key measures it again. A map is
-made by `hickory-stream play`, a process of its own; one that was interrupted is begun anew.
-"""
-
-from __future__ import annotations
+"""The folder of a run: what was measured stays, so that the same command goes on where it stopped."""
+# `results/` holds a JSON for every step with a key of its inputs; another key measures again. `hickory-stream play`
+# makes a map in a process; an interrupted one starts again.
 
 import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.base.atomic_files import write_atomically
 from hickory_stream.base.json_text import dumps
 from hickory_stream.errors import HickoryError, MapFolderError
 from tools.benchmarks.common.code_hashes import code_hash
 from tools.benchmarks.common.processes import ROOT
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 # What makes and measures maps.
 _CODE = ("hickory_stream", "players", "tools/evaluation", "tools/paper_tables")
@@ -39,7 +33,6 @@ class Log:
 
     @property
     def label(self) -> str:
-        """A name for files."""
         return f"{self.data_set}-{self.scene}-{self.name}"
 
 
@@ -70,11 +63,8 @@ class Workshop:
         return json.loads(dumps(value))
 
     def map_of(self, log: Log) -> Path:
-        """Return the folder of a log's map, playing the log if there is none yet.
-
-        Raises:
-            MapFolderError: the log cannot be mapped; the text is that of the command.
-        """
+        """Return the folder of a log's map, playing the log if there is none yet."""
+        # Raises MapFolderError: the log cannot be mapped; the text is that of the command.
         out = self.folder / "maps" / f"{log.label}.map"
         made_from = {"log": identity_of(log), "settings": list(log.arguments)}
         if not out.is_dir():
@@ -104,7 +94,6 @@ def identity_of(log: Log) -> list[Any]:
 
 
 def _identity(file: Path) -> list[Any]:
-    """Return name and size of a file, and of a folder its files' number and size."""
     if file.is_file():
         return [file.name, 1, file.stat().st_size]
     sizes = [each.stat().st_size for each in sorted(file.rglob("*")) if each.is_file()]
@@ -114,3 +103,29 @@ def _identity(file: Path) -> list[Any]:
 def refusal(error: HickoryError) -> str:
     """Return why a cell of a table is empty: the first line of an error, short enough for a cell."""
     return str(error).splitlines()[0][:90]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Plan:
+    """The sizes of a run; `seconds` are of synthetic logs and of walks through ReplicaCAD, None: the whole walk."""
+
+    hope_scenes: int
+    apartments: int
+    robot_pairs: int
+    nus_pairs: int
+    hope_seconds: float
+    apartment_seconds: float | None
+    robot_seconds: float
+    nus_seconds: float
+    trials: int
+    seeds: int
+
+
+FULL = Plan(
+    hope_scenes=3, apartments=4, robot_pairs=3, nus_pairs=1, hope_seconds=20.0, apartment_seconds=None,
+    robot_seconds=60.0, nus_seconds=60.0, trials=100, seeds=5,
+)  # fmt: skip
+QUICK = Plan(
+    hope_scenes=1, apartments=1, robot_pairs=1, nus_pairs=1, hope_seconds=10.0, apartment_seconds=24.0,
+    robot_seconds=24.0, nus_seconds=20.0, trials=20, seeds=2,
+)  # fmt: skip

@@ -1,21 +1,16 @@
 """A robot whose nodes speak DDS: Cyclone, with the bytes of messages as samples, on the loopback address."""
 
-from __future__ import annotations
-
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Collection
+from typing import Any
 
 from hickory_stream.sinks.publish_sink import GOAL_TOPIC
 from hickory_stream.sinks.ros_messages import DETECTIONS, GOAL, GRID, MARKERS, PATH, TRANSFORMS, UPDATE
 from players.live.dds_domain import check_installed, participant, qos, settings, taken, topic_of, write
-from tools.robot.heard import TOPICS, Heard
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from players.logs.containers import Topic
-    from tools.robot.link import Sending
+from players.logs.containers import Topic
+from tools.robot.link import Sending
+from tools.robot.publishers import TOPICS, Heard
 
 _TYPES = dict(zip(TOPICS, (GRID, UPDATE, DETECTIONS, MARKERS, TRANSFORMS, PATH), strict=True))
 _LATCHED = (GRID, MARKERS)
@@ -37,7 +32,6 @@ class DdsPublisher:
         self.heard = Heard()
 
     def connect(self, topics: Collection[Topic]) -> None:
-        """Join the domain and announce the topics."""
         from cyclonedds.pub import DataWriter
         from cyclonedds.sub import DataReader
 
@@ -60,7 +54,6 @@ class DdsPublisher:
         self._thread.start()
 
     def disconnect(self) -> None:
-        """Leave the domain."""
         self._is_over.set()
         if self._thread is not None:
             self._thread.join(5.0)
@@ -73,11 +66,9 @@ class DdsPublisher:
         return name in self._latched or bool(self._writers[name].get_matched_subscriptions())
 
     def send(self, sending: Sending) -> None:
-        """Publish a message."""
         write(self._writers[sending.due.topic.name], sending.data)
 
     def ask(self, data: bytes) -> None:
-        """Publish a goal."""
         self.heard.ask()
         write(self._writers[GOAL_TOPIC], data)
 

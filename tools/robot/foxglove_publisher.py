@@ -1,45 +1,34 @@
 """A robot that runs foxglove_bridge: the server's side of Foxglove's WebSocket, from the protocol's document."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct
 import threading
 from collections import defaultdict
+from collections.abc import Collection
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hickory_stream.base.json_text import dumps
 from hickory_stream.sinks.publish_sink import GOAL_TOPIC
 from hickory_stream.sinks.ros_messages import GOAL, definition_of
 from players.logs.containers import Topic
 from players.logs.mcap_records import schema_of
-from tools.robot.heard import Heard
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from tools.robot.link import Sending
-
+from tools.robot.link import Sending
+from tools.robot.publishers import Heard
 
 _CLIENT_DATA = struct.Struct("<BI")
 _GOAL = Topic(name=GOAL_TOPIC, type_name=GOAL, definition_format="msg", definition=definition_of(GOAL))
 
 
 class FoxglovePublisher:
-    """Serves channels to any number of clients; `protocols` are those it speaks, the first that a client offers.
+    """Serves channels to any number of clients; `protocols` are those it speaks, the first that a client offers."""
 
-    `takes`: clients may publish.
-    """
-
+    # `takes`: clients may publish.
     def __init__(
-        self,
-        address: str,
-        *,
-        protocols: tuple[str, ...] = ("foxglove.sdk.v1", "foxglove.websocket.v1"),
+        self, address: str, *, protocols: tuple[str, ...] = ("foxglove.sdk.v1", "foxglove.websocket.v1"),
         takes: bool = True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         host, _, port = address.rpartition(":")
         self._host, self._port = host, int(port)
         self._protocols = protocols
@@ -53,7 +42,6 @@ class FoxglovePublisher:
         self._server: Any = None
 
     def connect(self, topics: Collection[Topic]) -> None:
-        """Begin to serve."""
         from websockets.sync.server import serve
 
         topics = [*topics, _GOAL]
@@ -65,7 +53,6 @@ class FoxglovePublisher:
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def disconnect(self) -> None:
-        """Be gone, with all connections."""
         self._server.shutdown()
         with self._lock:
             connections = {id(c): c for clients in self._heard.values() for c, _ in clients}
@@ -80,7 +67,6 @@ class FoxglovePublisher:
             return bool(self._heard[name]) or name.endswith("tf_static")
 
     def send(self, sending: Sending) -> None:
-        """Send a message to whoever has asked for it."""
         from websockets.exceptions import ConnectionClosed
 
         name = sending.due.topic.name
@@ -93,7 +79,6 @@ class FoxglovePublisher:
                 connection.send(struct.pack("<BIQ", 1, subscription, sending.at_ns) + sending.data)
 
     def ask(self, data: bytes) -> None:
-        """Send a goal to whoever has asked for them."""
         from websockets.exceptions import ConnectionClosed
 
         with self._lock:
@@ -104,7 +89,6 @@ class FoxglovePublisher:
                 connection.send(struct.pack("<BIQ", 1, subscription, 0) + data)
 
     def advertisement(self) -> dict[str, Any]:
-        """Return what tells a client of the channels."""
         return {
             "op": "advertise",
             "channels": [self._channel(number, self._topics[name]) for name, number in self._channels.items()],
@@ -114,13 +98,9 @@ class FoxglovePublisher:
         name, encoding, definition = schema_of(topic)
         schema = base64.b64encode(definition).decode() if encoding == "protobuf" else definition.decode()
         return {
-            "id": number,
-            "topic": topic.name,
-            "encoding": topic.wire,
-            "schemaName": name,
-            "schema": schema,
+            "id": number, "topic": topic.name, "encoding": topic.wire, "schemaName": name, "schema": schema,
             "schemaEncoding": encoding,
-        }
+        }  # fmt: skip
 
     def _serve(self, connection: Any) -> None:
         info = {"name": "fake robot", "capabilities": self._capabilities, "supportedEncodings": ["cdr"]}

@@ -1,33 +1,22 @@
 """A simulated link with faults: loss, delay and order of each message, drawn from a seed before the run."""
 
-from __future__ import annotations
-
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tools.robot.stamps import restamped
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tools.robot.prepared import Due
+from tools.robot.prepared import Due, restamped
 
 _MOST_QUEUED_S = 2.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Faults:
-    """What is wrong with a robot and its network.
+    """What is wrong with a robot and its network."""
 
-    `loss` is the share of messages that never arrive, `delay_s` and `jitter_s` (uniform, by which messages overtake
-    each other) how late they do, `bandwidth_mbit` what the link carries (None: everything; what would wait for over
-    2 s is dropped). `disconnects` are (at, for) in seconds. `clock_offset_s` moves all stamps; from `restart_s` on
-    they begin at zero.
-    """
-
+    # `loss`: share that never arrives; `jitter_s`: uniform, messages overtake each other; `bandwidth_mbit`: None is
+    # all, a wait over 2 s drops; `disconnects`: (at, for) in s; from `restart_s` on stamps begin at zero.
     loss: float = 0.0
     delay_s: float = 0.0
     jitter_s: float = 0.0
@@ -90,7 +79,6 @@ def plan(messages: Sequence[Due], faults: Faults) -> Plan:
 
 
 def _loss(due: Due, faults: Faults, draw: float) -> str | None:
-    """Return why a message is lost, None where it is not."""
     if due.is_latched:
         return None
     if any(at_s <= due.due_ns / 1e9 < at_s + for_s for at_s, for_s in faults.disconnects):
@@ -99,7 +87,6 @@ def _loss(due: Due, faults: Faults, draw: float) -> str | None:
 
 
 def _zero(due: Due) -> int:
-    """Return by how much stamps move for this message's to be one second after zero."""
     from players.messages.header_stamp import serialized_stamp_ns
 
     stamp_ns = serialized_stamp_ns(due.topic, due.data)

@@ -1,20 +1,48 @@
 """The messages of a log as a robot publishes them: CDR bytes with their definitions, and when each is due."""
+# Replaces the header stamps of serialised (CDR) messages.
 
-from __future__ import annotations
-
+import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.errors import RecordingError
-from players.messages.records import TF
+from players.logs.containers import Topic
+from players.messages.records import HEADER_FIRST, TF
 from players.opening import open_container
-from tools.robot.stamps import humble
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
+_STAMP = struct.Struct("<iI")
+_SECOND_NS = 1_000_000_000
 
-    from players.logs.containers import Topic
+
+def restamped(topic: Topic, data: bytes, by_ns: int) -> bytes:
+    """Return a CDR message whose header stamps are moved; one without header, or of big-endian bytes, as it is."""
+    if by_ns == 0 or topic.wire != "cdr" or not data[1] & 1:
+        return data
+    if topic.type_name in HEADER_FIRST:
+        sec, nanosec = _STAMP.unpack_from(data, 4)
+        return data[:4] + _STAMP.pack(*_moved(sec, nanosec, by_ns)) + data[4 + _STAMP.size :]
+    if topic.type_name in TF:
+        store = humble()
+        message = store.deserialize_cdr(data, TF[0])
+        for transform in message.transforms:
+            stamp = transform.header.stamp
+            stamp.sec, stamp.nanosec = _moved(stamp.sec, stamp.nanosec, by_ns)
+        return bytes(store.serialize_cdr(message, TF[0]))
+    return data
+
+
+def _moved(sec: int, nanosec: int, by_ns: int) -> tuple[int, int]:
+    return divmod(max(0, sec * _SECOND_NS + nanosec + by_ns), _SECOND_NS)
+
+
+@cache
+def humble() -> Any:
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -32,13 +60,9 @@ class Due:
 
 
 def prepared(paths: Sequence[Path], *, most_s: float | None = None, loops: int = 1) -> list[Due]:
-    """Return the messages of a log in order, `loops` times one after the other with stamps that begin again.
-
-    Messages of ROS 1 become those of ROS 2; what is latched comes first, as a robot sends it when it starts.
-
-    Raises:
-        RecordingError: there is no log, or nothing in it can be published.
-    """
+    """Return the messages of a log in order, `loops` times one after the other with stamps that begin again."""
+    # Messages of ROS 1 become those of ROS 2; what is latched comes first, as a robot sends it when it starts.
+    # Raises RecordingError: there is no log, or nothing in it can be published.
     log = open_container(*paths)
     topics = {topic.name: topic for topic in log.topics if _can_be_published(topic)}
     published = {name: _published(topic) for name, topic in topics.items()}
@@ -66,13 +90,11 @@ def prepared(paths: Sequence[Path], *, most_s: float | None = None, loops: int =
 
 
 def _can_be_published(topic: Topic) -> bool:
-    """Return whether a message can be sent as it is, or its type is also one of ROS 2."""
     known = topic.type_name in (*TF, *humble().types)
     return topic.wire in ("cdr", "protobuf", "json") or (topic.wire == "ros1" and known)
 
 
 def _published(topic: Topic) -> Topic:
-    """Return a topic as ROS 2 publishes it."""
     if topic.wire != "ros1":
         return topic
     type_name = TF[0] if topic.type_name in TF else topic.type_name

@@ -1,39 +1,65 @@
 """How a robot publishes: what every way has in common, and the stream of an MCAP writer."""
-
-from __future__ import annotations
+# What a robot is told by whoever maps it: messages by topic, and the answers to its goals.
 
 import os
-from typing import TYPE_CHECKING, Protocol
+import threading
+import time
+from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
 
+from hickory_stream.sinks.publish_sink import (
+    MAP_TOPIC,
+    MARKERS_TOPIC,
+    OBJECTS_TOPIC,
+    PLAN_TOPIC,
+    TF_TOPIC,
+    UPDATES_TOPIC,
+)
+from players.logs.containers import Topic
 from players.logs.mcap_records import schema_of
-from tools.robot.heard import Heard
+from tools.robot.link import Sending
 
-if TYPE_CHECKING:
-    from collections.abc import Collection
-    from pathlib import Path
+TOPICS = (MAP_TOPIC, UPDATES_TOPIC, OBJECTS_TOPIC, MARKERS_TOPIC, TF_TOPIC, PLAN_TOPIC)
 
-    from players.logs.containers import Topic
-    from tools.robot.link import Sending
+
+@dataclass(slots=True)
+class Heard:
+    """Counts what comes, keeps the last message of each topic, and measures from a goal to its answer."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    last: dict[str, bytes] = field(default_factory=dict)
+    round_trips_s: list[float] = field(default_factory=list)
+    asked_s: float | None = None
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def take(self, name: str, data: bytes) -> None:
+        now_s = time.monotonic()
+        with self.lock:
+            self.counts[name] += 1
+            self.last[name] = data
+            if name == PLAN_TOPIC and self.asked_s is not None:
+                self.round_trips_s.append(now_s - self.asked_s)
+                self.asked_s = None
+
+    def ask(self) -> None:
+        """Note that a goal is being sent."""
+        with self.lock:
+            self.asked_s = time.monotonic()
 
 
 class Publisher(Protocol):
     """A way to publish; `connect` and `disconnect` may be called several times."""
 
-    def connect(self, topics: Collection[Topic]) -> None:
-        """Be reachable, and announce topics."""
-        ...
+    def connect(self, topics: Collection[Topic]) -> None: ...
 
-    def disconnect(self) -> None:
-        """Be gone."""
-        ...
+    def disconnect(self) -> None: ...
 
-    def is_heard(self, name: str) -> bool:
-        """Return whether somebody has asked for a topic."""
-        ...
+    def is_heard(self, name: str) -> bool: ...
 
-    def send(self, sending: Sending) -> None:
-        """Publish a message."""
-        ...
+    def send(self, sending: Sending) -> None: ...
 
     @property
     def heard(self) -> Heard:
@@ -67,7 +93,6 @@ class McapPublisher:
             self._channels[topic.name] = self._writer.register_channel(topic.name, topic.wire, schema)
 
     def disconnect(self) -> None:
-        """End the stream."""
         self._writer.finish()
         self._stream.close()
 
@@ -86,7 +111,6 @@ class McapPublisher:
     # What the writer needs of a stream.
 
     def write(self, data: bytes) -> int:
-        """Write all of some bytes."""
         view = memoryview(data)
         while view:
             view = view[self._stream.write(view) :]
@@ -94,7 +118,6 @@ class McapPublisher:
         return len(data)
 
     def tell(self) -> int:
-        """Return how much was written."""
         return self._position
 
     def flush(self) -> None:

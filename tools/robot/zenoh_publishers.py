@@ -1,28 +1,21 @@
 """A robot that runs zenoh-bridge-ros2dds or rmw_zenoh: the router, its tokens and its keys, from their documents."""
 
-from __future__ import annotations
-
 import struct
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection
+from typing import Any
 
 from hickory_stream.base.json_text import dumps
 from hickory_stream.sinks.publish_sink import GOAL_TOPIC
 from hickory_stream.sinks.ros_messages import GOAL
 from players.logs.containers import Topic
-from tools.robot.heard import TOPICS, Heard
-from tools.robot.stamps import humble
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from tools.robot.link import Sending
+from tools.robot.link import Sending
+from tools.robot.prepared import humble
+from tools.robot.publishers import TOPICS, Heard
 
 _GID = bytes(range(16))
 
 
 class _Router:
-    """A Zenoh router on one address, and the publishers declared at it; subclasses know the layout."""
-
     def __init__(self, address: str) -> None:
         self.address = address
         self.session: Any = None
@@ -34,7 +27,6 @@ class _Router:
         self._hearing: list[Any] = []
 
     def connect(self, topics: Collection[Topic]) -> None:
-        """Open the router and announce the topics."""
         import zenoh
 
         zenoh.init_log_from_env_or("off")
@@ -64,30 +56,24 @@ class _Router:
                 self._latched.add(topic.name)
             if is_latched and self.has_advanced_publishers:
                 self._publishers[topic.name] = zenoh.ext.declare_advanced_publisher(
-                    self.session,
-                    key,
-                    allowed_destination=elsewhere,
-                    cache=zenoh.ext.CacheConfig(max_samples=10),
+                    self.session, key, allowed_destination=elsewhere, cache=zenoh.ext.CacheConfig(max_samples=10),
                     publisher_detection=True,
-                )
+                )  # fmt: skip
             else:
                 self._publishers[topic.name] = self.session.declare_publisher(
                     key, congestion_control=zenoh.CongestionControl.BLOCK, allowed_destination=elsewhere
                 )
 
     def disconnect(self) -> None:
-        """Close the router."""
         self._tokens.clear()
         self._publishers.clear()
         self._hearing.clear()
         self.session.close()
 
     def is_heard(self, name: str) -> bool:
-        """Return whether there is a subscriber; what is kept reaches those that come later, too."""
         return name in self._latched or bool(self._publishers[name].matching_status.matching)
 
     def send(self, sending: Sending) -> None:
-        """Publish a message."""
         attachment = self.attachment(sending)
         publisher = self._publishers[sending.due.topic.name]
         if attachment is None:
@@ -96,26 +82,21 @@ class _Router:
             publisher.put(sending.data, attachment=attachment)
 
     def ask(self, data: bytes) -> None:
-        """Publish a goal."""
         self.heard.ask()
         self.session.put(self.key(_GOAL), data)
 
     def heard_key(self, name: str) -> str:
-        """Return the keys under which a topic of others comes."""
         raise NotImplementedError
 
     has_advanced_publishers = True
 
     def token(self, topic: Topic, number: int, *, is_latched: bool) -> str:
-        """Return the liveliness token of a publisher."""
         raise NotImplementedError
 
     def key(self, topic: Topic) -> str:
-        """Return the key of a topic's messages."""
         raise NotImplementedError
 
     def attachment(self, sending: Sending) -> bytes | None:
-        """Return what goes beside a message."""
         return None
 
 
@@ -137,11 +118,9 @@ class ZenohBridge(_Router):
             self._cache = self.session.declare_queryable(f"{space}/**", self._answer)
 
     def key(self, topic: Topic) -> str:
-        """Return the name without its first slash."""
         return self._prefix + topic.name.lstrip("/")
 
     def heard_key(self, name: str) -> str:
-        """Return the name without its first slash, in the namespace."""
         return self._prefix + name.lstrip("/")
 
     def token(self, topic: Topic, number: int, *, is_latched: bool) -> str:
@@ -175,11 +154,9 @@ class RmwZenoh(_Router):
         return f"{self._domain}/{(self._prefix + topic.name).lstrip('/')}/{_dds_type(topic)}/{_hash(topic)}"
 
     def heard_key(self, name: str) -> str:
-        """Return the name in the domain, of any type."""
         return f"{self._domain}/{(self._prefix + name).lstrip('/')}/*/*"
 
     def token(self, topic: Topic, number: int, *, is_latched: bool) -> str:
-        """Return the token of a publisher of a node `robot`."""
         name = (self._prefix + topic.name).replace("/", "%")
         qos = f":{'1' if is_latched else ''}:,10:,:,:,,"
         place = f"@ros2_lv/{self._domain}/{self.session.zid()}/0/{number}/MP/%/%/robot"

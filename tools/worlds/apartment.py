@@ -1,20 +1,14 @@
 """An apartment from a seed: four rooms around a crossing of walls, joined by open doors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.errors import ConfigError
-from hickory_stream.worlds.scene import World, numbered
+from hickory_stream.worlds.scene import Placement, World, numbered
 from tools.worlds.furnishing import FURNISH, Room
 from tools.worlds.routes import joins_rooms
 from tools.worlds.structure import DoorWay, apartment_structure, drawn_door
-
-if TYPE_CHECKING:
-    from hickory_stream.worlds.scene import Placement
 
 _ATTEMPTS = 60
 _WALL_M = 0.1
@@ -29,11 +23,8 @@ class _Plan:
 
 
 def apartment(seed: int, attempt: int = 0) -> World:
-    """Return apartment number `attempt` of a seed, with 25 to 45 objects of at least 20 kinds.
-
-    Raises:
-        ConfigError: no draw fits, which no seed has shown so far.
-    """
+    """Return apartment number `attempt` of a seed, with 25 to 45 objects of at least 20 kinds."""
+    # Raises ConfigError: no draw fits, which no seed has shown so far.
     rng = np.random.default_rng([seed, 11, attempt])
     for _ in range(_ATTEMPTS):
         world = _draw(rng)

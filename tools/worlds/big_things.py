@@ -1,16 +1,9 @@
 """More objects on the floor: seats, beds, storage and luggage; fronts face +x."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from hickory_stream.worlds.object_models import Model, Surface, ellipsoid, lathe, rounded_box, tube
+from hickory_stream.worlds.object_models import Model, Part, Surface, ellipsoid, lathe, rounded_box, tube
 from hickory_stream.worlds.palettes import coat, fabric, glaze, plain, wood
-
-if TYPE_CHECKING:
-    from hickory_stream.worlds.object_models import Part
 
 
 def armchair(rng: np.random.Generator) -> Model:
@@ -113,7 +106,6 @@ def nightstand(rng: np.random.Generator) -> Model:
 
 
 def dresser(rng: np.random.Generator) -> Model:
-    """Return a chest of drawers."""
     return _chest("dresser", rng, (float(rng.uniform(0.4, 0.48)), float(rng.uniform(0.8, 1.05))), 3, 0.26)
 
 
@@ -176,7 +168,6 @@ def bed(rng: np.random.Generator) -> Model:
 
 
 def suitcase(rng: np.random.Generator) -> Model:
-    """Return a standing suitcase with wheels and a handle."""
     depth, width, height = (
         float(rng.uniform(0.22, 0.28)),
         float(rng.uniform(0.38, 0.46)),
@@ -191,11 +182,8 @@ def suitcase(rng: np.random.Generator) -> Model:
     ]
     top = height + 0.04
     grip = [
-        (-0.05, -0.09, top - 0.02),
-        (-0.05, -0.09, top + 0.05),
-        (-0.05, 0.09, top + 0.05),
-        (-0.05, 0.09, top - 0.02),
-    ]
+        (-0.05, -0.09, top - 0.02), (-0.05, -0.09, top + 0.05), (-0.05, 0.09, top + 0.05), (-0.05, 0.09, top - 0.02),
+    ]  # fmt: skip
     parts.append(tube(grip, 0.011, dark))
     return Model(kind="suitcase", parts=tuple(parts))
 
@@ -211,7 +199,6 @@ def basket(rng: np.random.Generator) -> Model:
 
 
 def speaker(rng: np.random.Generator) -> Model:
-    """Return a floor-standing loudspeaker."""
     width, height, case = float(rng.uniform(0.2, 0.26)), float(rng.uniform(0.75, 1.0)), wood(rng, axis=2)
     dark = plain((0.1, 0.1, 0.11))
     parts = [

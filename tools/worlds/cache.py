@@ -1,10 +1,10 @@
 """Recordings that are made at first use, and kept."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 from hickory_stream.base import caches
 from hickory_stream.base.json_text import dumps
@@ -13,10 +13,6 @@ from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.trajectory import WalkConfig
 from tools.worlds.layouts import layout_files
 from tools.worlds.recording_config import CLUTTER, RecordingConfig
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 WORLDS_VERSION = 1
 """The version of the cache, to be raised with any change of rendered output, so that old recordings are made again."""
@@ -39,12 +35,9 @@ def cache_folder() -> Path:
 def cached_recording(
     config: RecordingConfig, folder: Path | None = None, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> tuple[Path, Truth]:
-    """Return the log and the truth of a config, from the cache or made now.
-
-    Raises:
-        ConfigError: no world of the config can be walked through.
-        OSError: the folder cannot be written.
-    """
+    """Return the log and the truth of a config, from the cache or made now."""
+    # Raises ConfigError: no world of the config can be walked through.
+    # Raises OSError: the folder cannot be written.
     folder = cache_folder() if folder is None else folder
     name = recording_name(config)
     truth_folder, log = folder / f"{name}.truth", folder / layout_files(config.layout, name)[0]

@@ -1,17 +1,12 @@
 """Scans of a LiDAR with 32 beams in an empty box: a corridor, which does not constrain motion along it, or a room."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from hickory_stream.records import Scan
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _HEIGHT_M, _SENSOR_M = 2.5, 0.6
 _FRAME_WIDE_M, _FRAME_DEEP_M = 0.12, 0.08

@@ -1,25 +1,17 @@
-"""The same world on another day: things were moved, removed, added and exchanged.
+"""The same world on another day: things were moved, removed, added and exchanged."""
+# A moved object keeps its id, a new one gets one that no earlier day had.
 
-A moved object keeps its id, a new one gets one that no earlier day had.
-"""
-
-from __future__ import annotations
-
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.worlds import small_things
+from hickory_stream.worlds.object_models import Model
 from hickory_stream.worlds.scene import Placement, World, WorldObject, at_place
 from hickory_stream.worlds.support_placement import REST_M, stood_on
 from tools.worlds import big_things, table_things
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from hickory_stream.worlds.object_models import Model
 
 CHANGES_A_DAY = 8
 _ATTEMPTS = 40
@@ -36,11 +28,8 @@ _LARGE = (big_things.basket, big_things.suitcase, big_things.stool)
 
 
 def world_of_day(world: World, seed: int, day: int, is_walkable: Callable[[World], bool]) -> World:
-    """Return the world after a number of days, each with up to eight changes, and a third of the objects at most.
-
-    Raises:
-        ConfigError: no draw of a day leaves the world walkable.
-    """
+    """Return the world after a number of days, each with up to eight changes, and a third of the objects at most."""
+    # Raises ConfigError: no draw of a day leaves the world walkable.
     for today in range(1, day + 1):
         rng = np.random.default_rng([seed, 21, today])
         first_id = 1000 * today

@@ -1,7 +1,5 @@
 """Odometry with drift: a true trajectory with the errors of dead reckoning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

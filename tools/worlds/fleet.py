@@ -1,56 +1,36 @@
-"""A synthetic fleet: several robots in one world, each with a walk, a log, a frame and a clock of its own.
-
-Truths share object ids: where two frames lie follows from any object that both have.
-"""
-
-from __future__ import annotations
+"""A synthetic fleet: several robots in one world, each with a walk, a log, a frame and a clock of its own."""
+# Truths share object ids: where two frames lie follows from any object that both have.
 
 import shutil
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.base.json_text import dumps_exactly, toml_string
 from hickory_stream.errors import ConfigError
-from hickory_stream.evaluation.truth import TRUTH_FILE, truth_record
+from hickory_stream.evaluation.truth import TRUTH_FILE, Truth, truth_record
+from hickory_stream.pictures.ray_caster import CasterName
 from hickory_stream.worlds.recording import make_recording
 from hickory_stream.worlds.visibility import SeenSurface
-from tools.worlds.recording_config import MAX_ROBOTS, walkable_world
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.pictures.ray_caster import CasterName
-    from tools.worlds.recording_config import RecordingConfig
+from tools.worlds.recording_config import MAX_ROBOTS, RecordingConfig, walkable_world
 
 
 def robot_name(name: str, robot: int) -> str:
-    """Return the name of a robot's recording, `robot` from 0."""
     return f"{name}-{robot + 1}"
 
 
 def make_fleet(
-    config: RecordingConfig,
-    folder: Path,
-    name: str,
-    num_robots: int,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-    *,
-    caster: CasterName | None = "open3d",
+    config: RecordingConfig, folder: Path, name: str, num_robots: int,
+    progress: Callable[[int, int], None] = lambda done, total: None, *, caster: CasterName | None = "open3d",
     processes: int = 1,
-) -> Truth:
-    """Write NAME-1, NAME-2, ... with truths, NAME.truth of all in the first frame, and NAME.toml; return that truth.
-
-    Robot i goes on walk i; `progress` counts each robot's frames.
-
-    Raises:
-        ConfigError: too many robots or too few, or no world of the seed can be walked by all of them.
-        InputError: the caster is not installed.
-    """
+) -> Truth:  # fmt: skip
+    """Write NAME-1, NAME-2, ... with truths, NAME.truth of all in the first frame, and NAME.toml; return that truth."""
+    # Robot i goes on walk i; `progress` counts each robot's frames.
+    # Raises ConfigError: too many robots or too few, or no world of the seed can be walked by all of them.
+    # Raises InputError: the caster is not installed.
     if not 2 <= num_robots <= MAX_ROBOTS:
         raise ConfigError(f"found {num_robots} robots, expected 2 to {MAX_ROBOTS}")
     configs = [replace(config, walk_index=i, robots=num_robots) for i in range(num_robots)]

@@ -1,21 +1,15 @@
 """What stands in a living room, a kitchen, a bedroom and a study."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hickory_stream.worlds import furniture, small_things
+from hickory_stream.worlds.object_models import Model
 from hickory_stream.worlds.scene import Placement, at_place
 from hickory_stream.worlds.support_placement import REST_M, stood_on, walls_of
 from tools.worlds import big_things, table_things
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from hickory_stream.worlds.object_models import Model
 
 _DRAWS = 80
 _APART_M = 0.05
@@ -177,14 +171,9 @@ def box_group(rng: np.random.Generator, room: Room) -> None:
 
 
 def against_wall(
-    rng: np.random.Generator,
-    room: Room,
-    model: Model,
-    *,
-    away_m: tuple[float, float],
-    front_m: float,
+    rng: np.random.Generator, room: Room, model: Model, *, away_m: tuple[float, float], front_m: float,
     turn_rad: float = 0.0,
-) -> Placement | None:
+) -> Placement | None:  # fmt: skip
     """Place a model with its back to a wall and `front_m` of free floor before it; None if it does not fit."""
     walls = walls_of(room.rectangle_m)
     half_y = float(np.abs(model.bounds_m()[:, 1]).max())
@@ -241,7 +230,6 @@ def relative(
 def lay(
     rng: np.random.Generator, room: Room, support: Placement | None, models: Sequence[Model], turn_rad: float = np.pi
 ) -> None:
-    """Place models on the first surface of a support, if there is a support."""
     if support is not None:
         room.placed.extend(stood_on(rng, support, support.model.surfaces[0], models, turn_rad=turn_rad))
 

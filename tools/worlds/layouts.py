@@ -1,24 +1,48 @@
-"""Synthetic logs in the exact layouts of public data sets, quirks included, to test the players with.
+"""Synthetic logs in the exact layouts of public data sets, quirks included, to test the players with."""
+# Messages of ROS 1 and ROS 2 for synthetic logs; they differ in the case of a few fields and in the header. The numbers
+# of the rigs are repeated here, so that an error in a profile of `players` cannot cancel itself out.
 
-The numbers of the rigs are repeated here, so that an error in a profile of `players` cannot cancel itself out.
-"""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any, Self
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import Any, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import from_rotation_translation, invert, rotation_of_vector, yaw_rotation
+from hickory_stream.worlds import ros_messages
 from hickory_stream.worlds.zed_log import COLOR_ENCODING, DepthView, LogWriter, ZedLog, encode_jpeg
-from tools.worlds.ros_messages import RosMessages
 
-if TYPE_CHECKING:
-    from pathlib import Path
-    from types import TracebackType
 
-    from numpy.typing import NDArray
+class RosMessages(ros_messages.RosMessages):
+    """Builds and serialises messages of ROS 1 or ROS 2."""
+
+    def __init__(self, ros: Literal[1, 2]) -> None:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        super().__init__()
+        self.ros = ros
+        if ros == 1:
+            self.camera_matrices = ("D", "K", "R", "P")
+            self.more_of_header = MappingProxyType({"seq": 0})
+            self.store = get_typestore(Stores.ROS1_NOETIC)
+            transforms = "geometry_msgs/TransformStamped[] transforms"
+            self.store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
+
+    def data(self, message: Any) -> bytes:
+        if self.ros == 1:
+            return bytes(self.store.serialize_ros1(message, message.__msgtype__))
+        return super().data(message)
+
+    def image(self, stamp_ns: int, frame_id: str, encoding: str, pixels: NDArray[Any]) -> Any:
+        """Return an Image of (H, W) or (H, W, C) pixels, without padding."""
+        rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(pixels.shape[0], -1)
+        return self.make(
+            "sensor_msgs/msg/Image", header=self.header(stamp_ns, frame_id), height=pixels.shape[0],
+            width=pixels.shape[1], encoding=encoding, is_bigendian=0, step=rows.shape[1], data=rows.ravel(),
+        )  # fmt: skip
+
 
 LAYOUTS = ("zed", "kimera_multi", "nus_clb", "nus_clb_jpeg")
 
@@ -40,10 +64,8 @@ def layout_camera(layout: str, camera: Camera) -> Camera:
 
 
 def drawn_mounting(seed: int) -> NDArray[np.float64]:
-    """Return body_from_camera (4, 4) of a camera 0.4 m from the body's origin, 10 degrees off its axes, by a seed.
-
-    The pose on a Unitree B2 was not published; the camera is mostly ahead.
-    """
+    """Return body_from_camera (4, 4) of a camera 0.4 m from the body's origin, 10 degrees off its axes, by a seed."""
+    # The pose on a Unitree B2 was not published; the camera is mostly ahead.
     rng = np.random.default_rng([seed, 7])
     ahead = np.array([1.0, 0.5, 0.5]) * rng.standard_normal(3) + np.array([1.5, 0.0, 0.5])
     axis = rng.standard_normal(3)
@@ -52,14 +74,9 @@ def drawn_mounting(seed: int) -> NDArray[np.float64]:
 
 
 def open_layout(
-    layout: str,
-    folder: Path,
-    name: str,
-    camera: Camera,
-    jpeg_quality: int,
-    end_ns: int,
+    layout: str, folder: Path, name: str, camera: Camera, jpeg_quality: int, end_ns: int,
     mounting: NDArray[np.float64] | None = None,
-) -> LogWriter:
+) -> LogWriter:  # fmt: skip
     """Return the writer of a layout; `mounting` is body_from_camera (4, 4) of a NUS-CLB robot, None: one origin."""
     if layout == "kimera_multi":
         return KimeraMultiLog(folder, name, camera, jpeg_quality)
@@ -70,33 +87,23 @@ def open_layout(
 
 
 class KimeraMultiLog:
-    """A robot's bag and, beside it, the bag of its visual odometry.
+    """A robot's bag and, beside it, the bag of its visual odometry."""
 
-    No TF, frames with another robot's prefix, bags recorded two minutes late; depth is 16UC1, unregistered, of the left
-    infrared camera; odometry is of the IMU in optical axes, at 5 Hz at most.
-    """
-
+    # No TF, frames with another robot's prefix, bags recorded two minutes late; depth is 16UC1, unregistered, of the
+    # left infrared camera; odometry is of the IMU in optical axes, at 5 Hz at most.
     robot = "acl_jackal"
     prefix = "acl_jackal2"
     log_offset_ns = 111_300_000_000
 
     # Kimera-VIO's T_BS, and the factory calibration of acl_jackal's colour camera.
-    body_from_infra1 = np.array(
-        [
-            [0.99985945, -0.01443721, 0.00852319, -0.02647408],
-            [0.01453776, 0.99982404, -0.01185494, 0.00914898],
-            [-0.00835054, 0.01197718, 0.99989340, 0.02575617],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
-    infra1_from_color = np.array(
-        [
-            [0.999997, 0.0016371, -0.0015848, 0.0589082],
-            [-0.0016342, 0.999997, 0.0017948, -3.43e-05],
-            [0.0015877, -0.0017922, 0.999997, -0.0001886],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    body_from_infra1 = np.array([
+        [0.99985945, -0.01443721, 0.00852319, -0.02647408], [0.01453776, 0.99982404, -0.01185494, 0.00914898],
+        [-0.00835054, 0.01197718, 0.99989340, 0.02575617], [0.0, 0.0, 0.0, 1.0],
+    ])  # fmt: skip
+    infra1_from_color = np.array([
+        [0.999997, 0.0016371, -0.0015848, 0.0589082], [-0.0016342, 0.999997, 0.0017948, -3.43e-05],
+        [0.0015877, -0.0017922, 0.999997, -0.0001886], [0.0, 0.0, 0.0, 1.0],
+    ])  # fmt: skip
     odometry_step_ns = 195_000_000
 
     def __init__(self, folder: Path, name: str, camera: Camera, jpeg_quality: int) -> None:
@@ -175,26 +182,19 @@ class KimeraMultiLog:
 
 
 class NusClbLog:
-    """A ROS 2 bag (sqlite3) of a Unitree B2 with a ZED 2i.
+    """A ROS 2 bag (sqlite3) of a Unitree B2 with a ZED 2i."""
 
-    Colour is bgra8, or JPEG under the raw name; depth has NaN, +inf beyond the range and -inf before it. The pose is
-    LiDAR odometry in FLU axes with a jump by a loop closure. Unitree's own types lie beside it, without definitions.
-    """
-
+    # Colour is bgra8, or JPEG under the raw name; depth has NaN, +inf beyond the range and -inf before it. The pose is
+    # LiDAR odometry in FLU axes with a jump by a loop closure. Unitree's own types lie beside it, without definitions.
     jump_at = 0.8
     after_from_before = from_rotation_translation(yaw_rotation(0.03), np.array([0.35, -0.2, 0.05]))
     _color = "/zed/zed_node/rgb/color/rect/image"
     _frame = "zed_left_camera_frame_optical"
 
     def __init__(
-        self,
-        folder: Path,
-        name: str,
-        camera: Camera,
-        jpeg_quality: int | None,
-        end_ns: int,
+        self, folder: Path, name: str, camera: Camera, jpeg_quality: int | None, end_ns: int,
         mounting: NDArray[np.float64] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         aligned = from_rotation_translation(_FLU_FROM_OPTICAL, np.zeros(3))
         self._camera_from_flu = invert(aligned if mounting is None else mounting)
         self.depth_view: DepthView | None = None
@@ -278,7 +278,6 @@ class NusClbLog:
         self._put("/lio_sam_ros2/mapping/odometry", stamp_ns, message)
 
     def write_images(self, stamp_ns: int, rgb: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> None:
-        """Write colour, depth of the same stamp, and their camera infos."""
         m = self._messages
         if self._jpeg_quality is None:
             bgra = np.dstack([rgb[..., ::-1], np.full(rgb.shape[:2], 255, dtype=np.uint8)])
@@ -312,13 +311,10 @@ def _resized(camera: Camera, like: Camera) -> Camera:
     # Scaled to the width, cropped to the middle of the height.
     factor = like.width / camera.width
     return Camera(
-        width=like.width,
-        height=like.height,
-        fx=camera.fx * factor,
-        fy=camera.fy * factor,
+        width=like.width, height=like.height, fx=camera.fx * factor, fy=camera.fy * factor,
         cx=(camera.cx + 0.5) * factor - 0.5,
         cy=(camera.cy + 0.5) * factor - 0.5 + (like.height - camera.height * factor) / 2,
-    )
+    )  # fmt: skip
 
 
 def _orthogonal(pose: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,26 +1,19 @@
 """A person who walks through the images and occludes objects, without being one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.pictures.ray_caster import CasterName, ray_caster
 from hickory_stream.worlds.object_models import Model, Part, ellipsoid, model_mesh, rounded_box, tube
 from hickory_stream.worlds.palettes import plain
-from hickory_stream.worlds.rendering import rays_of
+from hickory_stream.worlds.rendering import Rendered, rays_of
 from hickory_stream.worlds.shots import OCCLUDER_ID
 from hickory_stream.worlds.textures import Texture
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.worlds.rendering import Rendered
-    from hickory_stream.worlds.trajectory import Trajectory
+from hickory_stream.worlds.trajectory import Trajectory
 
 _STRIDE_HZ = 0.9
 _KEEPS_AWAY_M = 0.6
@@ -46,13 +39,9 @@ class Person:
         return figure(2 * np.pi * _STRIDE_HZ * time_s), world_from_person
 
     def drawn_into(
-        self,
-        rendered: Rendered,
-        camera: Camera,
-        world_from_camera: NDArray[np.float64],
-        time_s: float,
+        self, rendered: Rendered, camera: Camera, world_from_camera: NDArray[np.float64], time_s: float,
         caster: CasterName | None = None,
-    ) -> Rendered:
+    ) -> Rendered:  # fmt: skip
         """Return an image with the person in front of the scene; close to the camera, the person steps aside."""
         model, world_from_person = self.model_at(time_s)
         if np.linalg.norm(world_from_person[:2, 3] - world_from_camera[:2, 3]) < _KEEPS_AWAY_M:
@@ -76,14 +65,9 @@ class Person:
         is_structure, is_blind = rendered.is_structure.reshape(-1).copy(), rendered.is_blind.reshape(-1).copy()
         is_structure[nearer], is_blind[nearer] = False, False
         return replace(
-            rendered,
-            rgb=rgb.reshape(*size, 3),
-            depth_m=depth_m.reshape(size),
-            instances=instances.reshape(size),
-            cosine=incidence.reshape(size),
-            is_structure=is_structure.reshape(size),
-            is_blind=is_blind.reshape(size),
-        )
+            rendered, rgb=rgb.reshape(*size, 3), depth_m=depth_m.reshape(size), instances=instances.reshape(size),
+            cosine=incidence.reshape(size), is_structure=is_structure.reshape(size), is_blind=is_blind.reshape(size),
+        )  # fmt: skip
 
 
 def figure(stride_rad: float) -> Model:

@@ -1,23 +1,25 @@
 """Configs of recordings of all scenes, with layouts, drift, people and changes; an import registers the scenes."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import ConfigError
+from hickory_stream.geometry.camera import Camera
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
 from hickory_stream.worlds.recording_config import RecordingConfig as PlainConfig
 from hickory_stream.worlds.recording_config import Scene, register_scene, walkable
-from hickory_stream.worlds.scene import placed_otherwise
+from hickory_stream.worlds.scene import World, WorldObject, placed_otherwise
 from hickory_stream.worlds.shots import Stage, WorldChange
 from hickory_stream.worlds.trajectory import NoWalk, Trajectory, walk_round
+from hickory_stream.worlds.zed_log import LogWriter
 from tools.worlds.apartment import apartment
 from tools.worlds.building.building import BuildingSize, building
 from tools.worlds.building.route import building_walk
-from tools.worlds.clutter.families import recipes_of
+from tools.worlds.clutter.kit import recipes_of
 from tools.worlds.clutter.room import clutter_room
 from tools.worlds.clutter.walk import wander
 from tools.worlds.days import world_of_day
@@ -29,18 +31,9 @@ from tools.worlds.person import Person
 from tools.worlds.routes import tour
 from tools.worlds.tabletop import orbit, tabletop
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.geometry.camera import Camera
-    from hickory_stream.worlds.recording_config import Walk
-    from hickory_stream.worlds.scene import World, WorldObject
-    from hickory_stream.worlds.zed_log import LogWriter
-
 APARTMENT, TABLETOP, CLUTTER, OUTDOOR, BUILDING = "apartment", "tabletop", "clutter", "outdoor", "building"
 MAX_ROBOTS = 16
+Walk = Callable[[World, int], Trajectory | NoWalk]
 _WITHOUT_DAYS = (BUILDING, CLUTTER, OUTDOOR)
 _LEAST_CLUTTER = 6
 _ON_THE_WAY = 7_000_000
@@ -97,7 +90,6 @@ class RecordingConfig(PlainConfig):
 
     @property
     def camera(self) -> Camera:
-        """The colour camera."""
         return layout_camera(self.layout, super().camera)
 
     def stage(self) -> Stage:
@@ -110,17 +102,11 @@ class RecordingConfig(PlainConfig):
             rng = np.random.default_rng([self.seed, 9, self.walk_index])
             clock_offset_ns = int(rng.integers(-_CLOCK_REACH_NS, _CLOCK_REACH_NS))
         return Stage(
-            world=world,
-            trajectory=trajectory,
-            odometry=odometry,
-            change=_change_on_the_way(world, trajectory, self),
-            occluder=person_of(world, self),
-            robot_from_world=drawn_frame(self),
-            clock_offset_ns=clock_offset_ns,
-        )
+            world=world, trajectory=trajectory, odometry=odometry, change=_change_on_the_way(world, trajectory, self),
+            occluder=person_of(world, self), robot_from_world=drawn_frame(self), clock_offset_ns=clock_offset_ns,
+        )  # fmt: skip
 
     def log_files(self, name: str) -> tuple[str, ...]:
-        """Return the files or folders of the log, beginning with the one to play."""
         return layout_files(self.layout, name)
 
     def open_log(self, folder: Path, name: str, end_ns: int) -> LogWriter:
@@ -130,13 +116,9 @@ class RecordingConfig(PlainConfig):
 
 
 def walkable_world(config: RecordingConfig) -> tuple[World, Trajectory]:
-    """Return the first of the seed's worlds that one can walk through, on the config's day, and the walk.
-
-    The first two walks through an apartment, and those of a fleet, share one world: all must be possible.
-
-    Raises:
-        ConfigError: none of the seed's worlds can be walked.
-    """
+    """Return the first of the seed's worlds that one can walk through, on the config's day, and the walk."""
+    # The first two walks through an apartment, and those of a fleet, share one world: all must be possible.
+    # Raises ConfigError: none of the seed's worlds can be walked.
     others = {*range(config.robots), *((0, 1) if config.scene == APARTMENT else ())} - {config.walk_index}
     world, trajectory, walk = walkable(config, () if config.scene in (BUILDING, CLUTTER) else others)
     if not config.day:

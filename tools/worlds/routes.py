@@ -1,22 +1,13 @@
 """Routes over free floor, and a tour through all rooms of an apartment."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter1d, label
 
 from hickory_stream.geometry.rigid import apply
 from hickory_stream.worlds.clearance import CELL_M, HEAD_M, Clearance, clearance_of
-from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses, gaze
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.scene import World
-    from hickory_stream.worlds.trajectory import WalkConfig
-
+from hickory_stream.worlds.scene import World
+from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, camera_poses, gaze
 
 _STEP_M = 0.12
 
@@ -40,10 +31,8 @@ def smoothed(route: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def clearance_of_surfaces(world: World) -> Clearance:
-    """Return the clearance of a world of any meshes: free is floor at z = 0 with no surface up to 1.8 m above it.
-
-    A doorstep can be walked over.
-    """
+    """Return the clearance of a world of any meshes: free is floor at z = 0 with no surface up to 1.8 m above it."""
+    # A doorstep can be walked over.
     x0, y0, x1, y1 = world.interior_m
     shape = (int(np.ceil((x1 - x0) / CELL_M)), int(np.ceil((y1 - y0) / CELL_M)))
     has_floor, is_blocked = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
@@ -96,10 +85,8 @@ _ROUND = (0, 1, 3, 2)
 
 
 def tour(world: World, seconds: float | None, config: WalkConfig, walk_index: int) -> Trajectory | NoWalk:
-    """Return a walk through all rooms; `walk_index` selects its start and direction.
-
-    `seconds` None is the duration of the tour, and at least a minute.
-    """
+    """Return a walk through all rooms; `walk_index` selects its start and direction."""
+    # `seconds` None is the duration of the tour, and at least a minute.
     clearance = clearance_of(world)
     route = _route(world, clearance, walk_index)
     if route is None:

@@ -1,20 +1,13 @@
 """The structure of an apartment: floors, walls, ceiling, doorways, and pictures."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from hickory_stream.worlds.object_models import Model, rounded_box
 from hickory_stream.worlds.room import FLOORS, PAINTS, WALL_CELL_M, WALL_M, wall_piece
-from hickory_stream.worlds.textures import Texture
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy as np
-
-    from hickory_stream.worlds.textures import Color
+from hickory_stream.worlds.textures import Color, Texture
 
 ROOM_HEIGHT_M = 2.6
 
@@ -88,7 +81,6 @@ def floor_of(rng: np.random.Generator, room: tuple[float, float, float, float]) 
 
 
 def drawn_paint(rng: np.random.Generator) -> Texture:
-    """Return the paint of a wall."""
     paint = PAINTS[int(rng.integers(len(PAINTS)))]
     darker: Color = (paint[0] * 0.93, paint[1] * 0.93, paint[2] * 0.93)
     return Texture(pattern="plain", first=paint, second=darker, period_m=0.35, grain=0.05)
@@ -110,12 +102,9 @@ def inner_wall(
         )
         rest = ROOM_HEIGHT_M - door.height_m
         lintel = rounded_box(
-            (*turned(door.width_m, WALL_M), rest),
-            paint,
-            at=(*turned(door.middle_m, at_m), door.height_m + rest / 2),
-            radius_m=0.001,
-            cell_m=WALL_CELL_M,
-        )
+            (*turned(door.width_m, WALL_M), rest), paint, at=(*turned(door.middle_m, at_m), door.height_m + rest / 2),
+            radius_m=0.001, cell_m=WALL_CELL_M,
+        )  # fmt: skip
         jambs = [
             rounded_box(
                 (*turned(0.05, WALL_M + 0.03), door.height_m),
@@ -127,12 +116,9 @@ def inner_wall(
             for edge in (low + 0.01, high - 0.01)
         ]
         head = rounded_box(
-            (*turned(door.width_m + 0.05, WALL_M + 0.03), 0.05),
-            trim,
-            at=(*turned(door.middle_m, at_m), door.height_m),
-            radius_m=0.004,
-            cell_m=WALL_CELL_M,
-        )
+            (*turned(door.width_m + 0.05, WALL_M + 0.03), 0.05), trim, at=(*turned(door.middle_m, at_m), door.height_m),
+            radius_m=0.004, cell_m=WALL_CELL_M,
+        )  # fmt: skip
         models.append(Model(kind="door_way", parts=(lintel, *jambs, head)))
         start = high
     models.append(

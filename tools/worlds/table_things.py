@@ -1,18 +1,11 @@
 """More objects on tables and shelves: kitchenware, groceries, electronics, toys."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from hickory_stream.worlds.furniture import vessel
-from hickory_stream.worlds.object_models import Model, ellipsoid, lathe, rounded_box, tube
+from hickory_stream.worlds.object_models import Model, Part, ellipsoid, lathe, rounded_box, tube
 from hickory_stream.worlds.palettes import coat, fabric, glaze, plain, wood
 from hickory_stream.worlds.textures import Texture
-
-if TYPE_CHECKING:
-    from hickory_stream.worlds.object_models import Part
 
 
 def television(rng: np.random.Generator) -> Model:
@@ -95,7 +88,6 @@ def pan(rng: np.random.Generator) -> Model:
 
 
 def plate_stack(rng: np.random.Generator) -> Model:
-    """Return a few plates on one another."""
     radius, count, china = float(rng.uniform(0.1, 0.13)), int(rng.integers(3, 7)), glaze(rng)
     thick = 0.009
     profile = [(0.0, 0.0), (0.6 * radius, 0.0)]
@@ -108,7 +100,6 @@ def plate_stack(rng: np.random.Generator) -> Model:
 
 
 def vase(rng: np.random.Generator) -> Model:
-    """Return a bellied vase, open at the top."""
     belly, height, clay = float(rng.uniform(0.07, 0.1)), float(rng.uniform(0.22, 0.32)), glaze(rng)
     outside = [(0.6 * belly, 0.0), (belly, 0.35 * height), (0.75 * belly, 0.65 * height), (0.38 * belly, 0.85 * height)]
     rim = [(0.5 * belly, height), (0.5 * belly - 0.006, height), (0.38 * belly - 0.006, 0.85 * height)]
@@ -117,7 +108,6 @@ def vase(rng: np.random.Generator) -> Model:
 
 
 def can(rng: np.random.Generator) -> Model:
-    """Return a tin of food."""
     radius, height = float(rng.uniform(0.033, 0.043)), float(rng.uniform(0.08, 0.12))
     metal = plain((0.75, 0.75, 0.76))
     parts = (
@@ -128,7 +118,6 @@ def can(rng: np.random.Generator) -> Model:
 
 
 def jar(rng: np.random.Generator) -> Model:
-    """Return a jar with a wide lid."""
     radius, height = float(rng.uniform(0.036, 0.05)), float(rng.uniform(0.1, 0.15))
     body = [(0, 0), (radius, 0), (radius, 0.75 * height), (0.8 * radius, 0.86 * height), (0, 0.86 * height)]
     lid = [(0, 0.86 * height), (0.86 * radius, 0.86 * height), (0.86 * radius, height), (0, height)]
@@ -150,7 +139,6 @@ def carton(rng: np.random.Generator) -> Model:
 
 
 def cereal_box(rng: np.random.Generator) -> Model:
-    """Return a standing packet of cereals."""
     size = (float(rng.uniform(0.055, 0.075)), float(rng.uniform(0.17, 0.21)), float(rng.uniform(0.25, 0.31)))
     print_, panel = glaze(rng), glaze(rng)
     parts = (
@@ -172,22 +160,17 @@ def squeeze_bottle(rng: np.random.Generator) -> Model:
     wide, flat = float(rng.uniform(0.032, 0.04)), float(rng.uniform(0.55, 0.75))
     body = lathe(
         [
-            (0, 0),
-            (wide * 0.9, 0),
-            (wide, 0.3 * height),
-            (0.85 * wide, 0.65 * height),
-            (0.4 * wide, 0.8 * height),
+            (0, 0), (wide * 0.9, 0), (wide, 0.3 * height), (0.85 * wide, 0.65 * height), (0.4 * wide, 0.8 * height),
             (0, 0.8 * height),
         ],
         stuff,
-    )
+    )  # fmt: skip
     squeezed = type(body)(vertices=body.vertices * (flat, 1.0, 1.0), faces=body.faces, texture=stuff)
     cap = lathe([(0, 0.79 * height), (0.013, 0.79 * height), (0.009, height), (0, height)], plain((0.92, 0.9, 0.86)))
     return Model(kind="squeeze_bottle", parts=(squeezed, cap))
 
 
 def ball(rng: np.random.Generator) -> Model:
-    """Return a ball."""
     radius = float(rng.uniform(0.05, 0.11))
     polar = np.linspace(-np.pi / 2, np.pi / 2, 17)
     skin = lathe([(radius * float(np.cos(a)), radius * float(np.sin(a))) for a in polar], glaze(rng), segments=32)
@@ -195,7 +178,6 @@ def ball(rng: np.random.Generator) -> Model:
 
 
 def toy_car(rng: np.random.Generator) -> Model:
-    """Return a toy car driving along +x."""
     length, paint = float(rng.uniform(0.16, 0.24)), glaze(rng, "plain")
     width, dark = 0.48 * length, plain((0.1, 0.1, 0.1))
     parts = [
@@ -211,7 +193,6 @@ def toy_car(rng: np.random.Generator) -> Model:
 
 
 def cushion(rng: np.random.Generator) -> Model:
-    """Return a thick cushion lying flat."""
     size = float(rng.uniform(0.36, 0.44))
     return Model(kind="cushion", parts=(rounded_box((size, size, 0.13), fabric(rng), at=(0, 0, 0.065), radius_m=0.06),))
 

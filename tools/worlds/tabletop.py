@@ -1,26 +1,18 @@
 """A table in a small room with many small things on it, and a camera that circles it."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.worlds import furniture, small_things
-from hickory_stream.worlds.object_models import Surface
+from hickory_stream.worlds.object_models import Model, Surface
 from hickory_stream.worlds.room import room_structure
 from hickory_stream.worlds.scene import Placement, World, at_place, numbered
 from hickory_stream.worlds.support_placement import REST_M, stood_on
 from hickory_stream.worlds.trajectory import STEP_S, Trajectory, camera_rotation
 from tools.worlds import table_things
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.worlds.object_models import Model
-
 
 _THINGS: tuple[Callable[[np.random.Generator], Model], ...] = (
     table_things.can, table_things.carton, table_things.cereal_box, table_things.packet, table_things.squeeze_bottle,
@@ -34,11 +26,8 @@ _ATTEMPTS = 40
 
 
 def tabletop(seed: int, attempt: int = 0) -> World:
-    """Return table number `attempt` of a seed: the table and 10 to 19 objects on it, some stacked.
-
-    Raises:
-        ConfigError: no draw fits, which no seed has shown so far.
-    """
+    """Return table number `attempt` of a seed: the table and 10 to 19 objects on it, some stacked."""
+    # Raises ConfigError: no draw fits, which no seed has shown so far.
     rng = np.random.default_rng([seed, 12, attempt])
     for _ in range(_ATTEMPTS):
         placed = _draw(rng)

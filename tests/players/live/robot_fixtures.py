@@ -11,7 +11,7 @@ from typing import Any
 from hickory_stream.records import RawFrame
 from players.live import LiveMapSource, open_live
 from tests.player_scenes import Messages, make_scene, png_images, scene_messages, write_mcap
-from tools.robot.drive import Report, drive
+from tools.robot.command import Report, drive
 from tools.robot.link import Faults, Plan, plan
 from tools.robot.prepared import prepared
 from tools.robot.publishers import Publisher

@@ -11,7 +11,7 @@ from players.opening import open_source
 from players.poses.camera_poses import PoseReader
 from tests.player_scenes import OPTICAL, Messages, make_scene, png_bytes, png_images, scene_messages, write_mcap
 from tests.players.live.live_fixtures import Packet, ScriptedRoute, scene_packets
-from tools.robot.stamps import restamped
+from tools.robot.prepared import restamped
 
 INFOS = "camera_info"
 

@@ -16,7 +16,7 @@ from players.logs.containers import Topic
 from tests.navigation.rooms import snapshot
 from tests.players.live.robot_fixtures import eventually, free_port, scene_log
 from tests.sinks.test_publish_sink import report
-from tools.robot.drive import drive
+from tools.robot.command import drive
 from tools.robot.foxglove_publisher import FoxglovePublisher
 from tools.robot.link import Faults, plan
 from tools.robot.prepared import prepared

@@ -14,7 +14,7 @@ from players.live.zenoh_keys import own_token, publication_of_key, publication_o
 from players.live.zenoh_route import ZenohRoute, _callback_threads
 from players.opening import open_source
 from tests.players.live.robot_fixtures import eventually, free_port, mapped, scene_log
-from tools.robot.drive import drive
+from tools.robot.command import drive
 from tools.robot.link import Faults, plan
 from tools.robot.prepared import prepared
 from tools.robot.zenoh_publishers import RmwZenoh, ZenohBridge

@@ -8,8 +8,8 @@ from hickory_stream.worlds.rendering import Renderer
 from hickory_stream.worlds.shots import Filming, shots_of
 from hickory_stream.worlds.trajectory import Trajectory, WalkConfig
 from tools.worlds.building.building import Building, BuildingSize, building
+from tools.worlds.building.plan import STOREY_M
 from tools.worlds.building.route import building_walk, route_through
-from tools.worlds.building.stairwell import STOREY_M
 from tools.worlds.recording_config import RecordingConfig
 
 SIZE = BuildingSize(floors=2, rooms=4)

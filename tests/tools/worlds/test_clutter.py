@@ -17,16 +17,14 @@ from hickory_stream.worlds.scene import part_boxes
 from hickory_stream.worlds.trajectory import Trajectory, WalkConfig
 from tools.worlds.cache import cached_recording, recording_name
 from tools.worlds.clutter.contents import CONTENTS
-from tools.worlds.clutter.families import FAMILIES, TABLE, Recipes
 from tools.worlds.clutter.floorplan import OUTLINES
-from tools.worlds.clutter.frames import Frame, frames_of
+from tools.worlds.clutter.frames import ColorCameraConfig, Frame, frames_of
 from tools.worlds.clutter.groups import GROUPS
 from tools.worlds.clutter.heaps import heap
-from tools.worlds.clutter.kit import SHAPES, any_material
+from tools.worlds.clutter.kit import FAMILIES, SHAPES, TABLE, Recipes, any_material
 from tools.worlds.clutter.objects.cloths import curtain, hung_cloth, tablecloth
 from tools.worlds.clutter.objects.materials import MATERIALS
 from tools.worlds.clutter.room import clutter_room
-from tools.worlds.clutter.sensors import ColorCameraConfig
 from tools.worlds.clutter.walk import wander
 from tools.worlds.drift import DriftConfig
 from tools.worlds.recording_config import RecordingConfig

@@ -1,10 +1,6 @@
-"""Alignment of maps: simulated pairs with known truth, unrelated maps, apartments, and processor time.
-
-Simulated trials run in two processes; times are the least of three repetitions of CPU time, on the hard set. The
-apartments, in a whole run alone, are played once for each state of the mapper's code, into out/maps/.
-"""
-
-from __future__ import annotations
+"""Alignment of maps: simulated pairs with known truth, unrelated maps, apartments, and processor time."""
+# Simulated trials run in two processes; times are the least of three repetitions of CPU time, on the hard set. The
+# apartments, in a whole run alone, are played once for each state of the mapper's code, into out/maps/.
 
 import itertools
 import multiprocessing
@@ -48,16 +44,12 @@ def _set(num_objects: int, outliers: float, difficulty: Difficulty = "easy", til
 
 # Trials of each kind, and how many of a whole and of a quick run.
 _SETS = {
-    "40_75": (_set(40, 0.75), 600, 60),
-    "40_75_hard": (_set(40, 0.75, "hard"), 600, 60),
-    "40_90": (_set(40, 0.9), 500, 60),
-    "40_90_hard": (_set(40, 0.9, "hard"), 500, 40),
-    "20_75": (_set(20, 0.75), 600, 60),
-    "20_75_hard": (_set(20, 0.75, "hard"), 600, 60),
-    "tilt5": (_set(40, 0.5, "easy", 5.0), 200, 20),
-    "tilt15": (_set(40, 0.5, "easy", 15.0), 400, 40),
+    "40_75": (_set(40, 0.75), 600, 60), "40_75_hard": (_set(40, 0.75, "hard"), 600, 60),
+    "40_90": (_set(40, 0.9), 500, 60), "40_90_hard": (_set(40, 0.9, "hard"), 500, 40),
+    "20_75": (_set(20, 0.75), 600, 60), "20_75_hard": (_set(20, 0.75, "hard"), 600, 60),
+    "tilt5": (_set(40, 0.5, "easy", 5.0), 200, 20), "tilt15": (_set(40, 0.5, "easy", 15.0), 400, 40),
     "tilt15_hard": (_set(40, 0.5, "hard", 15.0), 200, 20),
-}
+}  # fmt: skip
 _ABLATION = {"hard": _set(40, 0.75, "hard"), "hard_20": _set(20, 0.75, "hard"), "hard_90": _set(40, 0.9, "hard")}
 
 
@@ -166,13 +158,11 @@ def _of_times(options: Options) -> list[Figure]:
 
 
 def _seconds(size: int, seed: int) -> float:
-    """Return the CPU seconds of one alignment of hard maps, scores included: the least of three."""
     pair = simulate_pair(SimulationConfig(num_objects=size, difficulty="hard"), seed)
     return best_s(lambda: align(pair.map_a, pair.map_b), 3)
 
 
 def _of_apartments(maps: dict[int, tuple[ObjectMap, ObjectMap]]) -> list[Figure]:
-    """Return the mean error over the apartments, each mapped twice, the second map in a frame of its own."""
     errors = []
     for apartment, (map_a, map_b) in maps.items():
         b_from_world = frame_of(apartment, 1)

@@ -1,11 +1,6 @@
-"""The calibration of alignment's covariance on maps of the whole pipeline: the squared error by its covariance.
-
-Two walks through a place are mapped, and parts of both are aligned, one of them turned, shifted, and tilted by 0 to 3
-degrees. Own and foreign maps have exact poses; of the drifting ones one map has an odometry that drifts, corrected as
-`play` does. The true place of a part follows from the camera's true poses around it: a map that drifts is not rigid.
-"""
-
-from __future__ import annotations
+"""The calibration of alignment's covariance on maps of the whole pipeline: the squared error by its covariance."""
+# Parts of two mapped walks are aligned, one turned, shifted and tilted by 0 to 3 degrees. The true place of a part
+# follows from the true poses of the camera around it: a map that drifts is not rigid.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -128,7 +123,6 @@ def _near(objects: ObjectMap, place: NDArray[np.float64], reach_m: float) -> Obj
 
 
 def _tilted(rng: np.random.Generator, tilt_deg: float) -> NDArray[np.float64]:
-    """Return a random frame, its vertical off by an angle."""
     heading = rng.uniform(0, 2 * np.pi)
     tilt = np.radians(tilt_deg) * np.array([np.cos(heading), np.sin(heading), 0.0])
     return compose(from_rotation_translation(rotation_of_vector(tilt), np.zeros(3)), random_frame(rng))

@@ -8,8 +8,6 @@ between them are the same. And how many objects are near one another,
 in units of how many are further off, in furnished and in uniform places.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterable
 from itertools import combinations, pairwise
@@ -31,12 +29,9 @@ _MOST_PAIRS = 400
 
 
 def pair_correlation(pairs: Iterable[SimulatedPair], share: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return (B,) how densely, per cubic metre, another pair coincides beside one, by distance, and how many did.
-
-    Args:
-        pairs: maps of places that share nothing.
-        share: this share of all pairs of objects counts, the most similar ones.
-    """
+    """Return (B,) how densely, per cubic metre, another pair coincides beside one, by distance, and how many did."""
+    # pairs: maps of places that share nothing.
+    # share: this share of all pairs of objects counts, the most similar ones.
     observed, tried_m3 = np.zeros(len(_EDGES_M) - 1), np.zeros(len(_EDGES_M) - 1)
     config = AlignConfig()
     for pair in pairs:
@@ -58,7 +53,6 @@ def pair_correlation(pairs: Iterable[SimulatedPair], share: float) -> tuple[NDAr
 
 
 def main() -> None:
-    """Measure, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--apartments", type=int, default=32)
     parser.add_argument("--pairs", type=int, default=100)

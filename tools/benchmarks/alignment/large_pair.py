@@ -1,7 +1,5 @@
 """One alignment of a large simulated pair in a process of its own, which imports nothing else: its time and memory."""
 
-from __future__ import annotations
-
 import resource
 import sys
 import time

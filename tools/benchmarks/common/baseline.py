@@ -1,11 +1,6 @@
-"""The committed baseline of a benchmark: for each figure its last value, its goal, and by how much it may fall back.
-
-`baselines/NAME.json` (`tests/golden/baseline.json` for the golden logs) has for each figure `value` (null: not measured
-yet), `goal` (null: none) and `tolerance`: a figure that is worse than its value by more than that is a regression. A
-tolerance covers the noise of the figure; a text whose tolerance is 0, such as a digest, must stay as it is.
-"""
-
-from __future__ import annotations
+"""The committed baseline of a benchmark: for each figure its last value, its goal, and by how much it may fall back."""
+# `baselines/NAME.json` has `value`, `goal` and `tolerance` for each figure; null: none. A figure regresses when it is
+# worse than its value by more than the tolerance; a text with tolerance 0 must stay equal.
 
 import json
 from collections.abc import Sequence
@@ -33,16 +28,12 @@ class Comparison:
 
 
 def baseline_file(name: str) -> Path:
-    """Return the path of the baseline of a benchmark, whether there is one or not."""
     return ROOT / "tests" / "golden" / "baseline.json" if name == "golden" else FOLDER / f"{name}.json"
 
 
 def read_baseline(path: Path) -> dict[str, Any]:
-    """Return a baseline: `about`, a text, and `figures` by name.
-
-    Raises:
-        ValueError: the file is no baseline.
-    """
+    """Return a baseline: `about`, a text, and `figures` by name."""
+    # Raises ValueError: the file is no baseline.
     content = json.loads(path.read_text(encoding="utf-8"))
     for name, entry in content["figures"].items():
         tolerance = entry["tolerance"]
@@ -68,7 +59,6 @@ def check(path: Path, figures: Sequence[Figure], *, is_partial: bool) -> int:
 
 
 def compare(figures: Sequence[Figure], baseline: dict[str, Any]) -> Comparison:
-    """Return how figures compare with a baseline."""
     measured = {figure.name: figure.value for figure in figures}
     found = Comparison()
     for name, entry in baseline["figures"].items():
@@ -98,7 +88,6 @@ def set_baseline(path: Path, figures: Sequence[Figure], about: str) -> None:
 
 
 def _is_worse(value: float | str, before: float | str, tolerance: float | None, better: str) -> bool:
-    """Return whether a value is worse than another; a number without a tolerance never is."""
     if isinstance(value, str) or isinstance(before, str):
         return tolerance == 0 and value != before
     if tolerance is None:

@@ -1,7 +1,5 @@
 """Results that are computed once: maps of recordings, and JSON of parts, each in a folder named by the code."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Callable
@@ -30,7 +28,6 @@ from tools.worlds.recording_config import RecordingConfig
 
 
 def state_folder(state: Path, name: str, *code: str) -> Path:
-    """Return the folder of intermediate results of the code of maps, and of more of it."""
     return state / f"{name}-{code_hash(*MAPS, *code)[:12]}"
 
 
@@ -68,7 +65,6 @@ def is_finished(folder: Path) -> bool:
 
 
 def cached_map(folder: Path, opened: Callable[[], Source], *overrides: str) -> SavedMap:
-    """Return the map of a source in a folder, played if it is not there or not finished."""
     if not is_finished(folder):
         print(f"playing into {folder.name}: minutes, once", flush=True)
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -77,13 +73,11 @@ def cached_map(folder: Path, opened: Callable[[], Source], *overrides: str) -> S
 
 
 def map_without_shapes(config: RecordingConfig, folder: Path) -> tuple[Truth, SavedMap]:
-    """Return the truth and the cached map of a recording."""
     log, truth = cached_recording(config)
     return truth, cached_map(folder, lambda: open_source(str(log)), NO_SHAPES)
 
 
 def walk_recording(scene: str, seed: int, walk: int = 0, rate_hz: float = 15.0) -> RecordingConfig:
-    """Return the configuration of the log of a whole walk at 640x480."""
     return RecordingConfig(
         scene=scene, seed=seed, walk_index=walk, seconds=None, rate_hz=rate_hz, width=640, height=480
     )

@@ -1,7 +1,5 @@
 """Hashes of code by its definitions: a moved definition, a comment, docstring or import changes none."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import hashlib
@@ -24,14 +22,9 @@ MAPS = (*PLAYERS, *(f"hickory_stream/{name}" for name in _MODULES))
 
 @functools.cache
 def code_hash(*names: str) -> str:
-    """Return the sha256 of the definitions in files and folders of the checkout, wherever in these they stand.
-
-    All top-level statements are hashed, without docstrings and imports, as a sorted set; data files,
-    such as weights, count by their bytes.
-
-    Raises:
-        FileNotFoundError: a name is no file or folder.
-    """
+    """Return the sha256 of the definitions in files and folders of the checkout, wherever in these they stand."""
+    # Top-level statements are hashed as a sorted set, without docstrings and imports; data files count by their bytes.
+    # Raises FileNotFoundError: a name is no file or folder.
     found = {one for path in _files(names) for one in _definitions(path)}
     return hashlib.sha256("".join(sorted(found)).encode()).hexdigest()
 

@@ -1,18 +1,8 @@
-"""The tables of figures in Markdown files, filled from kept measurements: `tools/bench NAME --write-docs`.
-
-A table stands between `<!-- figures: NAME -->` and `<!-- end of figures -->`. The first column of a row explains a
-figure, with its name in backticks; goals stand between; the last column, and the lines under the table, are written
-from `measured/NAME.json`: date, commit, and whether code that the benchmark depends on has changed since. A comment in
-the first cell is the format of the last one (`<!-- {found} of {things} -->`).
-
-- `<!-- figures: NAME, goals -->`: the whole table is written, every figure for which the baseline has a goal.
-- `<!-- figures: by row -->`: the last cell of a row names its benchmark (`tools/bench NAME`), and the last cell but one
-  is filled.
-
-A figure may be measured in parts (`--only kills`), at different times: each replaces older ones of the same name alone.
-"""
-
-from __future__ import annotations
+"""The tables of figures in Markdown files, filled from kept measurements: `tools/bench NAME --write-docs`."""
+# A table stands between `<!-- figures: NAME -->` and `<!-- end of figures -->`; backticks name a row's figure. The last
+# column and the lines below come from `measured/NAME.json`; a comment in the first cell is the format of the last.
+# `NAME, goals` writes the whole table; `by row`: the last cell of a row names its benchmark. Parts replace figures by
+# name.
 
 import functools
 import json
@@ -52,11 +42,10 @@ CodeOf = Callable[[str, str], str]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Run:
-    """One run of a benchmark: its figures by name, formatted.
+    """One run of a benchmark: its figures by name, formatted."""
 
-    `options` are the options of `tools/bench` that made it a part or a smaller sample, `code` is the hash of the code
-    that the benchmark depends on, `load` the number of processes that wanted a processor; None: unknown.
-    """
+    # `options` are the options of `tools/bench` that made it a part or a smaller sample, `code` is the hash of the code
+    # that the benchmark depends on, `load` the number of processes that wanted a processor; None: unknown.
 
     values: Mapping[str, str]
     options: str
@@ -69,16 +58,9 @@ class Run:
 def keep(
     name: str, figures: Sequence[Figure], *, options: str, code: str, folder: Path = MEASURED, **about: Any
 ) -> None:
-    """Add the figures of a run to the kept ones; older figures of the same names are removed.
-
-    Args:
-        name: of the benchmark.
-        figures: the measured ones.
-        options: those of `tools/bench` that made it a part or a smaller sample.
-        code: hash of the code that the benchmark depends on.
-        folder: where measurements are kept.
-        about: commit, date and load; those of now, if not given.
-    """
+    """Add the figures of a run to the kept ones; older figures of the same names are removed."""
+    # `options` made the run a part or a smaller sample; `code` is the hash; `about`: commit, date, load, by default of
+    # now.
     about = {
         "commit": commit_of_the_code(),
         "date": datetime.now(tz=UTC).date().isoformat(),
@@ -118,7 +100,6 @@ def write_docs(code_of: CodeOf, folder: Path = MEASURED) -> list[Path]:
 
 
 def filled_in(text: str, *, folder: Path, code_of: CodeOf) -> str:
-    """Return a text with its tables filled."""
     measured = functools.cache(functools.partial(read_measured, folder=folder))
 
     def write(block: re.Match[str]) -> str:
@@ -140,11 +121,9 @@ def filled_in(text: str, *, folder: Path, code_of: CodeOf) -> str:
 
 
 def unmarked_tables(text: str) -> list[str]:
-    """Return the first rows of the tables of figures that are neither generated nor marked as typed.
-
-    A table of figures has a number in most cells beside its first column; years are no figures. Below a typed one
-    stands a line such as `*Typed figures of commit d752b20, 2026-11-22: older than the code.*`.
-    """
+    """Return the first rows of the tables of figures that are neither generated nor marked as typed."""
+    # A table of figures has a number in most cells beside its first column; years are no figures. Below a typed one
+    # stands a line such as `*Typed figures of commit d752b20, 2026-11-22: older than the code.*`.
     rest = re.sub(rf"{_OPENING}\n.*?{re.escape(_CLOSING)}", "", text, flags=re.DOTALL)
     found = []
     for table in _TABLE.finditer(rest):
@@ -206,7 +185,6 @@ def _benchmark_of(line: str) -> str:
 
 
 def _named(line: str) -> list[str]:
-    """Return the names of figures in the first cell of a row: in its comment, if it has one, else in backticks."""
     cell = _cells(line)[0]
     template = _COMMENT.search(cell)
     return re.findall(r"\{(\w+)\}", template[1]) if template else re.findall(r"`(\w+)`", cell)
@@ -228,7 +206,6 @@ def _table_of_goals(name: str, runs: Sequence[Run]) -> list[str]:
 
 
 def _shown(entry: Mapping[str, Any]) -> str:
-    """Return a figure for a reader: three digits, its unit, its interval."""
     value = entry["value"]
     if isinstance(value, str):
         return value

@@ -1,7 +1,5 @@
 """Figures: measured numbers with their denominators, printed as a table and written as JSON."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
@@ -20,11 +18,10 @@ Better = Literal["higher", "lower", "same"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Figure:
-    """One measured number, or a name; a figure that could not be measured is absent, never NaN.
+    """One measured number, or a name; a figure that could not be measured is absent, never NaN."""
 
-    `of` is its denominator in words, `left_out` the rest with the reason, `interval` its 95 % confidence interval by
-    the method `interval_by`; `role` says whether anything was tuned on its data.
-    """
+    # `of` is its denominator in words, `left_out` the rest with the reason, `interval` its 95 % confidence interval by
+    # the method `interval_by`; `role` says whether anything was tuned on its data.
 
     name: str
     value: float | str
@@ -60,13 +57,11 @@ class Options:
 
 
 def figure(name: str, value: Any, unit: str = "", better: Any = "higher", of: str = "", **more: Any) -> Figure:
-    """Return a figure; a number becomes a float."""
     number = value if isinstance(value, str) else float(value)
     return Figure(name=name, value=number, unit=unit, better=better, of=of, **more)
 
 
 def share(name: str, found: float, total: int, of: str, better: Better = "higher", **more: Any) -> list[Figure]:
-    """Return a share of a total as a figure with Wilson's interval; none if the total is zero."""
     if not total:
         return []
     interval = {"interval": wilson(int(found), total), "interval_by": "Wilson"}
@@ -74,24 +69,15 @@ def share(name: str, found: float, total: int, of: str, better: Better = "higher
 
 
 def mean(
-    name: str,
-    values: ArrayLike,
-    unit: str,
-    better: Better,
-    of: str,
-    *,
-    statistic: Callable[[Any], Any] = np.mean,
-    interval_by: str = "bootstrap",
-    **more: Any,
-) -> Figure:
-    """Return the mean of values, or another statistic of their rows, as a figure with a bootstrap interval."""
+    name: str, values: ArrayLike, unit: str, better: Better, of: str, *, statistic: Callable[[Any], Any] = np.mean,
+    interval_by: str = "bootstrap", **more: Any,
+) -> Figure:  # fmt: skip
     rows = np.asarray(values, dtype=np.float64)
     interval = bootstrap([rows], lambda groups: float(statistic(groups[0])))
     return figure(name, statistic(rows), unit, better, of, interval=interval, interval_by=interval_by, **more)
 
 
 def print_table(figures: Sequence[Figure]) -> None:
-    """Print the figures as a table."""
     width = max((len(one.name) for one in figures), default=4)
     for one in figures:
         value = f"{one.value:>12}" if isinstance(one.value, str) else f"{one.value:>12.4g}"
@@ -103,7 +89,6 @@ def print_table(figures: Sequence[Figure]) -> None:
 
 
 def write_json(figures: Sequence[Figure], path: Path) -> None:
-    """Write the figures as a list of records."""
     path.write_text(dumps(records_of(figures), indent=1) + "\n")
 
 

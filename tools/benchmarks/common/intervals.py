@@ -1,7 +1,5 @@
 """95 % confidence intervals: Wilson's of a share, the bootstrap of a statistic of rows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -23,10 +21,8 @@ def wilson(found: int, total: int) -> tuple[float, float]:
 def bootstrap(
     groups: Sequence[NDArray[np.float64]], statistic: Callable[[Sequence[NDArray[np.float64]]], float]
 ) -> tuple[float, float]:
-    """Return the 2.5th and 97.5th percentile of a statistic of groups of rows, each resampled with replacement.
-
-    Each group keeps its size. The draws are seeded: the same rows give the same interval.
-    """
+    """Return the 2.5th and 97.5th percentile of a statistic of groups of rows, each resampled with replacement."""
+    # Each group keeps its size. The draws are seeded: the same rows give the same interval.
     random = np.random.default_rng(0)
     drawn = [
         statistic([group[random.integers(len(group), size=len(group))] if len(group) else group for group in groups])

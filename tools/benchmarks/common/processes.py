@@ -1,7 +1,5 @@
 """Child processes: the command line with its time and memory, coarse runs of it, and programs that print JSON."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import signal
@@ -85,21 +83,13 @@ def play(log: Path, out: Path, *arguments: str) -> Played:
 def play_coarsely(
     out: Path, frames: int | None, *arguments: str, stderr: int | IO[str] = subprocess.PIPE, **options: Any
 ) -> subprocess.Popen[str]:
-    """Start `play` on the first frames of the embedded recording, in a process group of its own, with coarse shapes.
-
-    Without a number of frames, all of them are played, with shapes as they are.
-    """
+    """Start `play` on the first frames of the embedded recording, in a process group of its own, with coarse shapes."""
+    # Without a number of frames, all of them are played, with shapes as they are.
     first = () if frames is None else ("--frames", str(frames), *overridden(*COARSE))
     return subprocess.Popen(
-        [*_PLAY, str(DEMO), "--out", str(out), *_QUIET, *first, *arguments],
-        cwd=ROOT,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=stderr,
-        start_new_session=True,
-        preexec_fn=die_with_parent,
-        **options,
-    )
+        [*_PLAY, str(DEMO), "--out", str(out), *_QUIET, *first, *arguments], cwd=ROOT, text=True,
+        stdout=subprocess.PIPE, stderr=stderr, start_new_session=True, preexec_fn=die_with_parent, **options,
+    )  # fmt: skip
 
 
 def overridden(*overrides: str) -> list[str]:
@@ -123,7 +113,6 @@ def finished(process: subprocess.Popen[str]) -> dict[str, Any]:
 
 
 def output_of(*arguments: object) -> str:
-    """Return the output of our interpreter with these arguments."""
     command = [sys.executable, *map(str, arguments)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, preexec_fn=die_with_parent)
     if done.returncode != 0:
@@ -166,7 +155,6 @@ def watched_peak_mb() -> list[float]:
 
 
 def folder_mb(folder: Path) -> float:
-    """Return the size of the files of a folder."""
     return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
 
 

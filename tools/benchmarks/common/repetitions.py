@@ -1,9 +1,5 @@
-"""Records of repetitions in a file, a JSON object a line, so that a measurement can be stopped and continued.
-
-A measurement is a folder named by a hash of the code that it measures: records of different code are never mixed.
-"""
-
-from __future__ import annotations
+"""Records of repetitions in a file, a JSON object a line, so that a measurement can be stopped and continued."""
+# A measurement is a folder named by a hash of the code that it measures: records of different code are never mixed.
 
 import fcntl
 import json
@@ -22,10 +18,9 @@ CODE = ("requirements.lock", "hickory_stream", "players", "tools/benchmarks")
 
 
 class Repetitions:
-    """The records of one part, in `file` or in memory alone; one process at a time appends to a file.
+    """The records of one part, in `file` or in memory alone; one process at a time appends to a file."""
 
-    `until` is the moment of `time.monotonic` after which no repetition begins.
-    """
+    # `until` is the moment of `time.monotonic` after which no repetition begins.
 
     def __init__(self, file: Path | None = None, *, until: float = float("inf")) -> None:
         self.records: list[dict[str, Any]] = []
@@ -43,7 +38,6 @@ class Repetitions:
 
     @property
     def is_time_up(self) -> bool:
-        """Return whether no further repetition may begin."""
         return time.monotonic() >= self._until
 
     def missing(self, number: int) -> Iterator[int]:
@@ -52,14 +46,12 @@ class Repetitions:
             yield len(self.records)
 
     def add(self, **record: Any) -> None:
-        """Append the record of a repetition."""
         self.records.append(record)
         if self._file is not None:
             self._file.write(dumps_exactly(record) + "\n")
             self._file.flush()
 
     def close(self) -> None:
-        """Release the file."""
         if self._file is not None:
             self._file.close()
 

@@ -1,10 +1,6 @@
-"""Figures of the gate, each with its denominator, exclusions, an interval and its role.
-
-Shares have Wilson's interval, true objects taken for independent; means, differences and F1 have a bootstrap over true
-objects (over clouds for masks). Both are 95 %. A thing is large from 0.4 m between its farthest points on.
-"""
-
-from __future__ import annotations
+"""Figures of the gate, each with its denominator, exclusions, an interval and its role."""
+# Shares have Wilson's interval, true objects taken for independent; means, differences and F1 have a bootstrap over
+# true objects (over clouds for masks). Both are 95 %. A thing is large from 0.4 m between its farthest points on.
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -29,7 +25,6 @@ _LITTLE_SEEN = "{} true objects of which under 30 % was seen"
 
 
 def figures_of(measured: Measured) -> list[Figure]:
-    """Return every figure that the measured parts allow."""
     figures = []
     for part, record in measured.items():
         if part.world in WORLDS and part.rung == "ours":
@@ -120,7 +115,6 @@ def _of_ladder(measured: Measured) -> list[Figure]:
 
 
 def _gap(name: str, measured: Measured, rung: Literal["masks", "joins"]) -> list[Figure]:
-    """Return how much recall a rung has over ours, the mean of the worlds; absent where a world was not measured."""
     gains = []
     for world in WORLDS:
         true, ours = _a_by_hand(measured, world, rung), _a_by_hand(measured, world)
@@ -150,12 +144,9 @@ def _of_robot(measured: Measured) -> list[Figure]:
 
 
 def _statistic(
-    name: str,
-    groups: Sequence[NDArray[np.float64]],
-    statistic: Callable[[Sequence[NDArray[np.float64]]], float],
-    of: str,
-    left_out: str,
-) -> Figure:
+    name: str, groups: Sequence[NDArray[np.float64]], statistic: Callable[[Sequence[NDArray[np.float64]]], float],
+    of: str, left_out: str,
+) -> Figure:  # fmt: skip
     interval = {"interval": bootstrap(groups, statistic), "interval_by": _OBJECTS}
     return figure(name, statistic(groups), "", "lower", of, left_out=left_out, role=_MIXED, **interval)
 

@@ -1,11 +1,6 @@
-"""The generalisation gate: rooms by others, real frames and fresh seeds of our worlds, with oracle ablations.
-
-`home`, `bookstore`, own worlds and the clouds of `mosd` are for tuning. `office`, `warehouse`, the kitchen and the
-clouds of `mosd_report` are for reporting alone: nothing is chosen by them. Exact odometry, 5 Hz, 60 s. Each part is
-cached by its log and by the code that makes maps.
-"""
-
-from __future__ import annotations
+"""The generalisation gate: rooms by others, real frames and fresh seeds of our worlds, with oracle ablations."""
+# `office`, `warehouse`, the kitchen and the clouds of `mosd_report` are for reporting alone; the others tune. Exact
+# odometry, 5 Hz, 60 s.
 
 import tempfile
 import time
@@ -26,10 +21,8 @@ _SEEDS = 100_000
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures of the chosen parts; parts that did not begin in time are printed, and absent.
-
-    A quick run plays the first seconds of `home` alone: its figures have names of their own.
-    """
+    """Return the figures of the chosen parts; parts that did not begin in time are printed, and absent."""
+    # A quick run plays the first seconds of `home` alone: its figures have names of their own.
     worlds = worlds_folder(options.worlds)
     if options.quick:
         log = foreign_log(worlds, "home", "A", "hand", _QUICK_S)
@@ -57,7 +50,6 @@ def measure(options: Options) -> list[Figure]:
 
 
 def own_seeds(seed: int, code: str) -> tuple[int, ...]:
-    """Return the seeds of the own worlds: drawn from the code, so that no code was made with them, or `seed` given."""
     first = seed * len(OWN) if seed else int(code[:8], 16) % _SEEDS
     # Beyond every seed that anything was trained or tuned on.
     return tuple(_SEEDS + first + i for i in range(len(OWN)))

@@ -1,10 +1,6 @@
-"""The logs of the gate: rooms by others, rendered once by the program that comes with them, and worlds of ours.
-
-The folder of worlds is no part of the project: --worlds or $HICKORY_WORLDS names it, else it is `../shared/worlds`
-beside the checkout. Logs are kept with the other recordings ($HICKORY_CACHE), 80 to 100 MB each.
-"""
-
-from __future__ import annotations
+"""The logs of the gate: rooms by others, rendered once by the program that comes with them, and worlds of ours."""
+# The folder of worlds is no part of the project: --worlds or $HICKORY_WORLDS names it, else it is `../shared/worlds`
+# beside the checkout. Logs are kept with the other recordings ($HICKORY_CACHE), 80 to 100 MB each.
 
 import hashlib
 import os
@@ -42,11 +38,8 @@ class WorldLog:
 
 
 def worlds_folder(named: Path | None) -> Path:
-    """Return the folder of worlds.
-
-    Raises:
-        RecordingError: there is none.
-    """
+    """Return the folder of worlds."""
+    # Raises RecordingError: there is none.
     folder = named or Path(os.environ.get("HICKORY_WORLDS") or ROOT.parent / "shared" / "worlds")
     if not (folder / PROGRAM).is_file():
         raise RecordingError(f"{folder} holds no {PROGRAM}; name the folder of worlds with --worlds or HICKORY_WORLDS")
@@ -56,11 +49,8 @@ def worlds_folder(named: Path | None) -> Path:
 def foreign_log(
     worlds: Path, world: str, walk: str, camera: str, seconds: float = 60.0, *, rate_hz: float = _RATE_HZ
 ) -> WorldLog:
-    """Return the log of a walk with exact poses, rendered if it is not cached; `camera` is `hand` or `robot`.
-
-    Raises:
-        RecordingError: there is no such world, or it cannot be rendered.
-    """
+    """Return the log of a walk with exact poses, rendered if it is not cached; `camera` is `hand` or `robot`."""
+    # Raises RecordingError: there is no such world, or it cannot be rendered.
     source = worlds / _FOLDERS[world]
     arguments = ["--trajectory", walk, "--seconds", f"{seconds:g}", "--hz", f"{rate_hz:g}"]
     arguments += ["--camera-height", f"{_HEIGHT_M[camera]:g}"]
@@ -103,7 +93,6 @@ def outdoor_log(seed: int) -> WorldLog:
 
 
 def recorded(config: RecordingConfig) -> WorldLog:
-    """Return the cached log of a configuration."""
     print(f"{config.scene} {config.seed}, walk {config.walk_index}", flush=True)
     log, truth = cached_recording(config)
     return WorldLog(log=log, truth=truth.folder, key=log.stem.rsplit("-", 1)[-1])

@@ -1,9 +1,5 @@
-"""The parts of the gate, each one measurement.
-
-A part is named by its world, walk, camera and rung (`home:A:hand:ours`), or by its subject (`kitchen`).
-"""
-
-from __future__ import annotations
+"""The parts of the gate, each one measurement."""
+# A part is named by its world, walk, camera and rung (`home:A:hand:ours`), or by its subject (`kitchen`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,13 +14,10 @@ OUTDOORS = ("outdoor1", "outdoor2")
 WALKS, CAMERAS = ("A", "B"), ("hand", "robot")
 TUNED, REPORTED = "tuned on", "reported"
 ROLES = {
-    **dict.fromkeys(TUNED_WORLDS, TUNED),
-    **dict.fromkeys(REPORTED_WORLDS, REPORTED),
-    **dict.fromkeys((*OWN, *OUTDOORS), "reported, fresh seeds of a generator that is tuned on"),
-    "kitchen": REPORTED,
-    "clouds_tuned": TUNED,
-    "clouds_report": REPORTED,
-}
+    **dict.fromkeys(TUNED_WORLDS, TUNED), **dict.fromkeys(REPORTED_WORLDS, REPORTED),
+    **dict.fromkeys((*OWN, *OUTDOORS), "reported, fresh seeds of a generator that is tuned on"), "kitchen": REPORTED,
+    "clouds_tuned": TUNED, "clouds_report": REPORTED,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -38,16 +31,13 @@ class Part:
 
     @property
     def name(self) -> str:
-        """The name on the command line."""
         return ":".join((self.world, self.walk, self.camera, self.rung)) if self.walk else self.world
 
     @property
     def is_map(self) -> bool:
-        """Whether the part is a map with full truth."""
         return self.world in (*WORLDS, *OWN, *OUTDOORS)
 
     def is_named(self, name: str) -> bool:
-        """Return whether a name on the command line means the part."""
         world, *rest = name.split(":")
         kind = self.world if self.world in WORLDS else self.world.split("_")[0].rstrip("123")
         return world in (self.world, kind) and set(rest) <= {self.walk, self.camera, self.rung}
@@ -63,11 +53,8 @@ def all_parts() -> list[Part]:
 
 
 def chosen_parts(only: Sequence[str]) -> list[Part]:
-    """Return the parts that `only` names, all where it is empty: `home`, `office:A`, `home:masks`, `own`, `clouds`.
-
-    Raises:
-        InputError: a name means no part.
-    """
+    """Return the parts that `only` names, all where it is empty: `home`, `office:A`, `home:masks`, `own`, `clouds`."""
+    # Raises InputError: a name means no part.
     names, parts = [name for text in only for name in text.split(",") if name], all_parts()
     for name in names:
         if not any(part.is_named(name) for part in parts):

@@ -1,7 +1,5 @@
 """One part of the gate, measured: a log played as `play` does on a rung of the ladder, clouds, the kitchen, speed."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 import time
@@ -87,7 +85,6 @@ def mapped(log: Path, truth_folder: Path, rung: Rung, out: Path) -> dict[str, An
 
 
 def _pieces_of_ground(saved: SavedMap, truth: Truth) -> set[int]:
-    """Return the objects of which more than half lies on ground; none where the truth has no ground."""
     ground = tuple(path for path in truth.structure if Path(path).stem.rsplit("_", 1)[-1] in _GROUND)
     if not ground:
         return set()
@@ -96,11 +93,8 @@ def _pieces_of_ground(saved: SavedMap, truth: Truth) -> set[int]:
 
 
 def clouds_scored(folder: Path) -> dict[str, Any]:
-    """Return the counts of the masks of each labelled cloud of a folder.
-
-    Raises:
-        RecordingError: there are none.
-    """
+    """Return the counts of the masks of each labelled cloud of a folder."""
+    # Raises RecordingError: there are none.
     clouds = []
     for path in clouds_in(folder):
         cloud = load_cloud(path)
@@ -113,11 +107,8 @@ def clouds_scored(folder: Path) -> dict[str, Any]:
 
 
 def kitchen_scored(data: Path, scorer: Path) -> dict[str, Any]:
-    """Return the report of the scorer, run as a program, on a map of the labelled kitchen.
-
-    Raises:
-        RecordingError: the frames, the truth or the scorer are not there, or it fails.
-    """
+    """Return the report of the scorer, run as a program, on a map of the labelled kitchen."""
+    # Raises RecordingError: the frames, the truth or the scorer are not there, or it fails.
     frames, boxes = data / "redkitchen", data / "redkitchen_truth" / "boxes.json"
     for needed in (frames, boxes, scorer):
         if not needed.exists():

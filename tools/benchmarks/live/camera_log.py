@@ -1,7 +1,5 @@
 """A log as a depth camera of 1280x720 at 30 Hz makes it: JPEG colour, raw 16-bit depth; made from the embedded one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,7 @@ import numpy as np
 
 from players.logs.containers import Topic
 from players.opening import open_container
-from tools.robot.stamps import humble
+from tools.robot.prepared import humble
 
 _COLOR = "/zed/zed_node/rgb/color/rect/image/compressed"
 _DEPTH = "/zed/zed_node/depth/depth_registered/compressedDepth"
@@ -54,7 +52,6 @@ def write_720p(source: Path, target: Path, *, seconds: float) -> Path:
 def _at_30_hz(
     messages: list[tuple[str, int, bytes]], store: Any, first_ns: int, number: int
 ) -> Iterator[tuple[str, int, bytes]]:
-    """Yield colour and depth of so many frames: of each moment the image before it, enlarged."""
     for name, enlarge in ((_COLOR, _color), (_DEPTH, _depth)):
         images = [(at_ns, data) for topic, at_ns, data in messages if topic == name]
         for i in range(number):
@@ -77,18 +74,12 @@ def _depth(message: Any, store: Any) -> Any:
     small = cv2.imdecode(message.data[12:], cv2.IMREAD_UNCHANGED)
     image = cv2.resize(small, _SIZE, interpolation=cv2.INTER_NEAREST).astype(np.uint16)
     return store.types["sensor_msgs/msg/Image"](
-        header=message.header,
-        height=_SIZE[1],
-        width=_SIZE[0],
-        encoding="16UC1",
-        is_bigendian=0,
-        step=2 * _SIZE[0],
+        header=message.header, height=_SIZE[1], width=_SIZE[0], encoding="16UC1", is_bigendian=0, step=2 * _SIZE[0],
         data=image.view(np.uint8).ravel(),
-    )
+    )  # fmt: skip
 
 
 def _scaled(topic: Topic | None, data: bytes, store: Any) -> bytes:
-    """Return a calibration for twice the width and height; other messages as they are."""
     if topic is None or topic.type_name != "sensor_msgs/msg/CameraInfo":
         return data
     info = store.deserialize_cdr(data, topic.type_name)

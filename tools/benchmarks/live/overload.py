@@ -1,10 +1,6 @@
-"""A live run of the in-memory scene at 30 Hz and 640x480, in a process of its own: part of `tools/bench engine`.
-
-Three times: with perception slowed by a factor, with the embedded one as it is, and with a sink that stalls besides;
-each prints one line of JSON.
-"""
-
-from __future__ import annotations
+"""A live run of the in-memory scene at 30 Hz and 640x480, in a process of its own: part of `tools/bench engine`."""
+# Three times: with perception slowed by a factor, with the embedded one as it is, and with a sink that stalls besides;
+# each prints one line of JSON.
 
 import argparse
 import asyncio
@@ -47,7 +43,6 @@ class FastScene(SceneSource):
         self._images = [SceneSource.cast(self, step) for step in range(_STEPS)]
 
     def cast(self, step: int) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int32]]:
-        """Return the images of a step."""
         return self._images[step]
 
 
@@ -64,11 +59,9 @@ class SlowedSegmenter:
         self._factor = factor
 
     def prepare(self, frame: Frame) -> object:
-        """Prepare, slowly."""
         return self._slowly(self._segmenter.prepare, frame)
 
     def segment(self, frame: Frame, prior: MapPrior | None = None, prepared: object = None) -> Segmentation:
-        """Segment, slowly."""
         return self._slowly(self._segmenter.segment, frame, prior, prepared)
 
     def _slowly(self, work: Any, *arguments: object) -> Any:
@@ -85,7 +78,6 @@ class StallingSink:
         self._seconds = seconds
 
     def show(self, _report: FrameReport) -> None:
-        """Stall once."""
         seconds, self._seconds = self._seconds, 0.0
         time.sleep(seconds)
 
@@ -94,13 +86,11 @@ class StallingSink:
 
 
 def keyframe_steps(out: Path) -> list[Step]:
-    """Return the steps of the keyframes of a map folder."""
     with Journal(out) as journal:
         return [step for step in map(journal.step, range(len(journal))) if step.kind == "keyframe"]
 
 
 def main() -> None:
-    """Run, and print the measurements."""
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
     parser.add_argument("--seconds", type=float, required=True)

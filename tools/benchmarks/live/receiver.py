@@ -1,7 +1,5 @@
 """The receiver of a live route in a process of its own: reads or maps until its standard input ends."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import sys
@@ -48,7 +46,6 @@ class Watched(SourceAround):
         self.began = self.ended = Moment(0.0, 0.0)
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames of the other one."""
         began_ns = self._inbox.clock()
         self.began = self.ended = Moment()
         for frame in self._source.frames():
@@ -70,7 +67,6 @@ class Watched(SourceAround):
 
 
 def main() -> None:
-    """Receive, and print a report."""
     parser = argparse.ArgumentParser()
     parser.add_argument("uri")
     parser.add_argument("--out", type=Path)
@@ -109,17 +105,12 @@ def main() -> None:
         if recorder is not None:
             recorder.close()
     report = {
-        "totals": {entry.topic: entry.total for entry in account.topics},
-        "difference": account.as_dict()["difference"],
-        "lost": {entry.topic: entry.lost for entry in status.topics},
-        "frames": len(watched.came_s),
-        "came_s": watched.came_s,
-        "stamps_ns": watched.stamps_ns,
-        "cpu_share": watched.cpu_share,
+        "totals": {entry.topic: entry.total for entry in account.topics}, "difference": account.as_dict()["difference"],
+        "lost": {entry.topic: entry.lost for entry in status.topics}, "frames": len(watched.came_s),
+        "came_s": watched.came_s, "stamps_ns": watched.stamps_ns, "cpu_share": watched.cpu_share,
         "wait_s": list(watched.waits_s.values()),
-        "latency_s": _latencies(options.out, watched) if options.out is not None else [],
-        "peak_mb": peak_mb[0],
-    }
+        "latency_s": _latencies(options.out, watched) if options.out is not None else [], "peak_mb": peak_mb[0],
+    }  # fmt: skip
     print(dumps(report))
 
 
@@ -154,7 +145,6 @@ async def _map(mapper: Any, source: Watched, published: Any) -> None:
 
 
 def _latencies(out: Path, watched: Watched) -> list[float]:
-    """Return seconds from the last image of each keyframe to its snapshot."""
     from tools.benchmarks.live.overload import keyframe_steps
 
     found = []

@@ -1,12 +1,7 @@
-"""Robots over every live route: from a fake robot to the ledger and to the map, on the loopback address.
-
-Five parts. Transport: 1280x720 JPEG colour and raw 16-bit depth at 30 Hz over each route, read and paired but not
-mapped. Map: the embedded recording as a robot, mapped, recorded, and compared with the map of the recording; the robot
-goes away once. Storm: losses, jitter, disconnections and a restart at once, mapped. Goals of the robot are answered
-with paths. Safety: how soon a robot keeps off the things that it sees.
-"""
-
-from __future__ import annotations
+"""Robots over every live route: from a fake robot to the ledger and to the map, on the loopback address."""
+# Transport reads 1280x720 at 30 Hz without mapping. Map: the embedded recording as a robot that goes away once. Storm:
+# losses, jitter, disconnections and a restart. Goals are answered by paths. Safety: when a robot keeps off what it
+# sees.
 
 import json
 import os
@@ -42,11 +37,10 @@ _STORM = ("--loss", "0.1", "--jitter", "150", "--delay", "40", "--bandwidth", "1
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sample:
-    """The size of a run: loops of a log over each route, mapped seconds, and the options of the robot.
+    """The size of a run: loops of a log over each route, mapped seconds, and the options of the robot."""
 
-    `at_once` routes are measured at the same time. Goals are requested in the run that is mapped and recorded, or in
-    one of their own (`has_own_goals`), so that latencies are those of mapping alone.
-    """
+    # `at_once` routes are measured at the same time. Goals are requested in the run that is mapped and recorded, or in
+    # one of their own (`has_own_goals`), so that latencies are those of mapping alone.
 
     log_s: float = 2.0
     loops: int = 30
@@ -67,22 +61,14 @@ class Sample:
 
 
 _QUICK = Sample(
-    log_s=1.0,
-    loops=3,
-    at_once=2,
-    extras=False,
-    has_own_goals=False,
-    map_s=4.5,
+    log_s=1.0, loops=3, at_once=2, extras=False, has_own_goals=False, map_s=4.5,
     away=("--seconds", "3.5", "--disconnect", "1.5:1"),
-    storm=(*_STORM, *"--disconnect 1.5:1 --restart 3 --seconds 4.5".split()),
-    map_options=("--no-shapes",),
-    mapped_720p_s=0.0,
-    safety_s=2.0,
-)
+    storm=(*_STORM, *"--disconnect 1.5:1 --restart 3 --seconds 4.5".split()), map_options=("--no-shapes",),
+    mapped_720p_s=0.0, safety_s=2.0,
+)  # fmt: skip
 
 
 def measure(options: Options) -> list[Figure]:
-    """Measure all parts."""
     sample = _QUICK if options.quick else Sample()
     with tempfile.TemporaryDirectory(prefix="hickory-live-") as name:
         folder = Path(name)
@@ -211,7 +197,6 @@ def _safety(sample: Sample, folder: Path) -> list[Figure]:
 def _run(
     via: str, logs: list[Path], folder: Path, *faults: str, to: tuple[str | Path, ...] = ()
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Have a robot play to a receiver; return the reports of both, of sent and of received messages."""
     if via == "dds":
         # Ports are those of the domain; runs at the same time are not to hear one another.
         domain = 1 + os.getpid() % 100

@@ -1,10 +1,6 @@
-"""How soon a robot keeps off the things that it sees: a live run of the embedded recording against its truth.
-
-Counted from the first keyframe that shows a hundredth of a steradian of a thing within 3 m (a cube of 30 cm at 3 m) to
-the first snapshot in which 0.98 of its surface that keyframes have shown lies in the bodies of the collision checks.
-"""
-
-from __future__ import annotations
+"""How soon a robot keeps off the things that it sees: a live run of the embedded recording against its truth."""
+# Counted from the first keyframe with a hundredth of a steradian of a thing within 3 m, to the first snapshot whose
+# collision bodies hold 0.98 of the surface seen by then.
 
 import asyncio
 from collections import defaultdict
@@ -38,12 +34,10 @@ _POINTS_M = 0.01
 
 @dataclass(slots=True)
 class Safety:
-    """Of each true thing: when it was shown and first avoided (seconds after that), and its share in the bodies.
+    """Of each true thing: when it was shown and first avoided (seconds after that), and its share in the bodies."""
 
-    `safe_log_s` are the same seconds by the stamps of the log, without the time of the computation. `contained` are
-    shares of seen surface in stand-ins and layers 4 alone, `avoided` with occupied space, both at each keyframe;
-    `volumes` are those of stand-ins over those of the final layers 4.
-    """
+    # `safe_log_s`: by stamps, without computing time. `contained`: shares of seen surface in stand-ins and layers 4;
+    # `avoided`: with occupied space. `volumes`: stand-ins over final layers 4.
 
     shown_s: dict[int, float] = field(default_factory=dict)
     safe_s: dict[int, float] = field(default_factory=dict)
@@ -61,7 +55,6 @@ class Collected:
         self.last: MapSnapshot | None = None
 
     def show(self, report: FrameReport) -> None:
-        """Store a keyframe."""
         if report.snapshot is not None:
             self.last = report.snapshot
             if report.frame is not None and report.space is not None:
@@ -83,7 +76,6 @@ class Evaluation:
         self._stand_ins: defaultdict[int, list[float]] = defaultdict(list)
 
     def add(self, report: FrameReport) -> None:
-        """Evaluate the snapshot of a keyframe."""
         at = frame_at(self._stamps, report.stamp_ns)
         if at is None:
             return

@@ -1,10 +1,6 @@
-"""Damaged logs: every message outside the damage is read, none is silently wrong, and nothing crashes or hangs.
-
-A case is a sound log of some container, a kind of damage and a seed. The messages that must be read are known from the
-sound log and the damaged bytes.
-"""
-
-from __future__ import annotations
+"""Damaged logs: every message outside the damage is read, none is silently wrong, and nothing crashes or hangs."""
+# A case is a sound log of some container, a kind of damage and a seed. The messages that must be read are known from
+# the sound log and the damaged bytes.
 
 import tempfile
 import time
@@ -21,8 +17,7 @@ from players.opening import open_container
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.repetitions import Repetitions, measurement_folder
 from tools.benchmarks.logs import damaged_maps
-from tools.damage.damaging import KINDS, Kind, damaged, open_sound, parts_of, survivors
-from tools.damage.small_logs import write_small_logs
+from tools.damage.damaging import KINDS, Kind, damaged, open_sound, parts_of, survivors, write_small_logs
 
 _CASES, _QUICK_CASES = 1000, 160
 _TOO_LONG_S = 20.0
@@ -43,8 +38,7 @@ class Tally:
     recovered: int = 0
     worst: dict[str, list[int]] = field(default_factory=dict)
 
-    def add(self, case: Tally) -> None:
-        """Add the result of a case."""
+    def add(self, case: "Tally") -> None:
         self.cases += case.cases
         self.crashes += case.crashes
         self.silent += case.silent

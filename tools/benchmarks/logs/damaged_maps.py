@@ -1,10 +1,6 @@
-"""Altered maps: every command explains the fault in a sentence, writes nothing elsewhere, and takes bounded memory.
-
-A case is a small sound map, one change to it and a seed; a child process, forked where everything is loaded, runs the
-commands on it. An audit hook of the child notes the files that it opened, the programs it ran and its connections.
-"""
-
-from __future__ import annotations
+"""Altered maps: every command explains the fault in a sentence, writes nothing elsewhere, and takes bounded memory."""
+# A case is a small sound map, one change to it and a seed; a child process, forked where everything is loaded, runs the
+# commands on it. An audit hook of the child notes the files that it opened, the programs it ran and its connections.
 
 import contextlib
 import io
@@ -57,8 +53,7 @@ class MapTally:
     outside: list[str] = field(default_factory=list)
     peak_mb: float = 0.0
 
-    def add(self, case: MapTally) -> None:
-        """Add the result of a case."""
+    def add(self, case: "MapTally") -> None:
         self.cases += case.cases
         self.refused += case.refused
         self.crashes += case.crashes
@@ -67,7 +62,6 @@ class MapTally:
 
 
 def figures_of(tally: MapTally) -> list[Figure]:
-    """Return a tally as figures, and print the crashes."""
     for text in (*tally.crashes[:20], *tally.outside[:20]):
         print(f"  {text}")
     return [
@@ -82,10 +76,8 @@ def figures_of(tally: MapTally) -> list[Figure]:
 def run_map_cases(
     num_cases: int, seed: int, repetitions: Repetitions | None = None, sound: Path | None = None
 ) -> MapTally:
-    """Return the result of so many cases, over all kinds of files; those of `repetitions` are not repeated.
-
-    Copies of the map `sound` are altered; one is made where there is none.
-    """
+    """Return the result of so many cases, over all kinds of files; those of `repetitions` are not repeated."""
+    # Copies of the map `sound` are altered; one is made where there is none.
     repetitions = repetitions or Repetitions()
     with tempfile.TemporaryDirectory() as temporary:
         if sound is None:
@@ -236,7 +228,6 @@ def _child(commands: list[list[str]], folder: Path) -> dict[str, Any]:
 
 
 def _is_an_answer(command: str, status: int, num_lines: int) -> bool:
-    """Return whether a command ended as it may: it refuses in one line."""
     if status == 1:
         return command in _MAY_BE_1
     # The doctor's own page names the faults of a log.

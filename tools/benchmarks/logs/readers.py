@@ -1,7 +1,5 @@
 """Reading logs: against the plain readers, in memory, damaged, and in every layout and container."""
 
-from __future__ import annotations
-
 import gc
 import tempfile
 from collections.abc import Callable
@@ -16,10 +14,9 @@ from players import open_source
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import best_s, json_of
 from tools.benchmarks.logs import damaged_logs
-from tools.damage.small_logs import messages, write_bag, write_mcap, write_small_logs
-from tools.worlds.layouts import layout_files
+from tools.damage.damaging import messages, write_bag, write_mcap, write_small_logs
+from tools.worlds.layouts import RosMessages, layout_files
 from tools.worlds.recording_config import RecordingConfig
-from tools.worlds.ros_messages import RosMessages
 
 _SIZE = (640, 480)
 _FRAME_MB = 640 * 480 * 5 / 1e6  # rgb8 and 16UC1
@@ -38,10 +35,8 @@ print(peak)
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures; a quick run compares the memory for 60 and 240 MB instead of 500 and 2,000.
-
-    The ratios are taken of 500 MB always: opening a log takes the same time whatever its length.
-    """
+    """Return the figures; a quick run compares the memory for 60 and 240 MB instead of 500 and 2,000."""
+    # The ratios are taken of 500 MB always: opening a log takes the same time whatever its length.
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         return [
@@ -78,10 +73,8 @@ def _read_ratio_bag(log: Path) -> float:
 
 
 def _ratio(log: Path, plain: Callable[[], int]) -> float:
-    """Return the processor time of reading and synchronising frames over the time of a plain reader.
-
-    The best of three each, in turns: the machine is shared.
-    """
+    # Return the processor time of reading and synchronising frames over the time of a plain reader. The best of three
+    # each, in turns: the machine is shared.
     times: tuple[list[float], list[float]] = ([], [])
     for _ in range(3):
         for task, taken in zip((lambda: sum(1 for _ in open_source(log).frames()), plain), times, strict=True):
@@ -102,7 +95,6 @@ def _memory_growth(folder: Path, *sizes_mb: float) -> Figure:
 
 
 def _layouts_equal(folder: Path) -> bool:
-    """Return whether the same scene gives the same frames in every container and in the layouts of the data sets."""
     return _containers_equal(folder) and all(_layout_true(folder, name) for name in ("zed", "kimera_multi", "nus_clb"))
 
 
@@ -125,11 +117,7 @@ def _containers_equal(folder: Path) -> bool:
 
 
 def _layout_true(folder: Path, layout: str) -> bool:
-    """Compare the poses of a layout with the truth: within 1 mm and 0.05 degrees where the odometry has a pose.
-
-    Images come at the rate of the visual odometry: between its poses the truth of a walk cannot be known to 1 mm.
-    Frames after a jump of the odometry are as right as the jump can be known: 1 cm and half a degree.
-    """
+    # Poses agree to 1 mm and 0.05 degrees at odometry poses, after a jump to 1 cm and half a degree.
     config = RecordingConfig(layout=layout, seconds=4.0, rate_hz=_ODOMETRY_HZ, width=320, height=240)
     truth = make_recording(config, folder, layout)
     true = {frame.stamp_ns: frame.world_from_camera for frame in truth.frames}

@@ -1,7 +1,5 @@
 """A small map of an in-memory scene, with every kind of file of a map folder: the map that is damaged."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,12 +16,9 @@ from tools.benchmarks.common.processes import COARSE
 
 _NUM_FRAMES = 6
 _OVERRIDES = (
-    *COARSE,
-    "mapping.requests.first_sightings=2",
-    "mapping.requests.latency_s=0.5",
-    "journal.checkpoint_keyframes=3",
+    *COARSE, "mapping.requests.first_sightings=2", "mapping.requests.latency_s=0.5", "journal.checkpoint_keyframes=3",
     "run.workers=1",
-)
+)  # fmt: skip
 
 
 def write_small_map(path: Path) -> None:
@@ -34,15 +29,9 @@ def write_small_map(path: Path) -> None:
     saved = open_map(path)
     tracked = next(item for item in saved.snapshot.objects if item.shape is not None)
     request = RequestShape(
-        ticket=1,
-        object_id=tracked.id,
-        views=tracked.views,
-        points_world=tracked.points_world,
-        colors=tracked.colors,
-        box=tracked.box,
-        support_z_m=0.0,
-        due_ns=0,
-    )
+        ticket=1, object_id=tracked.id, views=tracked.views, points_world=tracked.points_world, colors=tracked.colors,
+        box=tracked.box, support_z_m=0.0, due_ns=0,
+    )  # fmt: skip
     write_job(path / "failed" / f"{tracked.id:06d}", request, saved.views, config.shapes)
 
 

@@ -1,7 +1,5 @@
 """Changes that a comparison of maps reports, counted against the true ones, and the figures of the counts."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 
@@ -15,11 +13,10 @@ Held = Mapping[int, int | None]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PairCounts:
-    """Counts of one pair of maps, over the changes of objects of which enough was seen.
+    """Counts of one pair of maps, over the changes of objects of which enough was seen."""
 
-    Of the verdicts that were `said` about true objects, `said_right` are right; `probability` is the sum of their
-    probabilities, `brier` the sum of the squared distances of these from 1 where right, from 0 where wrong.
-    """
+    # Of the verdicts that were `said` about true objects, `said_right` are right; `probability` is the sum of their
+    # probabilities, `brier` the sum of the squared distances of these from 1 where right, from 0 where wrong.
 
     changes: int = 0
     found: int = 0
@@ -39,26 +36,15 @@ class PairCounts:
 
 
 def sum_of(pairs: Sequence[PairCounts]) -> PairCounts:
-    """Return all counts together."""
     return PairCounts(**{field.name: sum(getattr(one, field.name) for one in pairs) for field in fields(PairCounts)})
 
 
 def counts_of(
-    true: TrueChanges,
-    held: tuple[Held, Held],
-    gone: Collection[int | None],
-    moved: Mapping[int | None, int | None],
+    true: TrueChanges, held: tuple[Held, Held], gone: Collection[int | None], moved: Mapping[int | None, int | None],
     new: Collection[int | None],
-) -> PairCounts:
-    """Return how reported changes compare with the true ones.
-
-    Args:
-        true: the changes.
-        held: object of the map by true object, before and after.
-        gone: objects of the earlier map that are reported as gone.
-        moved: objects of the later map, by their number in the earlier one.
-        new: objects of the later map that are reported as new.
-    """
+) -> PairCounts:  # fmt: skip
+    """Return how reported changes compare with the true ones."""
+    # `held`: object of the map by true object, before and after; `moved`: later map's objects by their earlier number.
     in_a, in_b = held
     pairs = [(in_a[i], in_b[i]) for i in true.moved if i in in_a and i in in_b]
     is_held = [None not in pair for pair in pairs]
@@ -72,17 +58,11 @@ def counts_of(
     stayed = [i for i in true.stayed if in_a.get(i) is not None or in_b.get(i) is not None]
     named_a, named_b = {*gone, *moved} - {None}, {*new, *moved.values()} - {None}
     return PairCounts(
-        changes=len(rows),
-        found=sum(found for _, found in rows),
-        held=sum(known for known, _ in rows),
-        held_found=sum(known and found for known, found in rows),
-        moved_held=sum(is_held),
-        moved_as_moved=sum(is_moved),
-        objects=len(stayed),
-        false_changes=sum(in_a.get(i) in named_a or in_b.get(i) in named_b for i in stayed),
-        gone=len(gone),
-        aligned=1,
-    )
+        changes=len(rows), found=sum(found for _, found in rows), held=sum(known for known, _ in rows),
+        held_found=sum(known and found for known, found in rows), moved_held=sum(is_held), moved_as_moved=sum(is_moved),
+        objects=len(stayed), false_changes=sum(in_a.get(i) in named_a or in_b.get(i) in named_b for i in stayed),
+        gone=len(gone), aligned=1,
+    )  # fmt: skip
 
 
 def count_figures(total: PairCounts, prefix: str = "") -> list[Figure]:

@@ -1,10 +1,6 @@
-"""Answers of `diff` about two days of one world and about a run in which things change; passers-by; questions.
-
-Rooms (quick: one, two days) and apartments (three days each) of `worlds.days`. A true object is in a map if its match
-at box IoU 0.25 is; a change counts as held by the maps if its objects are in those that can show them.
-"""
-
-from __future__ import annotations
+"""Answers of `diff` about two days of one world and about a run in which things change; passers-by; questions."""
+# Rooms (quick: one, two days) and apartments (three days each) of `worlds.days`. A true object is in a map if its match
+# at box IoU 0.25 is; a change counts as held by the maps if its objects are in those that can show them.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -39,23 +35,18 @@ from tools.worlds.recording_config import RecordingConfig
 _FIRST_SEED = 4_100
 _UNSEEN = 0.02
 _QUESTIONS = (
-    "something to sit on",
-    "a red box near a table",
-    "how many blue things",
-    "the largest thing on the floor and not near the wall",
-    "something beside a chair in front of a table",
-)
+    "something to sit on", "a red box near a table", "how many blue things",
+    "the largest thing on the floor and not near the wall", "something beside a chair in front of a table",
+)  # fmt: skip
 _MANY = 1000
 _NUM_QUESTIONS = 300
 _RUNS = 3
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the share of changes that were found, and the time of a question.
-
-    `--only days`, `run`, `person` or `questions` measures a part; a quick run leaves out changes within a run and the
-    person.
-    """
+    """Return the share of changes that were found, and the time of a question."""
+    # `--only days`, `run`, `person` or `questions` measures a part; a quick run leaves out changes within a run and the
+    # person.
     parts = options.only or (("days", "questions") if options.quick else ("days", "run", "person", "questions"))
     first = _FIRST_SEED + 10 * options.seed
     state = state_folder(options.state, "changes")
@@ -105,14 +96,11 @@ def pair_counts(truth_a: Truth, map_a: SavedMap, truth_b: Truth, map_b: SavedMap
     shown_b = {item.id: item.seen_fraction for item in truth_b.objects}
     said_gone = {i for i, one in of_a.items() if one.verdict is Verdict.GONE}
     return replace(
-        counts_of(true, (in_a, in_b), gone, moved, new),
-        gone=sum(one.verdict is Verdict.GONE for one in found),
-        gone_but_unseen=sum(in_a.get(i) in said_gone and shown_b[i] < _UNSEEN for i in true.stayed),
-        said=len(verdicts),
-        said_right=sum(right for _, right in verdicts),
-        probability=sum(sure for sure, _ in verdicts),
+        counts_of(true, (in_a, in_b), gone, moved, new), gone=sum(one.verdict is Verdict.GONE for one in found),
+        gone_but_unseen=sum(in_a.get(i) in said_gone and shown_b[i] < _UNSEEN for i in true.stayed), said=len(verdicts),
+        said_right=sum(right for _, right in verdicts), probability=sum(sure for sure, _ in verdicts),
         brier=sum((sure - right) ** 2 for sure, right in verdicts),
-    )
+    )  # fmt: skip
 
 
 def judged(
@@ -142,10 +130,8 @@ def judged(
 
 
 def query_figures(made: Sequence[tuple[Truth, SavedMap]], count: int) -> list[Figure]:
-    """Return how often the first answer is right: of all questions, and of those whose objects the map holds.
-
-    A question without an answer is answered rightly by none.
-    """
+    """Return how often the first answer is right: of all questions, and of those whose objects the map holds."""
+    # A question without an answer is answered rightly by none.
     rows: list[tuple[bool, bool]] = []
     for k, (truth, saved) in enumerate(made):
         scored = score_map(saved.snapshot, meshes_of(saved), truth).truth
@@ -188,20 +174,14 @@ def many_objects(count: int) -> MapIndex:
     centers = np.c_[rng.uniform(-20, 20, (count, 2)), sides[:, 2] / 2]
     lows, highs = centers - sides / 2, centers + sides / 2
     return MapIndex(
-        ids=np.arange(count),
-        centers=centers,
-        lows=lows,
-        highs=highs,
-        sides_m=sides,
-        bottom_m=lows[:, 2],
+        ids=np.arange(count), centers=centers, lows=lows, highs=highs, sides_m=sides, bottom_m=lows[:, 2],
         colors=rng.dirichlet(np.full(empty.colors.shape[1], 0.2), count),
         shapes=rng.random((count, empty.shapes.shape[1])),
         levels_m2=rng.random((count, empty.levels_m2.shape[1])) * 0.1,
         held_by=np.where(rng.random(count) < 0.3, rng.integers(0, count, count), -1),
-        is_at_wall=rng.random(count) < 0.3,
-        seen_from=np.c_[rng.uniform(-20, 20, (count, 2)), np.ones(count)],
+        is_at_wall=rng.random(count) < 0.3, seen_from=np.c_[rng.uniform(-20, 20, (count, 2)), np.ones(count)],
         pairs=neighbours(lows[:, :2], highs[:, :2]),
-    )
+    )  # fmt: skip
 
 
 def _day(state: Path, scene: str, seed: int, day: int, *, quick: bool) -> tuple[Truth, SavedMap]:

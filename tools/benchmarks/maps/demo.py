@@ -1,7 +1,5 @@
 """The whole pipeline on the embedded recording: speed, memory, recall, and reproducibility."""
 
-from __future__ import annotations
-
 import statistics
 import subprocess
 import sys

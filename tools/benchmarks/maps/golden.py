@@ -1,10 +1,6 @@
-"""Three small logs of three layouts as a gate: the digests of their maps to the byte, figures coarsely.
-
-A change that moves a digest on purpose moves the baseline with it: `tools/bench golden --set-baseline "why"`. Shapes
-are coarse, so that all of it takes seconds.
-"""
-
-from __future__ import annotations
+"""Three small logs of three layouts as a gate: the digests of their maps to the byte, figures coarsely."""
+# A change that moves a digest on purpose moves the baseline with it: `tools/bench golden --set-baseline "why"`. Shapes
+# are coarse, so that all of it takes seconds.
 
 import tempfile
 from pathlib import Path
@@ -37,7 +33,6 @@ def measure(options: Options) -> list[Figure]:
 
 
 def figures_of(name: str, out: Path) -> list[Figure]:
-    """Return the figures of one of `LOGS`, mapped into the folder `out`."""
     files, truth, num_frames = LOGS[name]
     source = open_source(files)
     source = source if num_frames is None else FirstFrames(source, num_frames)

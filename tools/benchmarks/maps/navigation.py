@@ -1,10 +1,6 @@
-"""Planning on boxes, meshes and layer 4 of the four apartments; the times of grids and paths, in CPU seconds.
-
-Layer 4 is made of the true meshes, so that shapes alone are compared; a whole run makes the same table of the maps of
-the pipeline, with unseen space as unknown.
-"""
-
-from __future__ import annotations
+"""Planning on boxes, meshes and layer 4 of the four apartments; the times of grids and paths, in CPU seconds."""
+# Layer 4 is made of the true meshes, so that shapes alone are compared; a whole run makes the same table of the maps of
+# the pipeline, with unseen space as unknown.
 
 import hashlib
 import time
@@ -32,11 +28,12 @@ from tools.benchmarks.common.cached_runs import apartment_map, cached, walk_reco
 from tools.benchmarks.common.code_hashes import code_hash
 from tools.benchmarks.common.figures import Figure, Options, figure
 from tools.benchmarks.common.processes import best_s
-from tools.evaluation.navigation_methods import Obstacles, built
 from tools.evaluation.navigation_table import (
     R_SAFE_M,
     MethodScore,
+    Obstacles,
     TrueScene,
+    built,
     draw_pairs,
     format_table,
     score_saved_map,
@@ -174,10 +171,8 @@ def _speeds(obstacles: Obstacles, scene: TrueScene, robot: Robot, pairs: NDArray
 
 
 def _under_tables(truth: Truth, obstacles: Obstacles, scene: TrueScene, robot: Robot) -> list[bool]:
-    """Return, for each table that boxes close and truth does not, whether layer 4 finds a path under it.
-
-    To the place under its top with the largest distance to all true obstacles, from such a place of the whole scene.
-    """
+    # Return, for each table that boxes close and truth does not, whether layer 4 finds a path under it. To the place
+    # under its top with the largest distance to all true obstacles, from such a place of the whole scene.
     frame = scene.space.frame
     off = np.where(scene.is_reachable, distance_field_m(~scene.is_reachable, frame.cell_m), -1.0)
     centers = frame.centers_m()

@@ -1,9 +1,5 @@
-"""Traces of a person who walks through a room in its map, against the map of the same walk without the person.
-
-An object is made of the person if at least half of its points lie off every true surface, at a place of the person.
-"""
-
-from __future__ import annotations
+"""Traces of a person who walks through a room in its map, against the map of the same walk without the person."""
+# An object is made of the person if at least half of its points lie off every true surface, at a place of the person.
 
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,10 +1,6 @@
-"""Maps of apartments and table-tops against truth, the choice of views, and the speed.
-
-A scene is a truth folder NAME.truth with its log NAME.mcap beside it; it is a table-top where the median diameter of
-its true objects that count is below 0.4 m, else an apartment. Pages with pictures go to out/quality/.
-"""
-
-from __future__ import annotations
+"""Maps of apartments and table-tops against truth, the choice of views, and the speed."""
+# A scene is a truth folder NAME.truth with its log NAME.mcap beside it; it is a table-top where the median diameter of
+# its true objects that count is below 0.4 m, else an apartment. Pages with pictures go to out/quality/.
 
 import html
 import tempfile
@@ -34,15 +30,9 @@ _APARTMENTS, _WALKS, _TABLETOPS = 4, 2, 3
 _RATE_HZ, _FAST_HZ = 15.0, 30.0
 _TWO = "two_"
 _COLUMNS = {
-    "recall": "recall_25",
-    "precision": "precision_25",
-    "recall .5": "recall_50",
-    "tracks": "tracks_per_object",
-    "F1 5 %": "f1_5pct",
-    "ADD-S .1": "adds_10",
-    "ADD-S .05": "adds_05",
-    "contained": "containment",
-}
+    "recall": "recall_25", "precision": "precision_25", "recall .5": "recall_50", "tracks": "tracks_per_object",
+    "F1 5 %": "f1_5pct", "ADD-S .1": "adds_10", "ADD-S .05": "adds_05", "contained": "containment",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,23 +47,19 @@ class Scene:
 
     @property
     def log_s(self) -> float:
-        """Seconds of the log."""
         return (self.truth.frames[-1].stamp_ns - self.truth.frames[0].stamp_ns) / 1e9
 
     @property
     def is_fast(self) -> bool:
-        """Whether the log has more frames a second than most."""
         return self.log_s > 0 and (len(self.truth.frames) - 1) / self.log_s > 1.5 * _RATE_HZ
 
     @property
     def found(self) -> Evaluation:
-        """The evaluation of a scene that was played."""
         assert self.evaluation is not None
         return self.evaluation
 
     @property
     def is_tabletop(self) -> bool:
-        """Whether the scene's things are small."""
         return self.found.median_diameter_m < _TABLETOP_M
 
     def cells(self) -> list[float]:
@@ -82,11 +68,9 @@ class Scene:
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures; a figure that was not measured is absent.
-
-    A quick run plays the embedded recording alone, unless it is given scenes, and compares no strategies; `--only
-    apartments` plays one walk through each of two apartments. Their figures have names of their own.
-    """
+    """Return the figures; a figure that was not measured is absent."""
+    # A quick run plays the embedded recording alone, unless it is given scenes, and compares no strategies; `--only
+    # apartments` plays one walk through each of two apartments. Their figures have names of their own.
     is_part = options.quick or bool(options.only)
     scenes = []
     with tempfile.TemporaryDirectory() as temporary:
@@ -171,7 +155,6 @@ def _figures(scenes: list[Scene]) -> list[Figure]:
 
 
 def _of_strategies(scenes: list[Scene]) -> list[Figure]:
-    """Return the figures of the choice of views in one apartment and one table-top: each is played once more."""
     chosen = [next((scene for scene in scenes if scene.is_tabletop is kind), None) for kind in (False, True)]
     scores = compare([trials_of(scene.log, scene.truth) for scene in chosen if scene is not None])
     print(verdict(scores))

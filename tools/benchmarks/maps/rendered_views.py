@@ -1,7 +1,5 @@
 """The share of the place of a true object that frames see, whether the object is there or not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,7 +26,6 @@ def scene_of(truth: Truth) -> Scene:
 
 
 def seen_share(truth: Truth, item: TruthObject, frames: Sequence[TruthFrame], scene: Scene) -> float:
-    """Return the share of an object's vertices that no surface of `scene` hides in all frames."""
     vertices = surface_of(truth, item).vertices
     points = vertices[np.linspace(0, len(vertices) - 1, min(_SAMPLES, len(vertices))).astype(int)].astype(np.float64)
     is_seen = np.zeros(len(points), bool)

@@ -1,10 +1,6 @@
-"""Questions about a world, made from its true meshes, and the true objects that answer each.
-
-The conditions are computed from mesh geometry and mean colours here, by other code than a map's. A question is asked
-only where the truth is clear: every true object either fulfils it plainly or plainly does not.
-"""
-
-from __future__ import annotations
+"""Questions about a world, made from its true meshes, and the true objects that answer each."""
+# The conditions are computed from mesh geometry and mean colours here, by other code than a map's. A question is asked
+# only where the truth is clear: every true object either fulfils it plainly or plainly does not.
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -38,11 +34,10 @@ class TrueThing:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrueQuestion:
-    """A question, and the ids of the true objects that answer it; none: it has no answer.
+    """A question, and the ids of the true objects that answer it; none: it has no answer."""
 
-    `witnesses`: by an answer, sets of objects of each of which a map must hold one to know that it is an answer, e.g.
-    the red things on it of what carries something red.
-    """
+    # `witnesses`: by an answer, sets of objects of each of which a map must hold one to know that it is an answer, e.g.
+    # the red things on it of what carries something red.
 
     text: str
     answers: frozenset[int]
@@ -58,15 +53,12 @@ class TrueQuestion:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Condition:
-    """A part of a question: whether it holds, None if unclear, and the ids of the objects that it holds by."""
-
     text: str
     test: Callable[[TrueThing], bool | None]
     holds_by: Callable[[TrueThing], frozenset[int]] | None = None
 
 
 def true_questions(truth: Truth, count: int, rng: np.random.Generator) -> list[TrueQuestion]:
-    """Return at most so many different questions, a tenth of them without an answer."""
     things = [_thing(truth, i) for i in range(len(truth.objects)) if truth.objects[i].seen_fraction >= _MIN_SEEN]
     words = [*_words(), *relations(things)]
     found: dict[bool, list[TrueQuestion]] = {True: [], False: []}
@@ -103,7 +95,6 @@ def _words() -> list[_Condition]:
 
 
 def relations(things: list[TrueThing]) -> list[_Condition]:
-    """Return the conditions that name a place or other things."""
     found = [_Condition(text="on the floor", test=lambda one: _clear(-float(one.bounds[0, 2]), -0.02, -0.1))]
     for other in things:
         x, y = (float(part) for part in other.bounds.mean(axis=0)[:2].round(1))
@@ -134,7 +125,6 @@ def _thing(truth: Truth, i: int) -> TrueThing:
 def _median_color(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], colors: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the median colour (3,) by area: vertices are dense where the surface bends."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     of_faces = colors[faces].mean(axis=1)

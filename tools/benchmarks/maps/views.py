@@ -1,10 +1,6 @@
-"""The choice of views over many rooms: S against the paper's four strategies, with paired tests by room.
-
-Apartments and table-tops of our generator, with seeds that nothing was tuned on, and the rooms by others for tuning.
-Each room's result is kept: a call that was stopped continues.
-"""
-
-from __future__ import annotations
+"""The choice of views over many rooms: S against the paper's four strategies, with paired tests by room."""
+# Apartments and table-tops of our generator, with seeds that nothing was tuned on, and the rooms by others for tuning.
+# Each room's result is kept: a call that was stopped continues.
 
 import tempfile
 import time
@@ -61,7 +57,6 @@ def view_figures(options: Options) -> list[Figure]:
 
 
 def trials_of(log: Path, truth: Truth) -> list[ViewTrial]:
-    """Return the trials of all strategies on a log, with meshes by `single_view`."""
     config = MapperConfig()
     single = {"single_view": make_reconstructor("single_view", config.shapes)}
     source = open_source(str(log))

@@ -1,7 +1,5 @@
 """Answers of `diff MAP T1 T2` about a run in which things are moved, removed and added out of the robot's sight."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,11 +18,9 @@ _SECONDS, _CHANGE_AT_S = 60.0, 28.0
 
 
 def run_counts(state: Path, seed: int) -> PairCounts:
-    """Return the counts of a walk through a room that changes when it is half over.
-
-    The answer is about the time from just before the change to the end. A change counts if enough was seen of the
-    object, and of its place when it was not there.
-    """
+    """Return the counts of a walk through a room that changes when it is half over."""
+    # The answer is about the time from just before the change to the end. A change counts if enough was seen of the
+    # object, and of its place when it was not there.
     config = RecordingConfig(
         scene="room", seed=seed, seconds=_SECONDS, rate_hz=4.0, width=480, height=270, change_at_s=_CHANGE_AT_S
     )
@@ -52,12 +48,9 @@ def counted(
     changed, at_end = {item.id for item in truth.change.before}, {item.id for item in truth.objects}
     old = _old_ids(truth)
     true = TrueChanges(
-        stayed=tuple(sorted((at_end - changed) & old)),
-        moved=tuple(sorted(changed & at_end)),
-        gone=tuple(sorted(changed - at_end)),
-        new=tuple(sorted(at_end - changed - old)),
-        exchanged=(),
-    )
+        stayed=tuple(sorted((at_end - changed) & old)), moved=tuple(sorted(changed & at_end)),
+        gone=tuple(sorted(changed - at_end)), new=tuple(sorted(at_end - changed - old)), exchanged=(),
+    )  # fmt: skip
     return counts_of(true, held, gone, moved, new)
 
 

@@ -1,10 +1,6 @@
-"""The numbers that were set by hand in `perception` and `mapping`, and how many of them decide.
-
-A number decides if another value of it can make another object of the same frames. The others are named in
-`NOT_DECIDING`, by the beginning of their name, with the reason.
-"""
-
-from __future__ import annotations
+"""The numbers that were set by hand in `perception` and `mapping`, and how many of them decide."""
+# A number decides if another value of it can make another object of the same frames. The others are named in
+# `NOT_DECIDING`, by the beginning of their name, with the reason.
 
 import ast
 import dataclasses
@@ -25,60 +21,47 @@ NOT_DECIDING = {
     "perception.network.": "how a network is run",
     "perception.dinov2.": "of a network that is not installed by default",
     "perception.semantic.": "of a network that is not installed by default",
-    "mapping.requests.": "when shapes are computed",
-    "mapping.track.sketch_growth": "when a sketch is drawn again",
+    "mapping.requests.": "when shapes are computed", "mapping.track.sketch_growth": "when a sketch is drawn again",
     "mapping.submaps.": "in which submap an object is kept",
     "perception/descriptor.py": "appearance, for places and alignment",
-    "perception/coarse.py": "for people who ask why",
-    "perception/pixel_inputs.py": _NETWORK,
-    "perception/pixel_network.py": _NETWORK,
-    "perception/fragment_odds.py": _TREES,
-    "perception/odds_features.py": _TREES,
-    "perception/absolute_features.py": _TREES,
-    "perception/region_extents.py": _TREES,
-    "perception/region_graph.py": _TREES,
-    "perception/contacts.py": _TREES,
+    "perception/coarse.py": "for people who ask why", "perception/pixel_inputs.py": _NETWORK,
+    "perception/pixel_network.py": _NETWORK, "perception/fragment_odds.py": _TREES,
+    "perception/odds_features.py": _TREES, "perception/absolute_features.py": _TREES,
+    "perception/region_extents.py": _TREES, "perception/region_graph.py": _TREES, "perception/contacts.py": _TREES,
     "perception/color_split.py:_OTSU_BINS": "the bins of a histogram",
-    "perception/detection.py:_AZIMUTHS": "the bins of a histogram",
-    "perception/space.py": "the layout of keys",
-    "mapping/shape_requests.py": "when shapes are computed",
-    "mapping/views.py:_SECTORS": "how many views are kept",
+    "perception/detection.py:_AZIMUTHS": "the bins of a histogram", "perception/space.py": "the layout of keys",
+    "mapping/shape_requests.py": "when shapes are computed", "mapping/views.py:_SECTORS": "how many views are kept",
     "mapping/existence.py:_MOST_PLACES": "how much is stored",
     "mapping/association.py:_ROUNDING": "keeps a product of floats from missing its limit",
     "mapping/association.py:_TIE": "equality but for rounding",
     "mapping/lifecycle.py:_ROUNDING": "keeps a sum of floats from missing its limit",
-    "mapping/observed_space.py:_HELD": "a mark",
-    "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",
+    "mapping/observed_space.py:_HELD": "a mark", "mapping/observed_space.py:_MOST_VOTES": "the range of a byte",
     "mapping/track.py:_BOX_POINTS": "how many points are read",
     "mapping/support_relations.py:_SAMPLE": "how many points are read",
-}
+}  # fmt: skip
 """The reason why a number decides nothing, by the beginning of its name."""
 _LEAST = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Constant:
-    """A number: of the configuration (`mapping.merge.min_votes`), or of a module (`mapping/merging.py:_MEET_M`).
+    """A number: of the configuration (`mapping.merge.min_votes`), or of a module (`mapping/merging.py:_MEET_M`)."""
 
-    A module is named by its package and file, without the folders between; `[i]` is the place in a tuple.
-    """
+    # A module is named by its package and file, without the folders between; `[i]` is the place in a tuple.
 
     name: str
     value: float
 
     @property
     def is_configured(self) -> bool:
-        """Whether the number is of the configuration."""
         return ":" not in self.name
 
     @property
     def decides(self) -> bool:
-        """Whether another value can make another object."""
         return not any(self.name.startswith(prefix) for prefix in NOT_DECIDING)
 
 
 def measure(_options: Options) -> list[Figure]:
-    """Return the counts of numbers that decide."""
     every = [constant for constant in constants() if constant.decides]
     configured = sum(constant.is_configured for constant in every)
     inline = "numbers with a fraction within functions, which have no name"
@@ -105,11 +88,9 @@ def constants() -> list[Constant]:
 
 
 def inline_numbers() -> list[str]:
-    """Return the numbers with a fraction in functions of the two packages: `mapping/cloud.py:395 0.9`.
-
-    Whole numbers and halves are not counted, which mostly are indices, axes, or the halves of formulas; nor are those
-    so small that they only keep a division finite.
-    """
+    """Return the numbers with a fraction in functions of the two packages: `mapping/cloud.py:395 0.9`."""
+    # Whole numbers and halves are not counted, which mostly are indices, axes, or the halves of formulas; nor are those
+    # so small that they only keep a division finite.
     found = []
     for name, tree in _modules():
         if not any(name.startswith(prefix) for prefix in NOT_DECIDING if ":" not in prefix):
@@ -126,7 +107,6 @@ def inline_numbers() -> list[str]:
 
 
 def _modules() -> Iterator[tuple[str, ast.Module]]:
-    """Yield the modules of the two packages; optional networks, in `models`, decide nothing."""
     for package in PACKAGES:
         folder: Path = ROOT / "hickory_stream" / package
         for path in sorted(folder.rglob("*.py")):

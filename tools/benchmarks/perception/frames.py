@@ -1,10 +1,6 @@
-"""Perception of single frames: masks on labelled clouds and synthetic logs, its time and memory, the descriptor, S.
-
-Clouds are single views without a map. Logs are played through layer 1: each keyframe sees the map as it is after the
-one before. Things and masks under 0.2 % of the image do not count.
-"""
-
-from __future__ import annotations
+"""Perception of single frames: masks on labelled clouds and synthetic logs, its time and memory, the descriptor, S."""
+# Clouds are single views without a map. Logs are played through layer 1: each keyframe sees the map as it is after the
+# one before. Things and masks under 0.2 % of the image do not count.
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -41,11 +37,10 @@ _MIN_VIEWS = 3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Played:
-    """A log played: the score of its masks, the cosines of its objects, the feature evaluations saved by the core.
+    """A log played: the score of its masks, the cosines of its objects, the feature evaluations saved by the core."""
 
-    `same` and `different` are the mean cosines of pooled features of one object across views and of two objects, one
-    number per object and per pair. `frames` are some keyframes, for timing.
-    """
+    # `same` and `different` are the mean cosines of pooled features of one object across views and of two objects, one
+    # number per object and per pair. `frames` are some keyframes, for timing.
 
     score: MaskScore
     same: list[float]
@@ -55,10 +50,8 @@ class Played:
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures; absent ones are announced.
-
-    A quick run plays the embedded recording instead of apartments and table-tops.
-    """
+    """Return the figures; absent ones are announced."""
+    # A quick run plays the embedded recording instead of apartments and table-tops.
     figures = _of_clouds(options)
     logs = _logs(options)
     played = [_played(log) for log in logs]
@@ -66,16 +59,12 @@ def measure(options: Options) -> list[Figure]:
     same, different = (np.mean([c for p in played for c in getattr(p, kind)]) for kind in ("same", "different"))
     print(f"features: mean cosine {same:.3f} of one object across views, {different:.3f} of two")
     return [
-        *figures,
-        figure("synthetic_f1_50", score.f1),
-        figure("synthetic_best_iou", score.best_iou),
-        figure("synthetic_found_fraction", score.found_fraction),
-        figure("descriptor_margin", same - different),
+        *figures, figure("synthetic_f1_50", score.f1), figure("synthetic_best_iou", score.best_iou),
+        figure("synthetic_found_fraction", score.found_fraction), figure("descriptor_margin", same - different),
         figure("s_saved_fraction", np.mean([p.saved for p in played])),
         _time_of([keyframe for p in played for keyframe in p.frames]),
-        *_memory_of(logs[0], 20 if options.quick else 60),
-        *network_times(options.seed),
-    ]
+        *_memory_of(logs[0], 20 if options.quick else 60), *network_times(options.seed),
+    ]  # fmt: skip
 
 
 def _of_clouds(options: Options) -> list[Figure]:
@@ -124,7 +113,6 @@ def _played(log: Path) -> Played:
 
 
 def _shown(truth: Truth, index: int) -> NDArray[np.int32]:
-    """Return the object of each pixel of a true frame, 0 for structure, `UNKNOWN` for a passer-by."""
     shown = instances_of(truth, truth.frames[index]).astype(np.int32)
     is_known = np.isin(shown, [0, *(item.id for item in truth.objects)])
     return np.where(is_known, shown, UNKNOWN).astype(np.int32)
@@ -150,7 +138,6 @@ def _cosines(features: Mapping[int, list[NDArray[np.float32]]]) -> tuple[list[fl
 
 
 def _time_of(keyframes: Sequence[PlayedKeyframe]) -> Figure:
-    """Return the time of perception on one core, over keyframes with the maps that they left."""
     chosen = keyframes[:: max(1, len(keyframes) // _TIMED_FRAMES)][:_TIMED_FRAMES]
     config = PerceptionConfig()
     segmenter = make_segmenter(config)
@@ -170,7 +157,6 @@ def _time_of(keyframes: Sequence[PlayedKeyframe]) -> Figure:
 
 
 def _memory_of(log: Path, keyframes: int) -> list[Figure]:
-    """Return the memory of layer 1: all, the part of keyframes and their map, and the part not released."""
     memory = keyframe_memory(log, keyframes=keyframes, rounds=_MEMORY_ROUNDS)
     print(f"memory on {memory.keyframes} keyframes of {log.stem}, {_MEMORY_ROUNDS} rounds; {WARM_KEYFRAMES} to warm up")
     return [

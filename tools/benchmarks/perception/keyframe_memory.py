@@ -1,11 +1,6 @@
-"""The memory of layer 1 in a process of its own: a log's keyframes are perceived and mapped, round after round.
-
-Resident memory includes weights, the buffers of the network and of OpenCV, compiled kernels and the map; the memory of
-the process before, with a frame read from the log, is subtracted. Each round has a map of its own and does the same
-work: memory that a later one takes beyond the first was not released. Linux alone.
-"""
-
-from __future__ import annotations
+"""The memory of layer 1 in a process of its own: a log's keyframes are perceived and mapped, round after round."""
+# The memory of the process before is subtracted. Memory that a later round takes beyond the first was not released.
+# Linux alone.
 
 import argparse
 from collections import deque
@@ -26,13 +21,10 @@ WARM_KEYFRAMES = 5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class KeyframeMemory:
-    """Megabytes of resident memory, of so many keyframes in each round.
+    """Megabytes of resident memory, of so many keyframes in each round."""
 
-    Attributes:
-        layer1_mb: the peak over all rounds.
-        keyframes_mb: the rise of the first round's peak after the `WARM_KEYFRAMES`: with the map that is made.
-        rounds_mb: by how much later rounds exceed the first one's peak.
-    """
+    # `layer1_mb`: the peak of all rounds; `keyframes_mb`: its rise after `WARM_KEYFRAMES`; `rounds_mb`: later rounds'
+    # excess.
 
     keyframes: int
     layer1_mb: float

@@ -1,7 +1,5 @@
 """Time of FastSAM without the network itself: part of `tools/bench perception`."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import cv2
@@ -23,13 +21,9 @@ _REPEATS = 30
 
 
 def network_times(seed: int) -> list[Figure]:
-    """Return the times of decoding a network's outputs and of the pipeline for its masks, on one core.
-
-    The tensors are those of a network that sees 100 blobs, each found by several anchors among 8,400. The first time
-    is of the letterbox, the decoding, the suppression and 100 masks at 640 x 480; the second of what all segmenters
-    share, for 100 masks before a wall 2 m away with a step, without the surface of the frame. Processor time, the least
-    of the repeats.
-    """
+    """Return the times of decoding a network's outputs and of the pipeline for its masks, on one core."""
+    # First: letterbox, decoding, suppression, 100 masks at 640 x 480. Second: the work that all segmenters share.
+    # Processor time, the least of the repeats.
     rng = np.random.default_rng(seed)
     predictions, prototypes = _tensors(rng)
     rgb = rng.integers(0, 255, (_HEIGHT, _WIDTH, 3), np.uint8)
@@ -59,13 +53,10 @@ def _wall() -> Frame:
     depth = np.full((_HEIGHT, _WIDTH), 2.0, dtype=np.float32)
     depth[:, _WIDTH // 2 :] = 1.8
     return Frame(
-        index=0,
-        stamp_ns=0,
-        rgb=np.zeros((_HEIGHT, _WIDTH, 3), np.uint8),
-        depth_m=depth,
+        index=0, stamp_ns=0, rgb=np.zeros((_HEIGHT, _WIDTH, 3), np.uint8), depth_m=depth,
         camera=Camera(width=_WIDTH, height=_HEIGHT, fx=525.0, fy=525.0, cx=319.5, cy=239.5),
         world_from_camera=np.eye(4),
-    )
+    )  # fmt: skip
 
 
 def _tensors(rng: np.random.Generator) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -1,10 +1,6 @@
-"""Maps of logs whose odometry drifts, as `play` makes them: the error of poses, and the loss of the map.
-
-They are compared with the maps of the same walks with exact poses. Registration of keyframes and the pose graph are on,
-as by default. Each result is cached under `--state` by the code; a later call continues.
-"""
-
-from __future__ import annotations
+"""Maps of logs whose odometry drifts, as `play` makes them: the error of poses, and the loss of the map."""
+# They are compared with the maps of the same walks with exact poses. Registration of keyframes and the pose graph are
+# on, as by default. Each result is cached under `--state` by the code; a later call continues.
 
 import tempfile
 import time
@@ -39,12 +35,10 @@ CONFIG = ("journal.keep_images=false", "run.shape_cache=false")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Mapped:
-    """The result of a run on a walk: errors of its poses, and of the map for each true object that counts.
+    """The result of a run on a walk: errors of its poses, and of the map for each true object that counts."""
 
-    `before_m` and `after_m` are the ATE of `num_poses` keyframes as odometry has them and as the map has them.
-    `found_50` and `f1_5pct` are of the mesh of each true object, `tracks` how many objects lie mostly on it; the same
-    `_aligned` with the truth placed where the ATE has it: a map whose first keyframes are off is turned as a whole.
-    """
+    # ATE of odometry and of the map. `found_50`, `f1_5pct` are by true object, `tracks` counts its objects; `_aligned`:
+    # with the truth placed as the ATE places it.
 
     before_m: float
     after_m: float
@@ -97,10 +91,8 @@ def drift_figures(options: Options) -> list[Figure]:
 
 
 def registration_figures(log: Path) -> list[Figure]:
-    """Return the processor time of a keyframe's registration, and the share of a drift that it leaves in a log.
-
-    The poses of the log are exact; the drift is put on them, by the default and by three times it.
-    """
+    """Return the processor time of a keyframe's registration, and the share of a drift that it leaves in a log."""
+    # The poses of the log are exact; the drift is put on them, by the default and by three times it.
     frames = list(keyframes_of(log, MapperConfig()))
     true = np.array([frame.world_from_camera for frame in frames])
     stamps_ns = [frame.stamp_ns for frame in frames]
@@ -145,18 +137,14 @@ def _mapped(walk: DriftingWalk, factor: float) -> Mapped:
         aligned = evaluate(saved, moved_truth(truth, _map_from_world(poses, true)))
     odometry = {stamp_ns: (walk.odometry[factor] if factor else true)[stamp_ns] for stamp_ns in poses}
     return Mapped(
-        before_m=_ate_m(odometry, true),
-        after_m=_ate_m(poses, true),
-        num_poses=len(poses),
+        before_m=_ate_m(odometry, true), after_m=_ate_m(poses, true), num_poses=len(poses),
         num_loops=0 if graph is None else sum(loop.status == "accepted" for loop in graph.loops),
-        num_objects=found.num_objects,
-        found_50=[row.strict_map_id is not None for row in found.objects],
+        num_objects=found.num_objects, found_50=[row.strict_map_id is not None for row in found.objects],
         f1_5pct=[row.f1_5pct for row in found.objects],
         found_50_aligned=[row.strict_map_id is not None for row in aligned.objects],
-        f1_5pct_aligned=[row.f1_5pct for row in aligned.objects],
-        tracks=[len(row.track_ids) for row in found.objects],
+        f1_5pct_aligned=[row.f1_5pct for row in aligned.objects], tracks=[len(row.track_ids) for row in found.objects],
         wall_s=time.monotonic() - started_s,
-    )
+    )  # fmt: skip
 
 
 def _loss(
@@ -180,13 +168,11 @@ def _ate_m(poses: Poses, true: Poses) -> float:
 
 
 def _map_from_world(poses: Poses, true: Poses) -> NDArray[np.float64]:
-    """Return the rigid transform (4, 4) of true positions onto those of a map, as the ATE has it."""
     found, there = (np.array([each[stamp_ns][:3, 3] for stamp_ns in sorted(poses)]) for each in (poses, true))
     return from_rotation_translation(*best_alignment(there, found))
 
 
 def keyframe_poses(path: Path) -> tuple[SavedMap, Poses]:
-    """Return a map, and the final poses of its keyframes by their stamps."""
     saved = open_map(path)
     places = {submap.id: submap.world_from_submap for submap in saved.snapshot.submaps}
     poses: Poses = {}

@@ -5,8 +5,6 @@ The images do not depend on the odometry: they are those of `make_recording --dr
 rendering.
 """
 
-from __future__ import annotations
-
 import runpy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -56,10 +54,8 @@ class DriftingWalk:
 
 
 def drifting_walks(options: Options) -> list[DriftingWalk]:
-    """Return a walk through an apartment of ours, and one through a home by others if its folder is there.
-
-    Both were used for tuning; they are rendered where they are not cached.
-    """
+    """Return a walk through an apartment of ours, and one through a home by others if its folder is there."""
+    # Both were used for tuning; they are rendered where they are not cached.
     walks = [_own_walk()]
     try:
         worlds = worlds_folder(options.worlds)
@@ -116,7 +112,6 @@ class Drifting(SourceAround):
         self._poses = poses
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the frames where the odometry has them."""
         for raw in self._source.frames():
             pose = self._poses[raw.stamp_ns]
             yield replace(raw, world_from_camera=pose, decode=partial(_decoded, raw, pose))

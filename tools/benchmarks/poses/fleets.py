@@ -1,11 +1,6 @@
-"""Fleets of synthetic robots: the robots that are joined, whether rightly, and the quality of the merged map.
-
-Rooms with two robots each, which start anywhere on a round of it, and the same with a third robot of another room, to
-which no frame belongs; apartments with three robots, whose merged map is compared with the map of one robot that walks
-as long as the three together.
-"""
-
-from __future__ import annotations
+"""Fleets of synthetic robots: the robots that are joined, whether rightly, and the quality of the merged map."""
+# Rooms with two robots; the same with a third robot of another room; apartments with three robots, compared with the
+# map of one robot that walks as long.
 
 import shutil
 import tempfile
@@ -49,8 +44,6 @@ _SHARED, _SEEN = 5, 0.3
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Fleet:
-    """Robots of one world as they were recorded, with the true pose of each one's frame, robot_from_world."""
-
     names: tuple[str, ...]
     logs: tuple[Path, ...]
     truths: tuple[Truth, ...]
@@ -70,10 +63,8 @@ class _Fleet:
 
 
 def fleet_figures(options: Options) -> list[Figure]:
-    """Return the figures of fleets; a quick run has one room, and no apartment.
-
-    The result of each fleet is cached under `--state`, with the maps of its robots; a later call continues.
-    """
+    """Return the figures of fleets; a quick run has one room, and no apartment."""
+    # The result of each fleet is cached under `--state`, with the maps of its robots; a later call continues.
     counts: Counter[str] = Counter()
     first = 300 + 100 * options.seed
     folder = state_folder(options.state, "fleet", "hickory_stream/fleet", "hickory_stream/merging")
@@ -126,13 +117,9 @@ def _run(fleet: _Fleet, out: Path, *overrides: str) -> FleetResult:
         for name, log in zip(fleet.names, fleet.logs, strict=True)
     )
     plan = FleetPlan(
-        robots=tuple(robots),
-        config=FleetConfig(every_keyframes=4),
-        out=out,
-        overwrite=False,
-        mapper=read_config(MapperConfig, None, overrides),
-        disk=DiskSinkConfig(),
-    )
+        robots=tuple(robots), config=FleetConfig(every_keyframes=4), out=out, overwrite=False,
+        mapper=read_config(MapperConfig, None, overrides), disk=DiskSinkConfig(),
+    )  # fmt: skip
     return run_fleet(plan, SimpleNamespace(opened=_ignore, moved=_ignore, said=_ignore))
 
 
@@ -141,7 +128,6 @@ def _ignore(*_: object) -> None:
 
 
 def _room(seed: int, folder: Path) -> dict[str, int]:
-    """Return the counts of two robots in a room; their maps stay in the folder, named by the seed."""
     fleet = _recorded(replace(_ROOM, seed=seed))
     return _counted(fleet, _run(fleet, folder / str(seed), *COARSE, "run.workers=1"))
 

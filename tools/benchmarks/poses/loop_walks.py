@@ -1,11 +1,5 @@
-"""Whole logs through rooms that look alike, played as `play` does: the accepted loops, right and wrong.
-
-Four rooms in a row have one floor plan and one set of furniture, with a row of like cupboards along a wall. The robot
-looks round in each, and then goes back to one of them, or into a fifth that is like them; its odometry drifts. The
-images are cast from boxes, small, so that many walks are played.
-"""
-
-from __future__ import annotations
+"""Whole logs through rooms that look alike, played as `play` does: the accepted loops, right and wrong."""
+# Four like rooms in a row, then back to one or into a fifth; odometry drifts. Small images are cast from boxes.
 
 import tempfile
 from collections.abc import Sequence
@@ -61,10 +55,8 @@ class Closed:
 
 
 def walk_figures(options: Options) -> list[Figure]:
-    """Return how many loops of whole logs are wrong, and in how many walks that come back one is found.
-
-    The result of a walk is cached under `--state`; a later call continues.
-    """
+    """Return how many loops of whole logs are wrong, and in how many walks that come back one is found."""
+    # The result of a walk is cached under `--state`; a later call continues.
     folder = state_folder(options.state, "walks")
     num_walks = _QUICK_WALKS if options.quick else _NUM_WALKS
     walks = [_walk(options.seed, i) for i in range(num_walks)]
@@ -109,7 +101,6 @@ def _closed(walk: Walk) -> Closed:
 
 
 def _walk(seed: int, number: int) -> Walk:
-    """Return a seeded walk: every second one comes back; drift is the default or three times it in turn."""
     rng = np.random.default_rng((seed, 22, number))
     returns = number % 2 == 0
     boxes = [box for room in range(_NUM_ROOMS + 1) for box in _walls(room)]
@@ -143,7 +134,6 @@ def _walls(room: int) -> list[SceneBox]:
 
 
 def _piece(rng: np.random.Generator) -> SceneBox:
-    """Return a piece of furniture beside the path, in the frame of its room."""
     x, width, depth, height = rng.uniform(0.3, 3.2), *rng.uniform(0.3, 0.6, 2), rng.uniform(0.3, 0.9)
     red, green, blue = (int(c) for c in rng.integers(60, 200, 3))
     y = float(rng.uniform(0.1, 0.9 - depth))
@@ -156,7 +146,6 @@ def _at(room: int, box: SceneBox) -> SceneBox:
 
 
 def _poses(rooms: Sequence[int]) -> NDArray[np.float64]:
-    """Return poses (N, 4, 4) of a camera that goes from one room's middle to the next one's, and looks round there."""
     y, poses = 0.5 * sum(_DOOR_M), []
     x, heading = _PITCH_M * rooms[0] + 2.0, 0.0
     for room in rooms:
@@ -182,14 +171,11 @@ def _looking(x: float, y: float, heading: float) -> NDArray[np.float64]:
 
 
 class _Cast(SceneSource):
-    """The frames of a walk, cast from boxes at the true poses, with noise."""
-
     def __init__(self, walk: Walk) -> None:
         super().__init__(len(walk.true), walk.boxes, camera=_CAMERA)
         self._true = walk.true
 
     def cast(self, step: int) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int32]]:
-        """Return the images of a frame."""
         rgb, depth_m, instances = cast_scene(self._boxes, _CAMERA, self._true[step])
         noise = np.random.default_rng(step).standard_normal(depth_m.shape)
         depth_m = (depth_m + 0.002 * depth_m * depth_m * noise).astype(np.float32)

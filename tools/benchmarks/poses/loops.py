@@ -1,7 +1,5 @@
 """Loops through rooms that look alike: how many of them are found, and how many wrong ones are accepted."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
@@ -53,7 +51,6 @@ def loop_figures(options: Options) -> list[Figure]:
 
 
 def _accepted(rooms: list[SeenRoom]) -> list[Loop]:
-    """Search the last submap in the others and solve the graph; return the accepted loops."""
     config, later = GraphConfig(), len(rooms) - 1
     submaps = [_surveyed(i, room) for i, room in enumerate(rooms)]
     predicted = predictions(submaps, (), config, least_apart=LoopConfig().least_apart)
@@ -73,14 +70,7 @@ def _is_right(loop: Loop, rooms: list[SeenRoom]) -> bool:
 
 def _surveyed(submap_id: int, room: SeenRoom) -> SurveyedSubmap:
     return SurveyedSubmap(
-        id=submap_id,
-        world_from_submap=np.eye(4),
-        anchor=room.anchor,
-        way_m=room.way_m,
-        turn_rad=_TURN_RAD,
-        after_jump=False,
-        points=room.points.astype(np.float32),
-        normals=room.normals.astype(np.float32),
-        free=np.empty(0, np.int64),
-        voxel_m=0.05,
-    )
+        id=submap_id, world_from_submap=np.eye(4), anchor=room.anchor, way_m=room.way_m, turn_rad=_TURN_RAD,
+        after_jump=False, points=room.points.astype(np.float32), normals=room.normals.astype(np.float32),
+        free=np.empty(0, np.int64), voxel_m=0.05,
+    )  # fmt: skip

@@ -1,9 +1,5 @@
-"""Poses: odometry against truth, corridors without features along them, extrinsics of cameras, and fleets.
-
-Real data is read from `../shared/data` beside the checkout, or `$HICKORY_DATA`; without it there is no figure of it.
-"""
-
-from __future__ import annotations
+"""Poses: odometry against truth, corridors without features along them, extrinsics of cameras, and fleets."""
+# Real data is read from `../shared/data` beside the checkout, or `$HICKORY_DATA`; without it there is no figure of it.
 
 import os
 import tempfile
@@ -51,13 +47,9 @@ _ENDLESS = CorridorConfig(length_m=60.0, margin_m=20.0, range_m=12.0)
 _ROOM = CorridorConfig(length_m=8.0, width_m=6.0, margin_m=1.0, way_m=6.0)
 _EXTRINSICS_SEEDS = (7, 8, 9)
 _PARTS: dict[str, Callable[[Options], list[Figure]]] = {
-    "drift": lambda options: [*registration_figures(DEMO), *drift_figures(options)],
-    "fleet": fleet_figures,
-    "graph": graph_figures,
-    "loops": loop_figures,
-    "squares": square_figures,
-    "walks": walk_figures,
-}
+    "drift": lambda options: [*registration_figures(DEMO), *drift_figures(options)], "fleet": fleet_figures,
+    "graph": graph_figures, "loops": loop_figures, "squares": square_figures, "walks": walk_figures,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -75,11 +67,9 @@ class _Walked:
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method.
-
-    `--only` measures one part: `fleet`, the pose `graph`, the search for `loops`, `walks` through rooms that look
-    alike, logs whose odometry has `drift`, or `squares`, the calibration of alignment on whole maps.
-    """
+    """Return the figures; a quick run takes the demo for the worlds and shorter corridors, and no other method."""
+    # `--only` measures one part: `fleet`, the pose `graph`, the search for `loops`, `walks` through rooms that look
+    # alike, logs whose odometry has `drift`, or `squares`, the calibration of alignment on whole maps.
     if len(options.only) == 1 and options.only[0] in _PARTS:
         return _PARTS[options.only[0]](options)
     quick = options.quick
@@ -137,7 +127,6 @@ def _corridors(rooms: list[_Walked], *, quick: bool) -> list[Figure]:
 
 
 def _street(folder: Path) -> list[Figure]:
-    """Return how many sweeps of a street are registered, and how evenly: the car goes 0.81 m with each at the end."""
     odometry = make_odometry("lidar")
     found = [
         odometry.register(Scan(stamp_ns=i * 100_000_000, frame="lidar", points=_points_of(file)))
@@ -179,7 +168,6 @@ def _extrinsics() -> list[Figure]:
 
 
 def _frames(log: Path) -> Iterator[Posed]:
-    """Yield the depth frames of a log as scans, with the poses of the log."""
     source = open_source(log)
     for raw in source.frames():
         yield scan_of_depth(raw.decode()), raw.world_from_camera
@@ -187,7 +175,6 @@ def _frames(log: Path) -> Iterator[Posed]:
 
 
 def _walk(sensor: Sensor, walk: Iterable[Posed], method: MethodName | None = None, *, is_led: bool = False) -> _Walked:
-    """Return the result of an odometry on scans with true poses; `is_led`: the true motion predicts."""
     odometry = make_odometry(sensor, method)
     stamps_ns: list[int] = []
     poses: list[NDArray[np.float64]] = []
@@ -208,16 +195,12 @@ def _walk(sensor: Sensor, walk: Iterable[Posed], method: MethodName | None = Non
     moved = compose(invert(truth[0]), truth[-1])
     return _Walked(
         error=trajectory_error(stamps_ns, estimated, stamps_ns, truth),
-        end_error_m=float(np.linalg.norm(estimated[-1][:3, 3] - moved[:3, 3])),
-        num_scans=num_scans,
-        num_degenerate=num_degenerate,
-        ms=1e3 * spent_s / num_scans,
-        poses=estimated,
-    )
+        end_error_m=float(np.linalg.norm(estimated[-1][:3, 3] - moved[:3, 3])), num_scans=num_scans,
+        num_degenerate=num_degenerate, ms=1e3 * spent_s / num_scans, poses=estimated,
+    )  # fmt: skip
 
 
 def _points_of(file: Path) -> NDArray[np.float32]:
-    """Return the points (N, 3) of a binary PCD whose fields are four floats."""
     header, _, data = file.read_bytes().partition(b"DATA binary\n")
     count = next(int(line.split()[1]) for line in header.decode().splitlines() if line.startswith("POINTS"))
     return np.ascontiguousarray(np.frombuffer(data, np.float32, 4 * count).reshape(count, 4)[:, :3])

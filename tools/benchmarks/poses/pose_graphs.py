@@ -1,12 +1,6 @@
-"""The pose graph's solver on simulated graphs with known truth: time, loops accepted and rejected, drift removed.
-
-The graphs are rounds through a building by odometry that drifts, with true loops, and wrong ones.
-
-Wrong loops are of three kinds, in turn: a look-alike place somewhere else, a place seen again but off by a shelf or a
-desk (a row of like things), and one that is turned by half a turn.
-"""
-
-from __future__ import annotations
+"""The pose graph's solver on simulated graphs with known truth: time, loops accepted and rejected, drift removed."""
+# Wrong loops are of three kinds in turn: a look-alike elsewhere, a place off by a shelf or a desk, one turned by half a
+# turn.
 
 import time
 from dataclasses import dataclass
@@ -41,19 +35,11 @@ class SimulatedGraph:
 
 
 def simulated_graph(
-    rng: np.random.Generator,
-    config: GraphConfig,
-    *,
-    num_nodes: int = 300,
-    num_loops: int = 40,
-    num_wrong: int = 4,
-    drift: float = 1.0,
-    start_ns: int = 0,
-) -> SimulatedGraph:
-    """Return a graph; `drift` multiplies the drift of `tools.worlds.drift`.
-
-    A loop is found when its later node is, and a node is every five seconds from `start_ns` on.
-    """
+    rng: np.random.Generator, config: GraphConfig, *, num_nodes: int = 300, num_loops: int = 40, num_wrong: int = 4,
+    drift: float = 1.0, start_ns: int = 0,
+) -> SimulatedGraph:  # fmt: skip
+    """Return a graph; `drift` multiplies the drift of `tools.worlds.drift`."""
+    # A loop is found when its later node is, and a node is every five seconds from `start_ns` on.
     true = _walked(num_nodes)
     poses = _by_odometry(true, drift, rng)
     odometry = tuple(
@@ -82,7 +68,6 @@ def simulated_graph(
 
 
 def _walked(num_nodes: int) -> NDArray[np.float64]:
-    """Return the poses (N, 4, 4) along rounds of the route, a node every few metres."""
     ends = np.concatenate([_ROUTE, _ROUTE[:1]])
     lengths = np.linalg.norm(np.diff(ends, axis=0), axis=1)
     marks = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -124,15 +109,10 @@ def _loop(
         rotation_of_vector(rng.normal(0, _LOOP_SIGMA_RAD, 3)), rng.normal(0, _LOOP_SIGMA_M, 3)
     )
     return LoopEdge(
-        id=number,
-        earlier=a,
-        later=b,
-        earlier_from_later=a_from_b @ noise,
-        covariance=np.diag([_LOOP_SIGMA_RAD**2] * 3 + [_LOOP_SIGMA_M**2] * 3),
-        method="surface",
-        score=float(rng.uniform(5, 30)),
-        stamp_ns=start_ns + b * NODE_STEP_NS,
-    )
+        id=number, earlier=a, later=b, earlier_from_later=a_from_b @ noise,
+        covariance=np.diag([_LOOP_SIGMA_RAD**2] * 3 + [_LOOP_SIGMA_M**2] * 3), method="surface",
+        score=float(rng.uniform(5, 30)), stamp_ns=start_ns + b * NODE_STEP_NS,
+    )  # fmt: skip
 
 
 def graph_figures(options: Options) -> list[Figure]:

@@ -1,10 +1,6 @@
-"""Promises of the engine: one log one map, nothing lost to a kill, no stall, no growth, a quick stop.
-
-On the first seconds of the embedded recording, with coarse shapes where only the engine is measured. A quick run takes
-a smaller sample of each. A whole one takes hours: it can be stopped at any moment, and the next one continues.
-"""
-
-from __future__ import annotations
+"""Promises of the engine: one log one map, nothing lost to a kill, no stall, no growth, a quick stop."""
+# On the first seconds of the embedded recording, with coarse shapes where only the engine is measured. A quick run
+# takes a smaller sample of each. A whole one takes hours: it can be stopped at any moment, and the next one continues.
 
 import json
 import os
@@ -35,10 +31,9 @@ _SLOWER = 10.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sample:
-    """The size of a run: runs, kills and stops; frames of the log that each plays; seconds of the live runs.
+    """The size of a run: runs, kills and stops; frames of the log that each plays; seconds of the live runs."""
 
-    `variant_frames` are played as on other processors; None: all of them, with whole shapes, on all processors.
-    """
+    # `variant_frames` are played as on other processors; None: all of them, with whole shapes, on all processors.
 
     runs: int = 20
     kills: int = 100
@@ -70,25 +65,19 @@ class Work:
 
     @property
     def records(self) -> list[dict[str, Any]]:
-        """The records so far."""
         return self.repetitions.records
 
     def values(self, name: str) -> list[Any]:
-        """Return a value of each record."""
         return [record[name] for record in self.records]
 
     def random(self, name: str, index: int) -> random.Random:
-        """Return the generator of one repetition."""
         return random.Random(f"{name} {self.seed} {index}")
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures of the requested parts; each prints a line when it is done, or its time is up.
-
-    Raises:
-        InputError: there is no such part.
-        RuntimeError: another process is at one.
-    """
+    """Return the figures of the requested parts; each prints a line when it is done, or its time is up."""
+    # Raises InputError: there is no such part.
+    # Raises RuntimeError: another process is at one.
     if unknown := set(options.only) - set(_PARTS):
         raise InputError(f"no part {', '.join(sorted(unknown))}; parts are {', '.join(_PARTS)}")
     until = time.monotonic() + 60.0 * options.minutes
@@ -151,7 +140,6 @@ def _of_digests(work: Work) -> list[Figure]:
 
 
 def _disturb(pid: int, rng: random.Random, *, kills: bool, pauses: bool) -> int:
-    """Pause the process, kill one of its workers, or leave it; return how many were killed."""
     num_killed = 0
     with suppress(psutil.Error):
         process = psutil.Process(pid)
@@ -182,7 +170,6 @@ def _of_processors(work: Work) -> list[Figure]:
 
 
 def _kills(work: Work) -> None:
-    """Kill the whole process group at a random moment, resume, compare; find processes that are left."""
     frames, out = work.sample.frames, work.folder / "killed"
     # The first record is of an undisturbed run.
     for _ in work.repetitions.missing(1):
@@ -226,7 +213,6 @@ def _killed(work: Work) -> list[dict[str, Any]]:
 
 
 def _why_not_recovered(out: Path, frames: int, wanted: str) -> str | None:
-    """Return why a killed run's folder does not open and continue to the wanted map; None where it does."""
     if not (out / "manifest.json").exists():  # killed before it made anything
         digest = finished(play_coarsely(out, frames))["digest"]
         return None if digest == wanted else f"another digest when played again: {digest}"
@@ -246,7 +232,6 @@ def _why_not_recovered(out: Path, frames: int, wanted: str) -> str | None:
 
 
 def _stops(work: Work) -> None:
-    """Send SIGINT while keyframes are mapped; from there to the end of the process, with a complete saved map."""
     out = work.folder / "stopped"
     for i in work.repetitions.missing(work.sample.stops):
         process = play_coarsely(out, 120, *overridden("run.grace_s=0.0"))
@@ -285,10 +270,8 @@ def _of_live(work: Work) -> list[Figure]:
 
 
 def _soak(work: Work) -> None:
-    """Play the log round after round until the end of the soak, or of the time; store peaks every few seconds.
-
-    One process goes all the way, so a stopped one begins again as another attempt.
-    """
+    # Play the log round after round until the end of the soak, or of the time; store peaks every few seconds. One
+    # process goes all the way, so a stopped one begins again as another attempt.
     sample, repetitions, out, log = work.sample, work.repetitions, work.folder / "map", work.folder / "stderr"
     if repetitions.is_time_up or any(at_s >= sample.soak_s for at_s in work.values("at_s")):
         return
@@ -340,10 +323,6 @@ def _of_soak(work: Work) -> list[Figure]:
 
 
 _PARTS: dict[str, tuple[Callable[[Work], None], Callable[[Work], list[Figure]]]] = {
-    "digests": (_digests, _of_digests),
-    "kills": (_kills, _of_kills),
-    "stops": (_stops, _of_stops),
-    "live": (_live, _of_live),
-    "soak": (_soak, _of_soak),
-    "processors": (_processors, _of_processors),
-}
+    "digests": (_digests, _of_digests), "kills": (_kills, _of_kills), "stops": (_stops, _of_stops),
+    "live": (_live, _of_live), "soak": (_soak, _of_soak), "processors": (_processors, _of_processors),
+}  # fmt: skip

@@ -1,12 +1,6 @@
-"""The cost of a keyframe in a map of so many objects: one recorded walk, again and again, in a grid of rooms.
-
-The events of a short recorded run are given to the core room after room, each time `_PITCH_M` further; the files of the
-engine are written: the journal with its checkpoints, and the map folder as the disk sink saves it, views as empty
-files. There is no perception: only its request to the map, the prior, is made. Shapes are those of the recorded run,
-one after another. A keyframe then costs the work on the map, and the view is the same in every room.
-"""
-
-from __future__ import annotations
+"""The cost of a keyframe in a map of so many objects: one recorded walk, again and again, in a grid of rooms."""
+# The core gets the events of a short run room after room, each `_PITCH_M` further; journal, checkpoints and map folder
+# are written, views as empty files. Shapes are those of the run. Perception only asks for its prior.
 
 import argparse
 import itertools
@@ -79,12 +73,10 @@ class Walk:
 
     @property
     def first_ns(self) -> int:
-        """The stamp of the first keyframe."""
         return self.keyframes[0][0].stamp_ns
 
 
 def read_walk(folder: Path) -> Walk:
-    """Return the walk of a map folder."""
     keyframes: list[FrameObserved] = []
     features: defaultdict[int, Features] = defaultdict(dict)
     shapes: list[ObjectShape] = []
@@ -98,16 +90,12 @@ def read_walk(folder: Path) -> Walk:
                 shapes.append(event.shape)
         camera = journal.step(0).camera
     return Walk(
-        keyframes=tuple((event, features[event.frame_index]) for event in keyframes[::_EVERY]),
-        shapes=tuple(shapes),
-        camera=camera,
-        num_frames=keyframes[-1].frame_index + 1,
-        meshes=folder / "shapes",
-    )
+        keyframes=tuple((event, features[event.frame_index]) for event in keyframes[::_EVERY]), shapes=tuple(shapes),
+        camera=camera, num_frames=keyframes[-1].frame_index + 1, meshes=folder / "shapes",
+    )  # fmt: skip
 
 
 def keyframes_in(walk: Walk, room: int) -> Iterator[tuple[FrameObserved, Features]]:
-    """Yield the keyframes of the walk in a room, and the features of their masks."""
     # To and fro, so that the path from room to room is short.
     row, column = divmod(room, _ROOMS_WIDE)
     column = column if row % 2 == 0 else _ROOMS_WIDE - 1 - column
@@ -131,13 +119,10 @@ def keyframes_in(walk: Walk, room: int) -> Iterator[tuple[FrameObserved, Feature
             for one in event.observations
         )
         moved = replace(
-            event,
-            frame_index=event.frame_index + room * walk.num_frames,
-            stamp_ns=event.stamp_ns + room * length_ns,
-            world_from_camera=pose,
-            observations=observations,
+            event, frame_index=event.frame_index + room * walk.num_frames, stamp_ns=event.stamp_ns + room * length_ns,
+            world_from_camera=pose, observations=observations,
             space=replace(space, **{name: getattr(space, name) + step for name in names}),
-        )
+        )  # fmt: skip
         yield moved, features
 
 
@@ -170,12 +155,9 @@ def _features(effect: ComputeFeatures, features: Features) -> FeaturesReady:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cost:
-    """The cost of the keyframes of one room, with so many objects in the map before it.
+    """The cost of the keyframes of one room, with so many objects in the map before it."""
 
-    Processor milliseconds a keyframe: of the core and its prior, of journal and checkpoints, and of all; a save of the
-    changes of 20 keyframes; and one of the changes of the next one, in no other figure. Megabytes: of the process, of
-    the folder.
-    """
+    # Processor milliseconds a keyframe; a save of the changes of 20 keyframes, and one of the next one's; megabytes.
 
     objects: int
     keyframes: int
@@ -207,12 +189,10 @@ class Mapped:
 
     @property
     def snapshot(self) -> MapSnapshot:
-        """The map as it was published last."""
         assert self._published is not None
         return self._published.snapshot
 
     def room(self, index: int) -> Cost:
-        """Map one more room; return its cost."""
         self._times_s.clear()
         self._num_saves = 0
         objects = len(self.snapshot.objects) if self._published is not None else 0
@@ -221,19 +201,14 @@ class Mapped:
         keyframes, saves = len(self._walk.keyframes), max(1, self._num_saves)
         ms = {name: 1e3 * seconds for name, seconds in self._times_s.items()}
         return Cost(
-            objects=objects,
-            keyframes=keyframes,
-            core_ms=ms.get("core", 0.0) / keyframes,
-            journal_ms=ms.get("journal", 0.0) / keyframes,
-            save_all_ms=ms.get("save", 0.0) / saves,
+            objects=objects, keyframes=keyframes, core_ms=ms.get("core", 0.0) / keyframes,
+            journal_ms=ms.get("journal", 0.0) / keyframes, save_all_ms=ms.get("save", 0.0) / saves,
             save_ms=ms.get(_ONE, 0.0) / saves,
-            keyframe_ms=sum(value for name, value in ms.items() if name != _ONE) / keyframes,
-            rss_mb=resident_mb(),
+            keyframe_ms=sum(value for name, value in ms.items() if name != _ONE) / keyframes, rss_mb=resident_mb(),
             folder_mb=folder_mb(self._path),
-        )
+        )  # fmt: skip
 
     def close(self) -> None:
-        """Finish the journal, and the map."""
         self._journal.close()
         self._folder.save(self.snapshot)
         self._folder.finish(finished_cleanly=True)
@@ -284,18 +259,10 @@ class Mapped:
         assert self._published is not None
         pose = FramePose(index=event.frame_index, stamp_ns=event.stamp_ns, world_from_camera=event.world_from_camera)
         step = Step(
-            kind=StepKind.KEYFRAME,
-            stamp_ns=event.stamp_ns,
-            camera=self._walk.camera,
-            frames=(pose,),
-            round_index=0,
-            first_index=0,
-            first_ns=self._walk.first_ns,
-            num_frames=event.frame_index + 1,
-            num_keyframes=self._num_keyframes,
-            counts={},
-            shape_counts={},
-        )
+            kind=StepKind.KEYFRAME, stamp_ns=event.stamp_ns, camera=self._walk.camera, frames=(pose,), round_index=0,
+            first_index=0, first_ns=self._walk.first_ns, num_frames=event.frame_index + 1,
+            num_keyframes=self._num_keyframes, counts={}, shape_counts={},
+        )  # fmt: skip
         told = Told(decisions=self._published.decisions, submap_id=self.core.submaps[-1].id)
         entry = JournalEntry(step=step, events=tuple(done), told=told)
         self._journal.append(entry, known=self.core.snapshot())
@@ -333,11 +300,9 @@ def map_rooms(walk: Walk, folder: Path, num_objects: int) -> tuple[list[Cost], f
 
 
 def keyframe_ratio(walk: Walk, few: MapperCore, many: MapperCore, room: int) -> float:
-    """Return the processor time of the core for the keyframes of a room in one map over the time in another.
-
-    Both are given the same keyframes, turn by turn, so that other load slows both. The first ones, in which the window
-    moves there and a saved state is taken up, do not count.
-    """
+    """Return the processor time of the core for the keyframes of a room in one map over the time in another."""
+    # Both are given the same keyframes, turn by turn, so that other load slows both. The first ones, in which the
+    # window moves there and a saved state is taken up, do not count.
     spent_s: dict[int, list[float]] = {id(few): [], id(many): []}
     for i, (event, features) in enumerate(keyframes_in(walk, room)):
         for core in (few, many) if i % 2 else (many, few):

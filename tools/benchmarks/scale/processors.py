@@ -1,11 +1,6 @@
-"""Portability of maps: the same log is played while libraries choose their code as on other processors.
-
-Each variant has one of the libraries choose its code as on another machine, by that library's own switch; the last
-ones set all switches, and those of the workers alone. The kernels compiled by Numba are made for any x86-64 in one of
-them, which takes minutes.
-"""
-
-from __future__ import annotations
+"""Portability of maps: the same log is played while libraries choose their code as on other processors."""
+# Each variant has one library choose its code as on another machine, by the library's own switch; the last ones set all
+# switches. One compiles the kernels for any x86-64, which takes minutes.
 
 import os
 import sys
@@ -41,7 +36,6 @@ class Variant:
 
 
 def variants() -> tuple[Variant, ...]:
-    """Return this processor and the others that it can stand in for."""
     config = np.show_config(mode="dicts")
     assert config is not None
     # The groups of instructions for which NumPy has code beyond its least, and which this processor has.
@@ -52,12 +46,9 @@ def variants() -> tuple[Variant, ...]:
     environments = {
         "this one": {},
         **{f"BLAS of {core}": {"OPENBLAS_CORETYPE": core} for core in ("SkylakeX", "Haswell", "Zen", "Prescott")},
-        "NumPy without AVX-512": newest,
-        "NumPy without AVX2 and FMA": none,
-        "C library without AVX2 and FMA": _LIBC,
-        "OpenCV and JPEG without AVX, SSE4 and IPP": _IMAGES,
-        "all of these": oldest,
-    }
+        "NumPy without AVX-512": newest, "NumPy without AVX2 and FMA": none, "C library without AVX2 and FMA": _LIBC,
+        "OpenCV and JPEG without AVX, SSE4 and IPP": _IMAGES, "all of these": oldest,
+    }  # fmt: skip
     return (
         *(Variant(name=name, environment=environment) for name, environment in environments.items()),
         Variant(name="all of these, workers alone", environment=oldest, is_of_workers=True),

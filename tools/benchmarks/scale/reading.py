@@ -1,9 +1,5 @@
-"""Times of readers of a large map, in a process of its own: opening, looking back, a path, a picture.
-
-Processor time; the first path, which loads kernels, is not counted. Opening and the picture do count loading.
-"""
-
-from __future__ import annotations
+"""Times of readers of a large map, in a process of its own: opening, looking back, a path, a picture."""
+# Processor time; the first path, which loads kernels, is not counted. Opening and the picture do count loading.
 
 import sys
 import time
@@ -27,12 +23,10 @@ _TRIES = 20
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reading:
-    """Seconds of processor time; `space_seconds` is the grid that the paths are planned in.
+    """Seconds of processor time; `space_seconds` is the grid that the paths are planned in."""
 
-    `path_ms` is the median of `num_paths` that were found between places where the robot was. Of the map as it was
-    known at the middle of the run, `known_records_seconds` and then `known_points_seconds` are until each object's
-    record was read, and each object's points.
-    """
+    # `path_ms`: median of `num_paths`. `known_...`: until records, then points, of the map at the middle of the run
+    # were read.
 
     objects: int
     open_seconds: float
@@ -46,7 +40,6 @@ class Reading:
 
 
 def reading_of(folder: Path) -> Reading:
-    """Return the times of reading a map, from a process of its own."""
     return Reading(**json_of("-m", __name__, folder))
 
 
@@ -70,16 +63,11 @@ def _measured(folder: Path) -> Reading:
     began = time.process_time()
     render_map(saved, {1, 2}, _PICTURE_PX)
     return Reading(
-        objects=len(saved.snapshot.objects),
-        open_seconds=opened,
-        known_at_seconds=known_at,
-        known_records_seconds=records,
-        known_points_seconds=points,
-        space_seconds=space_seconds,
-        path_ms=float(np.median(found_ms)) if found_ms else None,
-        num_paths=len(found_ms),
+        objects=len(saved.snapshot.objects), open_seconds=opened, known_at_seconds=known_at,
+        known_records_seconds=records, known_points_seconds=points, space_seconds=space_seconds,
+        path_ms=float(np.median(found_ms)) if found_ms else None, num_paths=len(found_ms),
         render_seconds=time.process_time() - began,
-    )
+    )  # fmt: skip
 
 
 def _paths(saved: SavedMap, places: list[np.ndarray]) -> tuple[float, list[float]]:

@@ -1,14 +1,6 @@
-"""The costs of size: a keyframe in a large map, memory and disk, readers, large alignments, real time, a batch.
-
-Keyframes, memory, the folder and readers are measured on a recorded walk that is mapped again and again, room after
-room (`keyframe.py`): a thousand objects without rendering a building; the time of perception does not depend on the
-map. `--quick` does that with 200 objects, with a walk that is played coarsely, aligns 1,000 objects, and takes the
-embedded recording for `stages` and few short logs for `batch`. `--only` chooses of `keyframes`, `alignment`, `stages`,
-`batch`, `building`. The last one belongs to the whole run alone: a building of about 1,000 objects and 20 minutes in
-it, which takes hours where it is not in the cache.
-"""
-
-from __future__ import annotations
+"""The costs of size: a keyframe in a large map, memory and disk, readers, large alignments, real time, a batch."""
+# A recorded walk is mapped room after room (`keyframe.py`): a thousand objects without rendering a building; 200 for
+# `--quick`. The part `building`, 1,000 objects and 20 minutes, belongs to the whole run and takes hours.
 
 import heapq
 import os
@@ -157,11 +149,8 @@ def _stages(folder: Path, *, quick: bool) -> list[Figure]:
 
 
 def _batch(folder: Path, num_logs: int) -> list[Figure]:
-    """Return how much faster two workers of one core each are than one, and whether digests are as of single runs.
-
-    By the processor time of the tasks, handed to two workers in their order as each becomes free: the time of two cores
-    without other work. The time by the clock, which depends on other load, is printed beside.
-    """
+    # By the processor time of the tasks, handed to two workers in their order: the time of two cores without other
+    # work.
     logs = [
         cached_recording(RecordingConfig(seed=seed, seconds=_BATCH_SECONDS, rate_hz=6.0, width=320, height=180))[0]
         for seed in range(num_logs)
@@ -173,13 +162,9 @@ def _batch(folder: Path, num_logs: int) -> list[Figure]:
     walls, busiest, digests = [], [], []
     for count in (1, 2):
         plan = BatchPlan(
-            uris=tuple(map(str, logs)),
-            options=SourceOptions(),
-            out=folder / f"batch{count}",
-            mapper=read_config(MapperConfig, None, COARSE),
-            disk=DiskSinkConfig(),
-            workers=count,
-        )
+            uris=tuple(map(str, logs)), options=SourceOptions(), out=folder / f"batch{count}",
+            mapper=read_config(MapperConfig, None, COARSE), disk=DiskSinkConfig(), workers=count,
+        )  # fmt: skip
         os.sched_setaffinity(0, cores[:count])
         try:
             result = run_batch(plan)

@@ -1,11 +1,5 @@
-"""Processor time of a playback by stage, in a process of its own: the time of each thread for each of its calls.
-
-All work of a run is handed to executors; each call is timed by the processor time of its thread, so that neither other
-load nor waiting counts. The event loop and start-up are the rest of the process; shapes are built by child processes.
-Linux alone.
-"""
-
-from __future__ import annotations
+"""Processor time of a playback by stage, in a process of its own: the time of each thread for each of its calls."""
+# Each call to an executor is timed by the processor time of its thread; the event loop is the rest. Linux alone.
 
 import argparse
 import functools
@@ -29,14 +23,9 @@ from players import SourceOptions, make_source_note, open_from_note
 from tools.benchmarks.common.processes import folder_mb, json_of
 
 STAGE_BUDGETS_MS = {
-    "reading": 6.0,
-    "perception": 45.0,
-    "registration": 13.0,
-    "deciding": 20.0,
-    "shapes": 62.0,
-    "writing": 12.0,
+    "reading": 6.0, "perception": 45.0, "registration": 13.0, "deciding": 20.0, "shapes": 62.0, "writing": 12.0,
     "other": 9.0,
-}
+}  # fmt: skip
 """Processor time that a keyframe may take where two cores are to play keyframes of 4 Hz at three times real time.
 
 In all 2 / (3 * 4 Hz) = 167 ms; shared out about as the stages were to each other at commit 5029994.
@@ -53,10 +42,9 @@ _STAGES = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StageTimes:
-    """Seconds of processor time by stage, over so many keyframes of a log of so many seconds; `wall_s` of the run.
+    """Seconds of processor time by stage, over so many keyframes of a log of so many seconds; `wall_s` of the run."""
 
-    `map_mb` is the map folder with its journal and images; `calls` are the 25 longest calls.
-    """
+    # `map_mb` is the map folder with its journal and images; `calls` are the 25 longest calls.
 
     keyframes: int
     objects: int
@@ -77,7 +65,6 @@ class StageTimes:
 
 
 def stage_times(log: Path, out: Path) -> StageTimes:
-    """Return the times of a playback, from a process of its own."""
     return StageTimes(**json_of("-m", __name__, log, out))
 
 
@@ -101,7 +88,6 @@ class _Clock:
 
 
 def _name_of(function: Any) -> str:
-    """Return the name of a call: asyncio hands functions over within a context, bound to their arguments."""
     if isinstance(function, functools.partial):
         is_context = getattr(function.func, "__qualname__", "") == "Context.run" and function.args
         return _name_of(function.args[0] if is_context else function.func)
@@ -139,13 +125,10 @@ def _measured(log: Path, out: Path, overrides: list[str], frames: int | None) ->
     seconds["shapes"] = ended.children_user + ended.children_system
     return StageTimes(
         keyframes=int(json.loads((out / "ledger.json").read_text())["frames"]["keyframes"]),
-        objects=len(snapshot.objects),
-        log_s=(snapshot.stamp_ns - (source.info.start_ns or snapshot.stamp_ns)) / 1e9,
-        wall_s=time.monotonic() - began,
-        map_mb=folder_mb(out),
-        seconds=seconds,
+        objects=len(snapshot.objects), log_s=(snapshot.stamp_ns - (source.info.start_ns or snapshot.stamp_ns)) / 1e9,
+        wall_s=time.monotonic() - began, map_mb=folder_mb(out), seconds=seconds,
         calls=dict(sorted(clock.seconds.items(), key=lambda one: -one[1])[:25]),
-    )
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,7 +1,5 @@
 """Layers 3 and 4, and collision checks: how good, small, repeatable and fast they are. Seconds are CPU seconds."""
 
-from __future__ import annotations
-
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -30,10 +28,9 @@ _SIMPLE = ("box", "sphere", "cylinder", "ellipsoid", "capsule")
 
 
 def measure(options: Options) -> list[Figure]:
-    """Return the figures, and print a line per object; hollow objects are outside all means.
-
-    Shapes by others, and collisions, are measured in another process at the same time: seconds are those of processors.
-    """
+    """Return the figures, and print a line per object; hollow objects are outside all means."""
+    # Shapes by others, and collisions, are measured in another process at the same time: seconds are those of
+    # processors.
     if options.meshes:
         return _own_figures(options) + _of_collisions(options)
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -63,13 +60,10 @@ def _of_rows(rows: list[Row], *, with_simple: bool) -> list[Figure]:
     counts = {row.name: len(row.fitted) for row in rows}
     certificates = [row.grown.certificate for row in rows]
     return [
-        figure("meshes", len(rows)),
-        of("fit_seconds", "fit_seconds", "s"),
-        of("fit_seconds_max", "fit_seconds", "s", statistic=np.max),
-        of("iou_mean", "iou", better="higher"),
+        figure("meshes", len(rows)), of("fit_seconds", "fit_seconds", "s"),
+        of("fit_seconds_max", "fit_seconds", "s", statistic=np.max), of("iou_mean", "iou", better="higher"),
         of("iou_min", "iou", better="higher", statistic=np.min),
-        figure("primitives_mean", np.mean([*counts.values()]), "", "lower"),
-        of("distance_pct", "distance_pct", "%"),
+        figure("primitives_mean", np.mean([*counts.values()]), "", "lower"), of("distance_pct", "distance_pct", "%"),
         figure("uncovered_triangles", sum(one.uncovered_triangles for one in certificates), "", "lower"),
         figure("certified_fraction", np.mean([one.holds for one in certificates])),
         figure("fallback_boxes", sum(row.grown.is_fallback for row in rows), "", "lower"),
@@ -77,7 +71,7 @@ def _of_rows(rows: list[Row], *, with_simple: bool) -> list[Figure]:
         of("inflated_volume_ratio_max", "volume_ratio", "x", statistic=np.max),
         of("inflate_seconds", "inflate_seconds", "s"),
         *(figure(f"k_{name}", counts[name], "", "lower") for name in _SIMPLE if with_simple),
-    ]
+    ]  # fmt: skip
 
 
 def _of_scores(
@@ -105,7 +99,6 @@ def _of_scores(
 
 
 def _of_collisions(options: Options) -> list[Figure]:
-    """Return the speeds against 300 superquadrics in 10 x 10 x 2 m; any answer unlike brute force is an error."""
     rng = np.random.default_rng(options.seed + 1000)
     primitives = _random_primitives(rng, 300)
     scene = ClearanceScene()
@@ -129,10 +122,8 @@ def _of_collisions(options: Options) -> list[Figure]:
 
 
 def _of_sweeps(rows: list[Row], options: Options) -> list[Figure]:
-    """Return the speeds of sweeps, and the share of free sweeps that are called a hit; a false free one is an error.
-
-    In a scene of random superquadrics, and among the inflated objects in a room; a ball and a box, moved by 1 m.
-    """
+    # Return the speeds of sweeps, and the share of free sweeps that are called a hit; a false free one is an error. In
+    # a scene of random superquadrics, and among the inflated objects in a room; a ball and a box, moved by 1 m.
     rng = np.random.default_rng(options.seed + 2000)
     scenes = {"": (_random_primitives(rng, 300), (10.0, 10.0, 2.0)), "_room": (_in_a_room(rows, rng), (6.0, 6.0, 2.0))}
     bodies = {"ball": (0.1, np.zeros(3)), "box": (0.05, np.array([0.2, 0.2, 0.3]))}

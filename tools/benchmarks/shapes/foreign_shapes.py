@@ -1,10 +1,6 @@
-"""Layers 3 and 4 of shapes by others: every closed mesh of their rooms and scans, each shape once.
-
-A mesh is closed if, with equal vertices joined, each edge has two faces. Structure, such as a wall, is no object. Every
-other mesh of the rooms and scans for tuning is reported, and all of the rooms for reporting.
-"""
-
-from __future__ import annotations
+"""Layers 3 and 4 of shapes by others: every closed mesh of their rooms and scans, each shape once."""
+# A mesh is closed if, with equal vertices joined, each edge has two faces. Structure, such as a wall, is no object.
+# Every other mesh of the rooms and scans for tuning is reported, and all of the rooms for reporting.
 
 import json
 from collections.abc import Iterator

@@ -1,9 +1,5 @@
-"""Layer 2 by a generator: placement, judgement, blending, with a generator that spoils the truth by seed.
-
-No network is needed: the spoiling generator takes its place, so that each step after it is measured by itself.
-"""
-
-from __future__ import annotations
+"""Layer 2 by a generator: placement, judgement, blending, with a generator that spoils the truth by seed."""
+# No network is needed: the spoiling generator takes its place, so that each step after it is measured by itself.
 
 import multiprocessing
 import time
@@ -100,16 +96,9 @@ def _trial(subject: Subject, index: int, *, seed: int, how: How) -> Row | None:
     started = time.process_time()
     placement = refiner.place(given.mesh, seen.made_from)
     row = Row(
-        kind=subject.kind,
-        given=given,
-        placement=None,
-        adds=np.inf,
-        scale_error=np.inf,
-        seconds=time.process_time() - started,
-        f1=0.0,
-        evidence=None,
-        seen=seen,
-    )
+        kind=subject.kind, given=given, placement=None, adds=np.inf, scale_error=np.inf,
+        seconds=time.process_time() - started, f1=0.0, evidence=None, seen=seen,
+    )  # fmt: skip
     if not isinstance(placement, MeshPlacement):
         return row
     true, diameter = exposed(seen.mesh_world), diameter_m(seen.mesh_world.vertices)
@@ -171,10 +160,8 @@ def _of_judgement(
 
 
 def kept_figures(name: str, outcomes: list[Outcome | None], num_wrong: int, what: str) -> list[Figure]:
-    """Return how many wrong shapes a map would keep, and the cost: F1 of the fused shape less F1 of the kept one.
-
-    `outcomes` are those of the accepted ones; for the other wrong ones the fused shape stays and nothing is lost.
-    """
+    """Return how many wrong shapes a map would keep, and the cost: F1 of the fused shape less F1 of the kept one."""
+    # `outcomes` are those of the accepted ones; for the other wrong ones the fused shape stays and nothing is lost.
     less = [found.fused - found.blended for found in outcomes if found is not None and found.is_kept]
     worse = sum(one > _WORSE_F1 for one in less)
     losses = [*less, *[0.0] * (num_wrong - len(less))]

@@ -1,7 +1,5 @@
 """The outcome for a generated shape: blended and fused surface beside the truth, and which of the two is kept."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +43,6 @@ class Row:
 
     @property
     def is_accepted(self) -> bool:
-        """Whether the judgement accepts the mesh."""
         return self.evidence is not None and judged(self.evidence, JudgementConfig()).is_accepted
 
 
@@ -59,15 +56,13 @@ class Outcome:
 
 
 def exposed(mesh: Mesh) -> NDArray[np.float64]:
-    """Return (N, 3) samples of the surface of a mesh that is visible from outside: models have parts within others.
-
-    A mesh that is made of a solid has none of the inner surface: with it in the truth, the F1 of a bed is at most 0.87.
-    """
+    """Return (N, 3) samples of the surface of a mesh that is visible from outside: models have parts within others."""
+    # A mesh that is made of a solid has none of the inner surface: with it in the truth, the F1 of a bed is at most
+    # 0.87.
     return exposed_samples(mesh, 2 * _SAMPLES, np.random.default_rng(0))[0][:_SAMPLES].astype(np.float64)
 
 
 def placed_mesh(mesh: Mesh, placement: MeshPlacement) -> Mesh:
-    """Return the mesh in the world."""
     return plain_mesh(apply(placement.world_from_mesh, mesh.vertices.astype(np.float64)), mesh.faces)
 
 

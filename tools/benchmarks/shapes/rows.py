@@ -1,7 +1,5 @@
 """One object of `tools/bench shapes`: its layers 3 and 4 beside the truth, in figures and as a picture."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator
@@ -49,7 +47,6 @@ class Row:
 
     @property
     def state(self) -> str:
-        """Layer 4 in a word."""
         return "box" if self.grown.is_fallback else "certified" if self.grown.certificate.holds else "NOT COVERED"
 
 
@@ -64,16 +61,12 @@ def row_of(
     grown = _inflated(mesh, fitted)
     solid = Solid(mesh)
     row = Row(
-        name=name,
-        fitted=fitted,
-        kind=found.kind,
-        grown=grown,
-        fit_seconds=fit_seconds,
+        name=name, fitted=fitted, kind=found.kind, grown=grown, fit_seconds=fit_seconds,
         inflate_seconds=best_s(lambda: _inflated(mesh, fitted), 2 if options.quick else 4),
         iou=sampled_iou(solid, fitted) if is_thin else volumetric_iou(solid, fitted),
         distance_pct=math.nan if is_thin else surface_distance_pct(solid, fitted),
         volume_ratio=grown_volume_ratio(solid, grown.primitives, MARGIN_M, cells=56 if options.quick else 96),
-    )
+    )  # fmt: skip
     print(
         f"{name:<20} {fit_seconds:6.2f} s  K {len(fitted):2d} {found.kind:<8}  IoU {row.iou:.3f}  "
         f"distance {row.distance_pct:.2f} %  "
@@ -103,7 +96,6 @@ def _render(folder: Path, row: Row, upright: trimesh.Trimesh, upright_from_mesh:
 
 
 def fit(mesh: trimesh.Trimesh) -> Fitted:
-    """Return layer 3 of a mesh."""
     count = len(mesh.vertices)
     return fitted_shape(
         Mesh(
@@ -129,12 +121,10 @@ def warm_up() -> None:
 
 
 def rotation(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a random rotation (4, 4)."""
     return np.asarray(trimesh.transformations.random_rotation_matrix(rng.random(3)))
 
 
 def turned(mesh: trimesh.Trimesh, turn: NDArray[np.float64]) -> trimesh.Trimesh:
-    """Return a copy of a mesh, turned."""
     return mesh.copy().apply_transform(turn)
 
 
@@ -144,7 +134,6 @@ def of_diameter_one(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def disturbed(mesh: trimesh.Trimesh, rng: np.random.Generator) -> Iterator[tuple[str, trimesh.Trimesh]]:
-    """Return a mesh turned, with noise, and stretched, each with its name."""
     yield "self_rotation", turned(mesh, rotation(rng))
     # Noise on a mesh of eight vertices would be another shape: edges of at most a twentieth first.
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, 0.05, max_iter=30)

@@ -1,7 +1,5 @@
 """What shapes are compared with: occupancy and distances by ray casting, independent of the code that is measured."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -94,10 +92,8 @@ def volumetric_iou(solid: Solid, primitives: Superquadrics) -> float:
 
 
 def sampled_iou(solid: Solid, primitives: Superquadrics, samples: int = 20_000) -> float:
-    """Return the intersection over union of the solids from points in the primitives, however thin these are.
-
-    Points are drawn by seed; the mesh is closed.
-    """
+    """Return the intersection over union of the solids from points in the primitives, however thin these are."""
+    # Points are drawn by seed; the mesh is closed.
     rng = np.random.default_rng(4)
     volumes = volumes_m3(primitives)
     counts = np.ceil(samples * volumes / volumes.sum()).astype(int)
@@ -132,10 +128,8 @@ def surface_distance_pct(solid: Solid, primitives: Superquadrics) -> float:
 
 
 def grown_volume_ratio(solid: Solid, inflated: Superquadrics, margin_m: float, cells: int = 96) -> float:
-    """Return the volume of the union of inflated primitives over the volume of the solid grown by the margin.
-
-    Both are counted in `cells` along the longest side.
-    """
+    """Return the volume of the union of inflated primitives over the volume of the solid grown by the margin."""
+    # Both are counted in `cells` along the longest side.
     low, high = np.asarray(solid.mesh.bounds)
     points = grid_points(low - 2 * margin_m, high + 2 * margin_m, cells)
     grown = solid.contains(points)

@@ -1,7 +1,5 @@
 """The objects of `tools/bench layer2`: models of the own worlds, and single things of rooms by others."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -52,10 +50,8 @@ def own_subjects(count: int, seed: int) -> list[Subject]:
 
 
 def foreign_subjects(worlds: Path, names: tuple[str, ...], most: int | None = None) -> list[Subject]:
-    """Return the things of these worlds, each mesh once, by kind; the other one of its class is another mesh of it.
-
-    At most `most`, spread over the kinds.
-    """
+    """Return the things of these worlds, each mesh once, by kind; the other one of its class is another mesh of it."""
+    # At most `most`, spread over the kinds.
     meshes: dict[str, dict[str, Mesh]] = {}
     for name in names:
         folder = worlds / name
@@ -76,7 +72,6 @@ def foreign_subjects(worlds: Path, names: tuple[str, ...], most: int | None = No
 
 
 def _read(file: Path) -> Mesh | None:
-    """Return a mesh that stands on z = 0; None where it cannot be read, or is no single thing of a usual size."""
     try:
         mesh = mesh_of_glb(file.read_bytes())
     except ValueError:

@@ -1,9 +1,5 @@
-"""Playback of a log through perception and the core in one thread: layer 1 as `play` makes it, without shapes.
-
-Masks are scored as they come in playback, each keyframe with the map as it is after the one before.
-"""
-
-from __future__ import annotations
+"""Playback of a log through perception and the core in one thread: layer 1 as `play` makes it, without shapes."""
+# Masks are scored as they come in playback, each keyframe with the map as it is after the one before.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -33,7 +29,6 @@ class PlayedKeyframe:
 
 
 def keyframes_of(log: Path, config: MapperConfig, max_keyframes: int | None = None) -> Iterator[Frame]:
-    """Yield the keyframes of a log, decoded."""
     source = open_source(str(log))
     try:
         last, count = None, 0
@@ -50,13 +45,9 @@ def keyframes_of(log: Path, config: MapperConfig, max_keyframes: int | None = No
 
 
 def play_first_layer(
-    log: Path,
-    *,
-    config: MapperConfig | None = None,
-    segmenter: Segmenter | None = None,
-    extractor: FeatureExtractor | None = None,
-    max_keyframes: int | None = None,
-) -> Iterator[PlayedKeyframe]:
+    log: Path, *, config: MapperConfig | None = None, segmenter: Segmenter | None = None,
+    extractor: FeatureExtractor | None = None, max_keyframes: int | None = None,
+) -> Iterator[PlayedKeyframe]:  # fmt: skip
     """Yield every keyframe of a log with what perception and the core made of it; shapes are answered with failures."""
     config = config or MapperConfig()
     segmenter = segmenter or make_segmenter(config.perception)

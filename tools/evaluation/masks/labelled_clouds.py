@@ -1,10 +1,6 @@
-"""Labelled single-view clouds: organised PCD files with an instance label per point, as frames with their truth.
-
-The files hold no pose. A frame's world is z up, as a mapper expects it: up is the normal of the plane
-that most of the cloud lies on or above, found without the labels.
-"""
-
-from __future__ import annotations
+"""Labelled single-view clouds: organised PCD files with an instance label per point, as frames with their truth."""
+# The files hold no pose. A frame's world is z up, as a mapper expects it: up is the normal of the plane that most of
+# the cloud lies on or above, found without the labels.
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,18 +33,12 @@ class LabelledFrame:
 
     @property
     def min_pixels(self) -> int:
-        """The size from which on things count."""
         return min_pixels(self.truth)
 
 
 def load_cloud(path: Path) -> LabelledFrame:
-    """Return one cloud as a frame.
-
-    Labels of one ten (30, 31) are pieces of one thing that something else divides in the image.
-
-    Raises:
-        RecordingError: the file is no organised PCD with the fields label, x, y, z and rgba.
-    """
+    # Labels of one ten (30, 31) are pieces of one thing that something else divides in the image.
+    # Raises RecordingError: the file is no organised PCD with the fields label, x, y, z and rgba.
     try:
         fields, width, height = _read_pcd(path.read_bytes())
     except (ValueError, KeyError, IndexError) as error:
@@ -76,18 +66,13 @@ def load_cloud(path: Path) -> LabelledFrame:
 
 
 def score_cloud(cloud: LabelledFrame, config: PerceptionConfig | None = None) -> MaskScore:
-    """Return the score of the embedded segmenter on a cloud, without any map."""
     masks = make_segmenter(config or PerceptionConfig()).segment(cloud.frame).instances
     truth = np.where(cloud.truth == 0, UNKNOWN, np.where(cloud.truth == 1, 0, cloud.truth))
     return score_masks(masks, truth, cloud.min_pixels)
 
 
 def clouds_in(folder: Path) -> list[Path]:
-    """Return the clouds of a folder, by name.
-
-    Raises:
-        RecordingError: there are none.
-    """
+    # Raises RecordingError: there are none.
     paths = sorted(folder.glob("*.pcd"))
     if not paths:
         raise RecordingError(f"{folder} holds no *.pcd files; name a folder of labelled clouds with --clouds")
@@ -131,7 +116,6 @@ def _read_pcd(data: bytes) -> tuple[dict[str, NDArray[np.generic]], int, int]:
 
 @numba.njit(cache=True)
 def _decompress(packed, out):  # type: ignore[no-untyped-def] # pragma: no cover
-    """Undo LZF: runs of literals, and references to earlier output; return the length, -1 if damaged."""
     i, o = 0, 0
     while i < len(packed):
         control = np.int64(packed[i])

@@ -1,11 +1,6 @@
-"""Scores of the masks of one image against its truth: F1 at IoU 0.5 and the best IoU.
-
-A mask is right when its IoU with a true thing is over 0.5; no mask can be right twice, for masks do not overlap. Pixels
-of which the truth is not known, or that show things too small to count, count neither for nor against a mask; a mask
-mostly on such pixels is left out, and so is, as in COCO, a wrong mask that is itself too small to count.
-"""
-
-from __future__ import annotations
+"""Scores of the masks of one image against its truth: F1 at IoU 0.5 and the best IoU."""
+# No mask is right twice. Pixels of unknown truth, and of things too small, do not count; a mask mostly on them, and a
+# wrong mask too small to count (as in COCO), is left out.
 
 import dataclasses
 from collections.abc import Iterable
@@ -25,12 +20,10 @@ UNKNOWN = -1
 
 @dataclass(frozen=True, slots=True)
 class MaskScore:
-    """Counts over one image or several: true things and masks that count, and the right ones.
+    """Counts over one image or several: true things and masks that count, and the right ones."""
 
-    `best_iou_sum` is the sum over true things of the IoU with the best mask; `num_large` of the true things are over
-    1 % of the image, and `large_found` of them have a right mask.
-    """
-
+    # `best_iou_sum` is the sum over true things of the IoU with the best mask; `num_large` of the true things are over
+    # 1 % of the image, and `large_found` of them have a right mask.
     num_things: int = 0
     num_masks: int = 0
     num_right: int = 0
@@ -55,10 +48,8 @@ class MaskScore:
 
 
 def score_masks(masks: NDArray[np.int32], truth: NDArray[np.int32], min_pixels: int) -> MaskScore:
-    """Return the score of (H, W) masks 1..n against (H, W) truth: 0 = no thing, `UNKNOWN` = not known, else a thing.
-
-    Things of fewer than `min_pixels` are too small to count.
-    """
+    """Return the score of (H, W) masks 1..n against (H, W) truth: 0 = no thing, `UNKNOWN` = not known, else a thing."""
+    # Things of fewer than `min_pixels` are too small to count.
     ids, place, pixels = np.unique(truth, return_inverse=True, return_counts=True)
     num_masks = int(masks.max(initial=0))
     shared = np.bincount(
@@ -70,10 +61,7 @@ def score_masks(masks: NDArray[np.int32], truth: NDArray[np.int32], min_pixels: 
 def score_overlaps(
     shared: NDArray[np.int64], ids: NDArray[Any], pixels: NDArray[np.int64], min_pixels: int, size: int
 ) -> MaskScore:
-    """Return the score of masks of which `shared` (masks, T) pixels show each of `ids` (T,), as in `score_masks`.
-
-    `pixels` (T,) of the image, which has `size` in all, show each.
-    """
+    # `pixels` (T,) of the image, which has `size` in all, show each.
     counts = (ids > 0) & (pixels >= min_pixels)
     ignored = (ids == UNKNOWN) | ((ids > 0) & ~counts)
     aside = shared[:, ignored].sum(axis=1)
@@ -85,17 +73,12 @@ def score_overlaps(
     best = iou.max(axis=0, initial=0.0)
     large = pixels[counts] > LARGE_SHARE * size
     return MaskScore(
-        num_things=int(counts.sum()),
-        num_masks=int(stays.sum()),
-        num_right=int((best > RIGHT_IOU).sum()),
-        best_iou_sum=float(best.sum()),
-        num_large=int(large.sum()),
-        large_found=int((large & (best > RIGHT_IOU)).sum()),
-    )
+        num_things=int(counts.sum()), num_masks=int(stays.sum()), num_right=int((best > RIGHT_IOU).sum()),
+        best_iou_sum=float(best.sum()), num_large=int(large.sum()), large_found=int((large & (best > RIGHT_IOU)).sum()),
+    )  # fmt: skip
 
 
 def total(scores: Iterable[MaskScore]) -> MaskScore:
-    """Return the sum of scores."""
     every = [dataclasses.astuple(score) for score in scores]
     return MaskScore(*map(sum, zip(*every, strict=True)))
 

@@ -1,7 +1,5 @@
 """The thirteen test meshes of the shapes, and two hollow ones: made with trimesh, in metres, standing on z = 0."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
@@ -25,7 +23,6 @@ def _torus(major: float, minor: float) -> trimesh.Trimesh:
 
 
 def _handle(x: float, z: float) -> trimesh.Trimesh:
-    """Return an upright torus; the half on the near side of x is hidden in the mug."""
     handle = _torus(0.032, 0.007)
     handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     handle.apply_translation([x, 0, z])
@@ -33,7 +30,6 @@ def _handle(x: float, z: float) -> trimesh.Trimesh:
 
 
 def _organic() -> trimesh.Trimesh:
-    """Return the smooth blend of three ellipsoids, from their summed Gaussian fields."""
     from skimage.measure import marching_cubes
 
     axis = np.linspace(-0.4, 0.4, 81)

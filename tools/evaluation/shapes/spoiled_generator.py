@@ -1,11 +1,6 @@
-"""A generator that knows the truth, and spoils it by seed: `tools/bench layer2` places and judges its meshes.
-
-It turns and scales the true mesh (by 0.3 to 3), and, where it spoils, stretches it by up to 20 % along each axis,
-invents what the best view does not show, smooths it and adds noise. Instead it may give another object of the same
-class, or the mirror image. The transform of the part that is not invented stays known.
-"""
-
-from __future__ import annotations
+"""A generator that knows the truth, and spoils it by seed: `tools/bench layer2` places and judges its meshes."""
+# Spoilt: stretched by up to 20 % an axis, unseen surface invented, smoothed, noisy; or another object of the class, or
+# the mirror image. The transform of the true part stays known.
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -49,17 +44,14 @@ class Generated:
 
 
 def plain_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Mesh:
-    """Return a grey mesh with no seen vertex."""
     count = len(vertices)
     colors = np.full((count, 3), 150, np.uint8)
     return Mesh(vertices=vertices, faces=faces, colors=colors, is_seen=np.zeros(count, bool))
 
 
 def sighted(mesh: Mesh, rng: np.random.Generator, num_views: int, *, num_held_out: int = 2) -> Sighted | None:
-    """Return an object (its mesh stands on z = 0) somewhere on a floor, seen along an arc, at times behind a box.
-
-    None where no view shows enough of it.
-    """
+    """Return an object (its mesh stands on z = 0) somewhere on a floor, seen along an arc, at times behind a box."""
+    # None where no view shows enough of it.
     turn = yaw_rotation(float(rng.uniform(0, 2 * np.pi)))
     place = np.array([*rng.uniform(-3, 3, 2), rng.uniform(0, 1)])
     vertices = mesh.vertices.astype(np.float64) @ turn.T + place
@@ -83,12 +75,9 @@ def sighted(mesh: Mesh, rng: np.random.Generator, num_views: int, *, num_held_ou
     )
     fused = centers_of_keys(np.unique(keys_of_points(points, 0.02)), 0.02)
     inputs = ShapeInputs(
-        crops=tuple(shown),
-        points_world=fused.astype(np.float32),
-        colors=np.full((len(fused), 3), 150, np.uint8),
-        box=gravity_aligned_box(fused.astype(np.float64), 0.01),
-        support_z_m=float(low[2]),
-    )
+        crops=tuple(shown), points_world=fused.astype(np.float32), colors=np.full((len(fused), 3), 150, np.uint8),
+        box=gravity_aligned_box(fused.astype(np.float64), 0.01), support_z_m=float(low[2]),
+    )  # fmt: skip
     held_out = tuple(crop for crop in crops[num_views:] if crop is not None)
     return Sighted(mesh_world=world, made_from=inputs, held_out=held_out)
 
@@ -125,7 +114,6 @@ def generated(seen: Sighted, rng: np.random.Generator, *, is_spoiled: bool, othe
 def _invented(
     seen: Sighted, vertices: NDArray[np.float64], middle: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Return vertices of which those hidden from the best view are moved along it, the farther the more."""
     crop, faces = seen.made_from.crops[0], seen.mesh_world.faces
     forward, camera = crop.world_from_camera[:3, 2], crop.world_from_camera[:3, 3] - middle
     depth, rays = vertices @ forward, vertices - camera
@@ -161,7 +149,6 @@ def _smoothed(vertices: NDArray[np.float64], faces: NDArray[np.int32], rounds: i
 def _scene(
     world: Mesh, low: NDArray[np.float64], high: NDArray[np.float64], first: float, rng: np.random.Generator
 ) -> Scene:
-    """Return the object on a floor, in a third of the cases with a box before it."""
     size = float(np.linalg.norm(high - low))
     foot = np.array([*((low + high) / 2)[:2], low[2]])
     corners = np.array([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]]) + foot
@@ -184,7 +171,6 @@ def _surface(vertices: NDArray[np.float64], faces: NDArray[np.int32], owner: int
 
 
 def _crop(scene: Scene, pose: NDArray[np.float64], rng: np.random.Generator) -> Crop | None:
-    """Return the view of a depth camera with its noise; None where it shows hardly anything of the object."""
     rays = backproject(np.ones(_SIZE, np.float32), _CAMERA).reshape(-1, 3) @ pose[:3, :3].T
     lengths = np.linalg.norm(rays, axis=1)
     hits = scene.cast(np.broadcast_to(pose[:3, 3], rays.shape), rays / lengths[:, None])
@@ -200,16 +186,12 @@ def _crop(scene: Scene, pose: NDArray[np.float64], rng: np.random.Generator) -> 
     x0, x1 = max(int(columns.min()) - _MARGIN_PX, 0), min(int(columns.max()) + 1 + _MARGIN_PX, _CAMERA.width)
     rgb = np.where(mask[..., None], np.uint8(170), np.uint8(90)) * np.ones(3, np.uint8)
     return Crop(
-        rgb=rgb[y0:y1, x0:x1],
-        depth_m=depth[y0:y1, x0:x1].astype(np.float32),
-        mask=mask[y0:y1, x0:x1],
-        camera=_CAMERA.cropped(x0, y0, x1, y1),
-        world_from_camera=pose,
-    )
+        rgb=rgb[y0:y1, x0:x1], depth_m=depth[y0:y1, x0:x1].astype(np.float32), mask=mask[y0:y1, x0:x1],
+        camera=_CAMERA.cropped(x0, y0, x1, y1), world_from_camera=pose,
+    )  # fmt: skip
 
 
 def _looking_at(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return world_from_camera of a level camera at `eye`: x right, y down, z towards the target."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0, 0, 1])
     right /= np.linalg.norm(right)

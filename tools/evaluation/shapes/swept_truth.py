@@ -1,7 +1,5 @@
 """The clearance of a swept body from a superquadric by slow search: the reference of the sweep kernels."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,17 +10,11 @@ _AROUND = 40
 
 
 def swept_distance_m(
-    primitives: Superquadrics,
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    half_extents_m: NDArray[np.float64],
-    *,
-    reach_m: float,
-) -> float:
-    """Return how near the box moved from `start` to `end` (3,) comes to any primitive, at most `reach_m`.
-
-    Below 0 where it touches, then without the depth. To about a micrometre.
-    """
+    primitives: Superquadrics, start: NDArray[np.float64], end: NDArray[np.float64],
+    half_extents_m: NDArray[np.float64], *, reach_m: float,
+) -> float:  # fmt: skip
+    """Return how near the box moved from `start` to `end` (3,) comes to any primitive, at most `reach_m`."""
+    # Below 0 where it touches, then without the depth. To about a micrometre.
     bounds = world_bounds(primitives)
     low = np.minimum(start, end) - half_extents_m - reach_m
     high = np.maximum(start, end) + half_extents_m + reach_m
@@ -31,17 +23,11 @@ def swept_distance_m(
 
 
 def _widest_slab(
-    primitives: Superquadrics,
-    index: int,
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
+    primitives: Superquadrics, index: int, start: NDArray[np.float64], end: NDArray[np.float64],
     half: NDArray[np.float64],
-) -> float:
-    """Return the largest distance between two parallel planes that keep body and primitive apart.
-
-    By duality it is that between the two. Over directions it has no local maxima above 0: a net over the sphere, then
-    nets that shrink around the best direction.
-    """
+) -> float:  # fmt: skip
+    # The widest slab, by duality the distance: without local maxima above 0 over directions, so a net over the sphere,
+    # then shrinking nets.
     rng = np.random.default_rng(index)
     directions, width = _sphere(_NET), 0.1
     best, at = -np.inf, directions[0]
@@ -59,7 +45,6 @@ def _widest_slab(
 
 
 def _sphere(count: int) -> NDArray[np.float64]:
-    """Return (count, 3) unit vectors spread evenly."""
     steps = np.arange(count) + 0.5
     polar, turn = np.arccos(1 - 2 * steps / count), np.pi * (1 + 5**0.5) * steps
     return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)

@@ -1,17 +1,13 @@
-"""Seeded pairs of maps of places that look alike: symmetric rooms, rows of like chairs, and buildings of like rooms.
-
-What is alike is one model at several places: the same shape and the same descriptor but for the noise of an
-observation. `breaking` objects stand where nothing answers to them, and tell the true alignment from the others. A
-place without any of them cannot be decided, and an answer about it is right by luck alone; two or more decide it.
-"""
-
-from __future__ import annotations
+"""Seeded pairs of maps of places that look alike: symmetric rooms, rows of like chairs, and buildings of like rooms."""
+# Copies share shape and descriptor but for noise. `breaking` objects tell the true alignment; a place with none cannot
+# be decided, two or more decide it.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, invert, yaw_rotation
 from tools.evaluation.simulated_maps.simulate import (
@@ -22,9 +18,6 @@ from tools.evaluation.simulated_maps.simulate import (
     random_pose,
 )
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 AmbiguousKind = Literal["symmetric", "repeated", "identical-rooms", "different-rooms"]
 
 _AREA_PER_OBJECT_M2, _HEIGHT_M = 2.5, 1.5
@@ -33,16 +26,11 @@ _WALL_M = 0.5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AmbiguousConfig:
-    """One pair of maps of a place that looks alike.
+    """One pair of maps of a place that looks alike."""
 
-    `symmetric`: a room of about `num_objects` that is the same after a turn by 360 / `order` degrees; both maps are of
-    all of it. `repeated`: a grid of about `num_objects` like chairs, of which each map has a part, shifted against the
-    other's. `identical-rooms`: `num_rooms` rooms in each map, all furnished the same with `num_objects` each; none is
-    in both, or one where `breaking` objects are in every room. `different-rooms`: as many rooms, all different, of
-    which one is in both. Copies stand off by `jitter_m` on each level axis. Each map
-    has the share `seen` of what it could have. `tilt_deg` is between the maps.
-    """
-
+    # `symmetric`: equal after 360 / `order` degrees. `repeated`: a grid of like chairs, a shifted part in each map.
+    # `identical-rooms`: `num_rooms` rooms in each map, none in both, or one where rooms have `breaking` objects.
+    # `different-rooms`: all differ, one is in both. `jitter_m` on each level axis; `seen`: share in a map.
     kind: AmbiguousKind
     num_objects: int = 24
     order: int = 2
@@ -65,7 +53,6 @@ Corner = tuple[float, float]
 def uniform(
     world: SimulatedWorld, rng: np.random.Generator, count: int, low_m: Corner, high_m: Corner
 ) -> list[SimulatedObject]:
-    """Return so many objects at random places of a rectangle."""
     places = rng.uniform([*low_m, 0.0], [*high_m, _HEIGHT_M], (count, 3))
     return [world.new_object(place) for place in places]
 
@@ -75,10 +62,8 @@ Draw = Callable[[SimulatedWorld, np.random.Generator, int, Corner, Corner], list
 
 
 def simulate_ambiguous(config: AmbiguousConfig, seed: int, draw: Draw = uniform) -> SimulatedPair:
-    """Return two maps of one place, the same for the same seed; `common` is empty where they share nothing.
-
-    `draw` says how the place is furnished before things of it are repeated.
-    """
+    """Return two maps of one place, the same for the same seed; `common` is empty where they share nothing."""
+    # `draw` says how the place is furnished before things of it are repeated.
     rng = np.random.default_rng([seed, 9])
     place = _Place(world=SimulatedWorld(config.difficulty, rng), rng=rng, jitter_m=config.jitter_m, draw=draw)
     objects, in_a, in_b = _PLACES[config.kind](place, config)
@@ -99,19 +84,15 @@ def simulate_ambiguous(config: AmbiguousConfig, seed: int, draw: Draw = uniform)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Place:
-    """What a place is drawn from; the copies of an object stand off by `jitter_m`."""
-
     world: SimulatedWorld
     rng: np.random.Generator
     jitter_m: float
     draw: Draw
 
     def drawn(self, count: int, low_m: Corner, high_m: Corner) -> list[SimulatedObject]:
-        """Return so many objects in a rectangle."""
         return self.draw(self.world, self.rng, count, low_m, high_m) if count else []
 
     def copies(self, objects: list[SimulatedObject], there_from_here: NDArray[np.float64]) -> list[SimulatedObject]:
-        """Return the same models elsewhere."""
         copied = []
         for item in objects:
             off = np.array([*self.rng.normal(0.0, self.jitter_m, 2), 0.0])
@@ -123,7 +104,6 @@ _Seen = tuple[list["SimulatedObject"], "NDArray[np.bool_]", "NDArray[np.bool_]"]
 
 
 def _symmetric(place: _Place, config: AmbiguousConfig) -> _Seen:
-    """Return a room around the origin: a wedge of it, and its copies all around."""
     half_m = float(np.sqrt(_AREA_PER_OBJECT_M2 * config.num_objects)) / 2
     low = (0.2, -half_m) if config.order == 2 else (0.2, 0.2)
     wedge = place.drawn(config.num_objects // config.order, low, (half_m, half_m))
@@ -137,7 +117,6 @@ def _symmetric(place: _Place, config: AmbiguousConfig) -> _Seen:
 
 
 def _repeated(place: _Place, config: AmbiguousConfig) -> _Seen:
-    """Return a grid of like chairs, a window of it for each map; breaking objects stand where the windows overlap."""
     side = int(np.ceil(np.sqrt(config.num_objects)))
     pitch_m = place.rng.uniform(0.8, 1.6, 2)
     shift = place.rng.integers(-2, 3, 2)
@@ -157,7 +136,6 @@ def _repeated(place: _Place, config: AmbiguousConfig) -> _Seen:
 
 
 def _rooms(place: _Place, config: AmbiguousConfig) -> _Seen:
-    """Return rooms in a row, those of map a first; breaking objects of each, and then one room in both."""
     side_m = float(np.sqrt(_AREA_PER_OBJECT_M2 * config.num_objects))
     are_alike = config.kind == "identical-rooms"
     shared = 0 if are_alike and not config.breaking else 1
@@ -178,9 +156,4 @@ def _rooms(place: _Place, config: AmbiguousConfig) -> _Seen:
     return objects, of < config.num_rooms, of >= config.num_rooms - shared
 
 
-_PLACES = {
-    "symmetric": _symmetric,
-    "repeated": _repeated,
-    "identical-rooms": _rooms,
-    "different-rooms": _rooms,
-}
+_PLACES = {"symmetric": _symmetric, "repeated": _repeated, "identical-rooms": _rooms, "different-rooms": _rooms}

@@ -1,11 +1,6 @@
-"""Object maps of furnished places without rendering: the objects of `hickory_stream.worlds`, seen with noise.
-
-Layer 3 of an object has a box for each of its parts, its descriptor is drawn for its kind and instance (as in
-`evaluation.maps.simulate`, whose noise this is). Furniture stands as people put it: along walls, in groups, at the
-heights of floors and tables, and two apartments have the same kinds of things. There is no observed space.
-"""
-
-from __future__ import annotations
+"""Object maps of furnished places without rendering: the objects of `hickory_stream.worlds`, seen with noise."""
+# Layer 3 has a box for each part; descriptors are drawn by kind and instance, with the noise of `simulate`. There is no
+# observed space.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,8 +33,6 @@ _DRAWS = 4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Furniture:
-    """An object of a place: layer 3, a number for its kind, and the index of its room."""
-
     shape: Superquadrics
     kind: int
     room: int
@@ -108,7 +101,6 @@ def _new(world: SimulatedWorld, furniture: Sequence[_Furniture]) -> list[Simulat
 
 @cache
 def _apartment(seed: int) -> tuple[_Furniture, ...]:
-    """Return what stands in an apartment; to draw one takes a second."""
     place = apartment(seed)
     middles = np.array([((x0 + x1) / 2, (y0 + y1) / 2) for x0, y0, x1, y1 in place.rooms_m])
     return tuple(

@@ -1,10 +1,6 @@
-"""Rooms in a row that look alike, as the surfaces of submaps, and a robot that comes back to one, or does not.
-
-The rooms have one floor plan and one set of furniture, of which none, or one piece a room, differs. The robot's
-odometry drifts by more than the pose graph assumes. Nothing here shares code with the search.
-"""
-
-from __future__ import annotations
+"""Rooms in a row that look alike, as the surfaces of submaps, and a robot that comes back to one, or does not."""
+# The rooms have one floor plan and one set of furniture, of which none, or one piece a room, differs. The robot's
+# odometry drifts by more than the pose graph assumes. Nothing here shares code with the search.
 
 from dataclasses import dataclass
 
@@ -24,11 +20,9 @@ Patch = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SeenRoom:
-    """A submap: `points` and `normals` (N, 3) as the odometry has them, `odometry_from_world` (4, 4), and its node.
+    """A submap: `points` and `normals` (N, 3) as the odometry has them, `odometry_from_world` (4, 4), and its node."""
 
-    `room` is the number of the room that it shows, `way_m` the length of the way in it.
-    """
-
+    # `room` is the number of the room that it shows, `way_m` the length of the way in it.
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
     odometry_from_world: NDArray[np.float64]
@@ -38,7 +32,6 @@ class SeenRoom:
 
 
 def patch(corner: list[float], u: list[float], v: list[float], normal: list[float]) -> Patch:
-    """Return points of a parallelogram from a corner along u and v, with one normal."""
     along, across = np.array(u), np.array(v)
     counts = [max(2, round(float(np.linalg.norm(side)) / STEP_M)) for side in (along, across)]
     s, t = (grid.ravel() for grid in np.meshgrid(*(np.linspace(0, 1, n, endpoint=False) for n in counts)))
@@ -69,15 +62,9 @@ def bare_room(x: float, width: float = _WIDTH_M, depth: float = _DEPTH_M) -> lis
 
 
 def walk(rng: np.random.Generator, *, sigma_m: float, sigma_rad: float, returns: bool, differs: bool) -> list[SeenRoom]:
-    """Return the submaps of a walk through all rooms and then into one of them, or into a further one like them.
-
-    Args:
-        rng: draws furniture, drift and the seen part.
-        sigma_m: the graph's assumption of the odometry's error from one room to the next ...
-        sigma_rad: ... and of the error of its heading.
-        returns: whether the last room was visited before.
-        differs: whether each room has a piece of its own.
-    """
+    """Return the submaps of a walk through all rooms and then into one of them, or into a further one like them."""
+    # `sigma_m` and `sigma_rad`: the graph's assumption of the error from room to room; `returns`: the last room was
+    # visited before; `differs`: each room has a piece of its own.
     shared = [_piece(rng) for _ in range(3)]
     own = [_piece(rng) if differs else None for _ in range(_NUM_ROOMS + 1)]
     last = int(rng.integers(0, _NUM_ROOMS - 1)) if returns else _NUM_ROOMS
@@ -114,17 +101,12 @@ def _seen(
     anchor = np.eye(4)
     anchor[:2, 3], anchor[2, 3] = middle[:2], 1.2
     return SeenRoom(
-        points=points @ drift[:3, :3].T + drift[:3, 3],
-        normals=normals[is_seen] @ drift[:3, :3].T,
-        odometry_from_world=drift,
-        anchor=drift @ anchor,
-        room=room,
-        way_m=way_m,
-    )
+        points=points @ drift[:3, :3].T + drift[:3, 3], normals=normals[is_seen] @ drift[:3, :3].T,
+        odometry_from_world=drift, anchor=drift @ anchor, room=room, way_m=way_m,
+    )  # fmt: skip
 
 
 def _motion(rng: np.random.Generator, sigma_m: float, sigma_rad: float, *, about_x_m: float) -> NDArray[np.float64]:
-    """Return a small level motion about a place."""
     turn = yaw_rotation(rng.normal(0, sigma_rad))
     place = np.array([about_x_m, 1.5, 0.0])
     return from_rotation_translation(turn, place - turn @ place + np.array([*rng.normal(0, sigma_m, 2), 0.0]))

@@ -17,11 +17,9 @@ if TYPE_CHECKING:
 
 
 class MovedSource:
-    """The frames of another source, with `new_from_old` (4, 4) applied to every pose.
+    """The frames of another source, with `new_from_old` (4, 4) applied to every pose."""
 
-    The transform must keep z up.
-    """
-
+    # The transform must keep z up.
     def __init__(self, source: Source, new_from_old: NDArray[np.float64]) -> None:
         if abs(float(new_from_old[2, 2]) - 1.0) > 1e-9:
             raise ValueError("a source may be moved and turned about the vertical, not tilted")
@@ -30,11 +28,9 @@ class MovedSource:
 
     @property
     def info(self) -> SourceInfo:
-        """The info of the other source."""
         return self._source.info
 
     def frames(self) -> Iterator[RawFrame]:
-        """Yield the other source's frames, moved."""
         for frame in self._source.frames():
             yield replace(
                 frame,
@@ -43,11 +39,9 @@ class MovedSource:
             )
 
     def ledger(self) -> Mapping[str, int]:
-        """Return the ledger of the other source."""
         return self._source.ledger()
 
     def close(self) -> None:
-        """Close the other source."""
         self._source.close()
 
     def _decoded(self, raw: RawFrame) -> Frame:

@@ -1,21 +1,16 @@
-"""A seeded simulator of pairs of overlapping object maps with outliers, noise and tilt.
-
-Objects stand in a square of 2.5 m^2 each, at heights of 0 to 1.5 m; each map's frame is where its robot started. Some
-are in both maps; the rest (the outliers) have no counterpart, but stand in the same square. Each map sees an object
-with its own noise: 5 cm on each axis of the centroid, exponents +-0.1, semi-axes +-6 %, primitives that are lost, a
-descriptor that is a little off. Descriptors are vectors, built so that their cosines have the wanted means and spreads:
-without the spread a threshold on the cosine alone would solve everything.
-"""
-
-from __future__ import annotations
+"""A seeded simulator of pairs of overlapping object maps with outliers, noise and tilt."""
+# Objects stand in 2.5 m^2 each, up to 1.5 m high; outliers are in one map alone. Each map sees them with its own noise:
+# 5 cm an axis, exponents +-0.1, semi-axes +-6 %, lost primitives. Cosines of descriptors have the wanted means and
+# spreads: without the spread a threshold would solve everything.
 
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.geometry.boxes import OrientedBox
@@ -37,9 +32,6 @@ from hickory_stream.geometry.superquadric import (
     taken,
 )
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 Difficulty = Literal["easy", "hard"]
 
 _AREA_PER_OBJECT_M2, _HEIGHT_M, _NOISE_M = 2.5, 1.5, 0.05
@@ -50,13 +42,11 @@ _INSTANCE_EXPONENTS, _INSTANCE_AXES = 0.05, 0.05
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SimulationConfig:
-    """One pair of maps.
+    """One pair of maps."""
 
-    `num_objects` in each map, of which the share `outliers` has no counterpart in the other; `tilt_deg` is the angle
-    between the verticals of the two maps, about a random horizontal axis. `easy`: 25 classes, in which every object has
-    its own shape. `hard`: 6 classes of one shape each, with nearly identical instances.
-    """
-
+    # `num_objects` in each map, of which the share `outliers` has no counterpart in the other; `tilt_deg` is the angle
+    # between the verticals of the two maps, about a random horizontal axis. `easy`: 25 classes, in which every object
+    # has its own shape. `hard`: 6 classes of one shape each, with nearly identical instances.
     num_objects: int = 40
     outliers: float = 0.75
     difficulty: Difficulty = "easy"
@@ -100,28 +90,14 @@ class _Descriptors:
 # Means of the cosines: same object 1 - noise, same class common + per_class, other common, each times (1 - noise).
 _DESCRIPTORS = {
     "easy": _Descriptors(
-        classes=25,
-        common=0.266,
-        per_class=0.532,
-        per_instance=0.202,
-        noise=0.06,
-        class_dimensions=17,
-        instance_dimensions=7,
-        noise_dimensions=12,
-        noise_shape=0.75,
+        classes=25, common=0.266, per_class=0.532, per_instance=0.202, noise=0.06, class_dimensions=17,
+        instance_dimensions=7, noise_dimensions=12, noise_shape=0.75,
     ),
     "hard": _Descriptors(
-        classes=6,
-        common=0.269,
-        per_class=0.720,
-        per_instance=0.011,
-        noise=0.07,
-        class_dimensions=40,
-        instance_dimensions=7,
-        noise_dimensions=12,
-        noise_shape=4.0,
+        classes=6, common=0.269, per_class=0.720, per_instance=0.011, noise=0.07, class_dimensions=40,
+        instance_dimensions=7, noise_dimensions=12, noise_shape=4.0,
     ),
-}
+}  # fmt: skip
 
 
 def simulate_pair(config: SimulationConfig, seed: int) -> SimulatedPair:
@@ -163,10 +139,9 @@ class SimulatedObject:
 
     @property
     def place(self) -> NDArray[np.float64]:
-        """The centroid (3,)."""
         return centroid_world(self.shape)
 
-    def moved(self, there_from_here: NDArray[np.float64]) -> SimulatedObject:
+    def moved(self, there_from_here: NDArray[np.float64]) -> "SimulatedObject":
         """Return the same model at another place: `there_from_here` (4, 4)."""
         return SimulatedObject(shape=moved(self.shape, there_from_here), signal=self.signal)
 
@@ -182,8 +157,7 @@ class SimulatedWorld:
         self._classes = [_direction(rng, self._parts.class_dimensions) for _ in range(self._parts.classes)]
         self._class_shapes = rng.integers(len(real_fits()), size=self._parts.classes)
 
-    def new_object(self, place: NDArray[np.float64]) -> SimulatedObject:
-        """Return a true object whose centroid is at `place`."""
+    def new_object(self, place: NDArray[np.float64]) -> "SimulatedObject":
         rng = self._rng
         class_index = int(rng.integers(self._parts.classes))
         signal = self._signal(class_index)
@@ -194,33 +168,24 @@ class SimulatedWorld:
         turned = moved(shape, from_rotation_translation(yaw_rotation(rng.uniform(0, 2 * np.pi)), np.zeros(3)))
         return SimulatedObject(shape=_centered(turned, place), signal=signal)
 
-    def object_of(self, shape: Superquadrics, kind: int) -> SimulatedObject:
-        """Return a new instance of a kind with a shape of its own; there are no more classes than the world has."""
+    def object_of(self, shape: Superquadrics, kind: int) -> "SimulatedObject":
         return SimulatedObject(shape=shape, signal=self._signal(kind % self._parts.classes))
 
     def _signal(self, class_index: int) -> NDArray[np.float64]:
-        """Return what a descriptor of a new instance of a class is without noise."""
         parts = self._parts
-        return np.concatenate(
-            [
-                np.sqrt(parts.common) * self._common,
-                np.sqrt(parts.per_class) * self._classes[class_index],
-                np.sqrt(parts.per_instance) * _direction(self._rng, parts.instance_dimensions),
-            ]
-        )
+        return np.concatenate([
+            np.sqrt(parts.common) * self._common, np.sqrt(parts.per_class) * self._classes[class_index],
+            np.sqrt(parts.per_instance) * _direction(self._rng, parts.instance_dimensions),
+        ])  # fmt: skip
 
     def observe(self, objects: list[SimulatedObject], map_from_world: NDArray[np.float64]) -> ObjectMap:
-        """Return the map of the objects by one robot."""
         shapes = tuple(self._observed_shape(item, map_from_world) for item in objects)
         features = np.array([self._observed_descriptor(item) for item in objects], dtype=np.float32)
         return ObjectMap(
-            ids=np.arange(len(objects)),
-            centroids=np.array([centroid_world(shape) for shape in shapes]).reshape(-1, 3),
-            features=features if len(objects) else None,
-            shapes=shapes,
-            boxes=tuple(_box(shape) for shape in shapes),
+            ids=np.arange(len(objects)), centroids=np.array([centroid_world(shape) for shape in shapes]).reshape(-1, 3),
+            features=features if len(objects) else None, shapes=shapes, boxes=tuple(_box(shape) for shape in shapes),
             points=(None,) * len(objects),
-        )
+        )  # fmt: skip
 
     def _observed_shape(self, item: SimulatedObject, map_from_world: NDArray[np.float64]) -> Superquadrics:
         rng = self._rng
@@ -262,7 +227,6 @@ def real_fits() -> tuple[Superquadrics, ...]:
 
 
 def _varied(shape: Superquadrics, exponents: float, axes: float, rng: np.random.Generator) -> Superquadrics:
-    """Return the shape with normal noise on its exponents, and relative noise on its semi-axes."""
     return Superquadrics(
         exponents=np.clip(
             shape.exponents + rng.normal(0, exponents, shape.exponents.shape), MIN_EXPONENT, MAX_EXPONENT
@@ -277,7 +241,6 @@ def _centered(shape: Superquadrics, place: NDArray[np.float64]) -> Superquadrics
 
 
 def _box(shape: Superquadrics) -> OrientedBox:
-    """Return the box around a shape along the axes of its map."""
     centers, reach = shape.world_from_local[:, :3, 3], support_reach(shape, np.eye(3))
     low, high = (centers - reach).min(axis=0), (centers + reach).max(axis=0)
     return OrientedBox(
@@ -291,10 +254,8 @@ def _direction(rng: np.random.Generator, dimensions: int) -> NDArray[np.float64]
 
 
 def random_pose(tilt_deg: float, side_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return `map_from_world` of a robot that starts at a random place of the square, looking anywhere.
-
-    Its idea of gravity is off by `tilt_deg` about a random level axis.
-    """
+    """Return `map_from_world` of a robot that starts at a random place of the square, looking anywhere."""
+    # Its idea of gravity is off by `tilt_deg` about a random level axis.
     from scipy.spatial.transform import Rotation
 
     azimuth, yaw = rng.uniform(0, 2 * np.pi, 2)
@@ -302,3 +263,45 @@ def random_pose(tilt_deg: float, side_m: float, rng: np.random.Generator) -> NDA
     start = np.array([*rng.uniform(-side_m / 2, side_m / 2, 2), 0.0])
     rotation = tilt @ yaw_rotation(yaw)
     return from_rotation_translation(rotation, -rotation @ start)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FleetMapsConfig:
+    """`num_maps` of about `num_objects` each, each of a square at a random place."""
+
+    # The place is so large that a map overlaps about `overlaps` others; `seen` is the share of the objects there that a
+    # robot has found.
+    num_maps: int = 20
+    num_objects: int = 40
+    overlaps: float = 4.0
+    seen: float = 0.7
+    difficulty: Difficulty = "hard"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FleetMaps:
+    """The maps, and how many objects each two (a, b), a < b, have in common, where they have any."""
+
+    maps: tuple[ObjectMap, ...]
+    common: dict[tuple[int, int], int]
+
+
+def simulate_fleet(config: FleetMapsConfig, seed: int) -> FleetMaps:
+    rng = np.random.default_rng([seed, 9])
+    world = SimulatedWorld(config.difficulty, rng)
+    side = float(np.sqrt(_AREA_PER_OBJECT_M2 * config.num_objects / config.seen))
+    # Two squares of side s at random in one of side S touch with a chance of about (2 s / S)^2.
+    whole = max(side, 2 * side * float(np.sqrt((config.num_maps - 1) / config.overlaps)))
+    total = round((whole + side) ** 2 / _AREA_PER_OBJECT_M2)
+    places = rng.uniform([0, 0, 0], [whole + side, whole + side, _HEIGHT_M], (total, 3))
+    objects = [world.new_object(place) for place in places]
+    maps, seen = [], []
+    for low in rng.uniform(0, whole, (config.num_maps, 2)):
+        inside = ((places[:, :2] >= low) & (places[:, :2] < low + side)).all(axis=1)
+        found = rng.permutation(np.flatnonzero(inside & (rng.random(total) < config.seen)))
+        maps.append(world.observe([objects[i] for i in found], random_pose(0.0, side, rng)))
+        seen.append(set(found.tolist()))
+    common = {
+        (a, b): len(seen[a] & seen[b]) for a in range(len(seen)) for b in range(a + 1, len(seen)) if seen[a] & seen[b]
+    }
+    return FleetMaps(maps=tuple(maps), common=common)

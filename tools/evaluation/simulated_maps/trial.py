@@ -1,26 +1,19 @@
 """One simulated alignment and how good it was: the errors where the maps overlap, and the floor that noise allows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hickory_stream.alignment.answer import Alignment
-from hickory_stream.alignment.methods import align_by
+from hickory_stream.alignment.methods import Method, align_by
 from hickory_stream.alignment.registration import information
 from hickory_stream.geometry.rigid import apply, invert
 from tools.evaluation.alignment_table import AlignmentError, error_of
-from tools.evaluation.simulated_maps.simulate import SimulationConfig, simulate_pair
+from tools.evaluation.simulated_maps.simulate import SimulatedPair, SimulationConfig, simulate_pair
 from tools.evaluation.simulated_maps.variants import with_points
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.methods import Method
-    from tools.evaluation.simulated_maps.simulate import SimulatedPair
 # The median over the RMS of the length of a normally distributed vector, in three dimensions and in one.
 _MEDIAN_3, _MEDIAN_1 = 0.888, 0.6745
 _SIGMA_M = 0.05 * np.sqrt(2.0)
@@ -38,12 +31,10 @@ class Trial:
 
     @property
     def is_success(self) -> bool:
-        """Whether it was aligned correctly."""
         return self.error is not None and self.error.is_success
 
     @property
     def is_wrong(self) -> bool:
-        """Whether it was aligned incorrectly."""
         return self.error is not None and not self.error.is_success
 
 
@@ -58,12 +49,9 @@ def run_trial(config: SimulationConfig, seed: int, method: Method = "sq") -> Tri
     if not isinstance(answer, Alignment):
         return Trial(error=None, refusal=answer.refusal.value, num_pairs=0, log10_chance=None, num_common=common)
     return Trial(
-        error=error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)),
-        refusal=None,
-        num_pairs=len(answer.pairs),
-        log10_chance=answer.log10_chance,
-        num_common=common,
-    )
+        error=error_of(answer.a_from_b, pair.a_from_b, overlap_b(pair)), refusal=None, num_pairs=len(answer.pairs),
+        log10_chance=answer.log10_chance, num_common=common,
+    )  # fmt: skip
 
 
 def normalised_square(answer: Alignment, true_a_from_b: NDArray[np.float64]) -> float:
@@ -82,10 +70,8 @@ def overlap_b(pair: SimulatedPair) -> NDArray[np.float64]:
 
 
 def noise_floor(config: SimulationConfig, seed: int) -> tuple[float, float]:
-    """Return the median errors (metres at the overlap, degrees) of an efficient estimate that knows all true pairs.
-
-    It is the Cramer-Rao bound, with known gravity if the maps are level.
-    """
+    """Return the median errors (metres at the overlap, degrees) of an efficient estimate that knows all true pairs."""
+    # It is the Cramer-Rao bound, with known gravity if the maps are level.
     pair = simulate_pair(config, seed)
     points = pair.common_centroids_a
     total = information(points, np.full(len(points), _SIGMA_M), points.mean(axis=0))

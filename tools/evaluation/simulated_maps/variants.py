@@ -1,22 +1,15 @@
 """Variants of an object map: in another frame, bent by drift, mirrored."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.alignment.object_map import ObjectMap
 from hickory_stream.geometry.boxes import OrientedBox
 from hickory_stream.geometry.rigid import apply, from_rotation_translation, yaw_rotation
-from hickory_stream.geometry.superquadric import log_implicit_value, moved
+from hickory_stream.geometry.superquadric import Superquadrics, log_implicit_value, moved
 from hickory_stream.geometry.superquadric_surface import surface_points
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.alignment.object_map import ObjectMap
-    from hickory_stream.geometry.superquadric import Superquadrics
 
 _REACH_M = 5.0
 
@@ -27,15 +20,12 @@ def random_frame(rng: np.random.Generator, reach_m: float = _REACH_M) -> NDArray
 
 
 def moved_map(objects: ObjectMap, new_from_old: NDArray[np.float64]) -> ObjectMap:
-    """Return the same map in another frame."""
     return _placed(objects, np.broadcast_to(new_from_old, (len(objects), 4, 4)), new_from_old)
 
 
 def bent_map(objects: ObjectMap, yaw_deg_per_m: float) -> ObjectMap:
-    """Return the map as made with odometry whose heading drifts along x; every object stays rigid.
-
-    An object x metres from the map's first end is rotated by x times `yaw_deg_per_m` about the vertical.
-    """
+    """Return the map as made with odometry whose heading drifts along x; every object stays rigid."""
+    # An object x metres from the map's first end is rotated by x times `yaw_deg_per_m` about the vertical.
     start = objects.centroids[:, 0].min() if len(objects) else 0.0
     poses = np.empty((len(objects), 4, 4))
     rate = np.radians(yaw_deg_per_m)
@@ -62,7 +52,6 @@ def with_points(objects: ObjectMap, count: int = 150) -> ObjectMap:
 
 
 def _cloud(shape: Superquadrics, count: int) -> NDArray[np.float32]:
-    """Return points on each primitive, in proportion to its area, without those inside another primitive."""
     shares = shape.semi_axes_m.prod(axis=1) ** (2 / 3)
     counts = np.maximum(np.round(count * shares / shares.sum()), 8).astype(np.int64)
     kept = []
@@ -76,7 +65,6 @@ def _cloud(shape: Superquadrics, count: int) -> NDArray[np.float32]:
 def _placed(
     objects: ObjectMap, new_from_old: NDArray[np.float64], submaps_new_from_old: NDArray[np.float64]
 ) -> ObjectMap:
-    """Return the map with each object moved by one of (N, 4, 4) transforms."""
     return replace(
         objects,
         centroids=np.array(

@@ -1,25 +1,14 @@
-"""Strategies compared: means over true objects, and what S is better by, object by object, with its certainty.
+"""Strategies compared: means over true objects, and what S is better by, object by object, with its certainty."""
+# Objects of one scene depend on one another: differences are drawn by scene (cluster bootstrap: Davison and Hinkley,
+# Bootstrap Methods and their Application, section 3.8); of few scenes by object, which the table says.
 
-Objects of one scene are not independent of one another: they share a walk, a light, a map. So differences are drawn
-again scene by scene (the cluster bootstrap: Davison and Hinkley, Bootstrap Methods and their Application, section 3.8).
-Of few scenes that says too little of the spread between scenes; there it is object by object, and the table says so.
-"""
-
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tools.evaluation.views.trials import BEST, OURS, STRATEGIES
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from tools.evaluation.views.trials import ViewTrial
+from tools.evaluation.views.trials import BEST, OURS, STRATEGIES, ViewTrial
 
 _RESAMPLES = 10_000
 _FEWEST_SCENES = 10
@@ -27,11 +16,9 @@ _FEWEST_SCENES = 10
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PairedDifference:
-    """The mean difference between two figures of the same objects, its 95 % interval, and the p-value of "none".
+    """The mean difference between two figures of the same objects, its 95 % interval, and the p-value of "none"."""
 
-    `p_value` is two-sided, by the bootstrap, and never below one draw of it.
-    """
-
+    # `p_value` is two-sided, by the bootstrap, and never below one draw of it.
     mean: float
     low: float
     high: float
@@ -40,12 +27,10 @@ class PairedDifference:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StrategyScore:
-    """Means over the true objects of all logs, 0 for one without a shape; `common_` over those that the map holds.
+    """Means over the true objects of all logs, 0 for one without a shape; `common_` over those that the map holds."""
 
-    `s_minus_this` is by how much the mean F1 at 5 % of S is higher, None for S itself. The strategy `best` is the best
-    view of those that were tried, by truth.
-    """
-
+    # `s_minus_this` is by how much the mean F1 at 5 % of S is higher, None for S itself. The strategy `best` is the
+    # best view of those that were tried, by truth.
     strategy: str
     f1_5pct: float
     f1_1cm: float
@@ -85,7 +70,6 @@ def paired_difference(differences: Sequence[NDArray[np.float64]]) -> PairedDiffe
 
 
 def format_comparison(scores: Sequence[StrategyScore]) -> str:
-    """Return the table of strategies, and whether S is the best."""
     lines = [
         f"{'strategy':<14}{'F1 5 %':>9}{'F1 1 cm':>9}{'ADD-S .1':>10}{'ADD-S .05':>11}{'F1 of common':>14}"
         f"{'S better by':>13}{'95 %':>18}{'p':>8}"
@@ -131,17 +115,12 @@ def _score(strategy: str, scenes: Sequence[Sequence[ViewTrial]]) -> StrategyScor
         return float(np.mean([one is not None and one.add_s_m < limit * trial.diameter_m for trial, one in found]))
 
     return StrategyScore(
-        strategy=strategy,
-        f1_5pct=float(np.concatenate(f1).mean()),
+        strategy=strategy, f1_5pct=float(np.concatenate(f1).mean()),
         f1_1cm=float(np.mean([one.f1_1cm if (one := trial.scores.get(strategy)) else 0.0 for trial in trials])),
-        adds_10=success(0.1),
-        adds_05=success(0.05),
-        common_f1_5pct=float(np.mean(common)) if common else 0.0,
-        num_objects=len(trials),
-        num_common=len(common),
-        num_scenes=sum(bool(scene) for scene in scenes),
+        adds_10=success(0.1), adds_05=success(0.05), common_f1_5pct=float(np.mean(common)) if common else 0.0,
+        num_objects=len(trials), num_common=len(common), num_scenes=sum(bool(scene) for scene in scenes),
         s_minus_this=None if strategy == OURS else paired_difference([a - b for a, b in zip(ours, f1, strict=True)]),
-    )
+    )  # fmt: skip
 
 
 def _f1(trial: ViewTrial, strategy: str) -> float:

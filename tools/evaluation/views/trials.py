@@ -7,54 +7,43 @@ is, as truth has it, of those that were tried: the strategies' and the ones that
 Every view that a run had of its objects, kept by a sink: what all strategies of choosing one can choose from.
 """
 
-from __future__ import annotations
-
 import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hickory_stream.config import MapperConfig, RunConfig
 from hickory_stream.engine.effects import crop_of
 from hickory_stream.engine.mapper import Mapper
+from hickory_stream.engine.modes import Progress
 from hickory_stream.engine.play import play
 from hickory_stream.evaluation.evaluate import true_surface
-from hickory_stream.evaluation.match import meshes_of, score_map
+from hickory_stream.evaluation.match import TruthScore, meshes_of, score_map
 from hickory_stream.evaluation.placement import placed_truth
 from hickory_stream.evaluation.surface_score import SurfaceScore, TrueSurface, diameter_m, surface_score
-from hickory_stream.evaluation.truth import moved_mesh
+from hickory_stream.evaluation.truth import Truth, moved_mesh
 from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.inspection.supports import supports_of
 from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.map_folder.views import read_crop, write_crop
+from hickory_stream.map_folder.writer import MapFolder
+from hickory_stream.mapping.config import MappingConfig
 from hickory_stream.mapping.entities.rigid_motion import moved_object
 from hickory_stream.mapping.entities.views import Strategy, ViewConfig, score, view_of
 from hickory_stream.mapping.rules.support_graph import Relation
-from hickory_stream.ports import NoShape, ShapeInputs
+from hickory_stream.ports import NoShape, Reconstructor, ShapeInputs, Sink, Source
+from hickory_stream.records import FrameReport, MapSnapshot, TrackedObject, View
 from hickory_stream.shapes.mesh_validation import usable
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.config import MapperConfig, RunConfig
-    from hickory_stream.engine.modes import Progress
-    from hickory_stream.evaluation.match import TruthScore
-    from hickory_stream.evaluation.truth import Truth
-    from hickory_stream.map_folder.writer import MapFolder
-    from hickory_stream.mapping.config import MappingConfig
-    from hickory_stream.ports import Reconstructor, Sink, Source
-    from hickory_stream.records import FrameReport, MapSnapshot, TrackedObject, View
 
 
 class EveryView:
-    """A sink that writes the pixels of all observations that went to an object into a folder, as `views/` has them.
+    """A sink that writes the pixels of all observations that went to an object into a folder, as `views/` has them."""
 
-    `config` is that of the run, whose own views are made by it. The sink must miss no report.
-    """
-
+    # `config` is that of the run, whose own views are made by it. The sink must miss no report.
     def __init__(self, folder: Path, config: RunConfig) -> None:
         self.folder = folder
         self._config = config
@@ -69,12 +58,9 @@ class EveryView:
             if track_id is None:
                 continue
             view = view_of(
-                observation,
-                track_id,
-                frame_index=report.index,
-                stamp_ns=report.stamp_ns,
+                observation, track_id, frame_index=report.index, stamp_ns=report.stamp_ns,
                 world_from_camera=report.world_from_camera,
-            )
+            )  # fmt: skip
             crop = crop_of(report.frame, observation, self._config.crop_margin)
             write_crop(self.folder, view.name, crop, self._config)
             self._by_track.setdefault(track_id, []).append(view)
@@ -111,12 +97,10 @@ BEST = "best"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewTrial:
-    """A true object that counts, and what each choice of a view made of it.
+    """A true object that counts, and what each choice of a view made of it."""
 
-    `scores` are by strategy and, under `BEST`, of the view with the highest F1 at 5 %; None where the view gives no
-    shape. It is empty for an object that the map misses. `num_tried` views of `num_views` were reconstructed.
-    """
-
+    # `scores` are by strategy and, under `BEST`, of the view with the highest F1 at 5 %; None where the view gives no
+    # shape. It is empty for an object that the map misses. `num_tried` views of `num_views` were reconstructed.
     truth_id: int
     kind: str
     diameter_m: float
@@ -126,21 +110,11 @@ class ViewTrial:
 
 
 def try_views(
-    source: Source,
-    truth: Truth,
-    config: MapperConfig,
-    reconstructors: Mapping[str, Reconstructor],
-    out: Path,
-    saver: Callable[[MapFolder], Sink],
-    progress: Callable[[Progress], None] = lambda _: None,
-) -> dict[str, tuple[ViewTrial, ...]]:
-    """Map a log into the folder `out`, without shapes, and return the trials of each reconstructor.
-
-    `saver` makes the sink that saves the map.
-
-    Raises:
-        HickoryError: the log, the map folder or the truth cannot be used.
-    """
+    source: Source, truth: Truth, config: MapperConfig, reconstructors: Mapping[str, Reconstructor], out: Path,
+    saver: Callable[[MapFolder], Sink], progress: Callable[[Progress], None] = lambda _: None,
+) -> dict[str, tuple[ViewTrial, ...]]:  # fmt: skip
+    # `saver` makes the sink that saves the map.
+    # Raises HickoryError: the log, the map folder or the truth cannot be used.
     mapping = replace(
         config.mapping,
         views=replace(config.mapping.views, strategy=OURS),
@@ -169,8 +143,6 @@ def try_views(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Seen:
-    """An object in the frame of its submap, as its views are, all of these, and what it rests on."""
-
     item: TrackedObject
     views: Sequence[View]
     support_z_m: float | None
@@ -225,14 +197,10 @@ def _trial(
 def _score(
     of: _Seen, name: str, true: TrueSurface, reconstructor: Reconstructor, folder: Path, seed: int
 ) -> SurfaceScore | None:
-    """Return how the object reconstructed from one view compares with the true one; None: it gives no shape."""
     inputs = ShapeInputs(
-        crops=(read_crop(folder, name),),
-        points_world=of.item.points_world,
-        colors=of.item.colors,
-        box=of.item.box,
+        crops=(read_crop(folder, name),), points_world=of.item.points_world, colors=of.item.colors, box=of.item.box,
         support_z_m=of.support_z_m,
-    )
+    )  # fmt: skip
     found = reconstructor.reconstruct(inputs)
     if isinstance(found, NoShape):
         return None

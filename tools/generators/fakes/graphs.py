@@ -1,9 +1,6 @@
-"""Small ONNX graphs with the names and shapes of FoundationPose's, and a view of an object that has no symmetry.
-
-The graphs compute what the real networks have learned, in a way that only works on this one object: the refiner moves
-the middle of the rendered surface to the middle of the observed one, and turns its red and green parts towards the
-same parts of the other; the scorer counts differences. Inputs, outputs, channels or turns exchanged lead elsewhere.
-"""
+"""Small ONNX graphs with the names and shapes of FoundationPose's, and a view of an object that has no symmetry."""
+# On this one object the graphs do what the networks learned: the refiner moves the rendered middle to the observed one
+# and turns red and green parts together; the scorer counts differences. Exchanged inputs or axes lead elsewhere.
 
 from __future__ import annotations
 
@@ -48,13 +45,11 @@ def graph_fault(module: Any) -> str:
 
 
 def _some_of(turns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the one nearest to the truth and another one: all take a minute."""
     likeness = np.einsum("nij,ij->n", turns, _OWN_FROM_CAMERA.T)
     return turns[np.argsort(-likeness)[[0, 60]]]
 
 
 def _view(module: Any) -> Any:
-    """Return a picture of the object, lit as the adapter lights it."""
     rows, columns = np.mgrid[:240, :320]
     rays = np.zeros((rows.size, 6), np.float32)
     rays[:, 3:] = np.column_stack([columns.ravel(), rows.ravel(), np.ones(rows.size)]) @ np.linalg.inv(_K).T
@@ -80,8 +75,6 @@ def _view(module: Any) -> Any:
 
 
 class _Graph:
-    """The nodes of a graph, written one after the other."""
-
     def __init__(self) -> None:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
@@ -103,7 +96,6 @@ class _Graph:
         return self.of("Slice", of, self.constant([first]), self.constant([end]), self.constant([3]))
 
     def middle(self, xyz: str, weight: str) -> str:
-        """Return (N, 3): the mean of points (N, 160, 160, 3) with weights (N, 160, 160, 1)."""
         axes = self.constant([1, 2])
         total = self.of("ReduceSum", self.of("Mul", xyz, weight), axes, keepdims=0)
         weights = self.of("ReduceSum", weight, axes, keepdims=0)
@@ -138,7 +130,6 @@ def write_graphs(folder: Path) -> None:
 
 
 def _middles(graph: _Graph, crop: str) -> list[str]:
-    """Return the middle of a crop's surface, and from there the middles of its red and its green part."""
     xyz = graph.part(crop, 3, 6)
     size = graph.of("ReduceSum", graph.of("Abs", xyz), graph.constant([3]))
     is_surface = graph.of("Cast", graph.of("Greater", size, graph.constant(0, np.float32)), to=1)

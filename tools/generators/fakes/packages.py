@@ -1,9 +1,6 @@
-# ruff: noqa: D102 -- the packages that these fake document their methods
-"""Fakes of the official packages of the generators: their names and signatures, and one object without symmetry.
-
-The object is known in the camera's axes. Each fake returns it in the axes of its package, by that package's own
-formulas as read from its sources, so that an adapter that turns one axis wrongly puts it elsewhere.
-"""
+"""Fakes of the official packages of the generators: their names and signatures, and one object without symmetry."""
+# The object is known in the camera's axes. Each fake returns it in the axes of its package, by that package's own
+# formulas as read from its sources, so that an adapter that turns one axis wrongly puts it elsewhere.
 
 from __future__ import annotations
 
@@ -54,7 +51,6 @@ class Tensor:
 
 
 def fake_torch() -> ModuleType:
-    """Return a torch without a GPU."""
     torch: Any = ModuleType("torch")
     torch.__version__ = "0.fake"
     torch.cuda = SimpleNamespace(is_available=lambda: False)
@@ -106,15 +102,10 @@ class TrellisImageTo3DPipeline:
         pass
 
     def run(
-        self,
-        image: Any,
-        num_samples: int = 1,
-        seed: int = 42,
-        sparse_structure_sampler_params: Any = None,
-        slat_sampler_params: Any = None,
-        formats: tuple[str, ...] | list[str] = ("mesh", "gaussian", "radiance_field"),
+        self, image: Any, num_samples: int = 1, seed: int = 42, sparse_structure_sampler_params: Any = None,
+        slat_sampler_params: Any = None, formats: tuple[str, ...] | list[str] = ("mesh", "gaussian", "radiance_field"),
         preprocess_image: bool = True,
-    ) -> dict[str, list[Any]]:
+    ) -> dict[str, list[Any]]:  # fmt: skip
         assert image.mode == "RGBA" and set(np.asarray(image)[..., 3].ravel()) == {0, 255}
         assert list(formats) == ["mesh"] and preprocess_image and 0 <= seed < 1 << 31
         attributes = Tensor(np.hstack([COLORS / 255, np.zeros((4, 3))]))
@@ -166,17 +157,10 @@ class FoundationPose:
     """`estimater.FoundationPose`: it knows the corners of the one object."""
 
     def __init__(
-        self,
-        model_pts: Any,
-        model_normals: Any,
-        symmetry_tfs: Any = None,
-        mesh: Any = None,
-        scorer: ScorePredictor | None = None,
-        refiner: PoseRefinePredictor | None = None,
-        glctx: Any = None,
-        debug: int = 0,
-        debug_dir: str = "",
-    ) -> None:
+        self, model_pts: Any, model_normals: Any, symmetry_tfs: Any = None, mesh: Any = None,
+        scorer: ScorePredictor | None = None, refiner: PoseRefinePredictor | None = None, glctx: Any = None,
+        debug: int = 0, debug_dir: str = "",
+    ) -> None:  # fmt: skip
         assert isinstance(scorer, ScorePredictor) and isinstance(refiner, PoseRefinePredictor)
         assert isinstance(glctx, RasterizeCudaContext) and symmetry_tfs is None
         assert model_normals.shape == model_pts.shape and debug == 0 and debug_dir
@@ -203,12 +187,9 @@ class FoundationPose:
 
 
 _PACKAGES = {
-    "tsr.system": (TSR,),
-    "trellis.pipelines": (TrellisImageTo3DPipeline,),
-    "inference": (Inference,),
-    "nvdiffrast.torch": (RasterizeCudaContext,),
-    "estimater": (FoundationPose, ScorePredictor, PoseRefinePredictor),
-}
+    "tsr.system": (TSR,), "trellis.pipelines": (TrellisImageTo3DPipeline,), "inference": (Inference,),
+    "nvdiffrast.torch": (RasterizeCudaContext,), "estimater": (FoundationPose, ScorePredictor, PoseRefinePredictor),
+}  # fmt: skip
 
 
 @contextmanager
@@ -246,7 +227,6 @@ def shown_view(module: Any) -> Any:
 
 
 def adapter_fault(name: str) -> str:
-    """Return the fault of an adapter against the fake of its package, "" for none."""
     with faked(name) as module:
         make, about = module.load()
         made = make(shown_view(module))

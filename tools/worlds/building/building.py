@@ -1,9 +1,7 @@
 """A building from a seed: one to eight storeys of furnished rooms along a corridor, joined by a stairwell."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,18 +13,10 @@ from hickory_stream.worlds.scene import Placement, World, at_place, numbered
 from hickory_stream.worlds.support_placement import stood_on
 from hickory_stream.worlds.textures import Texture
 from tools.worlds import big_things, table_things
-from tools.worlds.building.plan import drawn_outline, drawn_plan
-from tools.worlds.building.stairwell import STOREY_M, Stairwell
-from tools.worlds.furnishing import FURNISH, Room, against_wall, box_group, desk_group, filled_shelf, lay
+from tools.worlds.building.plan import STOREY_M, Outline, Stairwell, StoreyPlan, drawn_outline, drawn_plan
+from tools.worlds.furnishing import FURNISH, Rectangle, Room, against_wall, box_group, desk_group, filled_shelf, lay
 from tools.worlds.routes import joins_rooms
 from tools.worlds.structure import ROOM_HEIGHT_M, drawn_paint, floor_of, inner_wall
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from tools.worlds.building.plan import Outline, StoreyPlan
-    from tools.worlds.furnishing import Rectangle
-
 
 _CELL_M = 0.3
 _PICTURE_SHARE = 0.6
@@ -60,16 +50,12 @@ def storey_structure(rng: np.random.Generator, plan: StoreyPlan) -> tuple[Model,
         if room[0] > 0.0:
             x = room[0] - half
             doors = [
-                door for door in plan.doors if door.axis == 0 and door.at_m == x and _is_within(door.middle_m, room)
+                door for door in plan.doors if door.axis == 0 and door.at_m == x and (room[1] < door.middle_m < room[3])
             ]
             models += inner_wall(0, x, (room[1], room[3]), doors, drawn_paint(rng), _WHITE)
         if rng.random() < _PICTURE_SHARE:
             models.append(_picture(rng, room, side))
     return tuple(models)
-
-
-def _is_within(y: float, room: Rectangle) -> bool:
-    return room[1] < y < room[3]
 
 
 def _picture(rng: np.random.Generator, room: Rectangle, side: int) -> Model:
@@ -164,7 +150,6 @@ class BuildingSize:
             )
 
     def rooms_of(self, floor: int) -> int:
-        """Return how many rooms a floor has."""
         return self.rooms // self.floors + (floor < self.rooms % self.floors)
 
 
@@ -187,11 +172,7 @@ class Building:
 
 
 def building(seed: int, size: BuildingSize, attempt: int = 0) -> Building:
-    """Return building number `attempt` of a seed.
-
-    Raises:
-        ConfigError: no draw fits, which no seed has shown so far.
-    """
+    # Raises ConfigError: no draw fits, which no seed has shown so far.
     outline = drawn_outline(np.random.default_rng([seed, 17, attempt]), size.rooms_of(0))
     storeys = tuple(_storey(seed, attempt, floor, outline, size.rooms_of(floor)) for floor in range(size.floors))
     stairwell = Stairwell.beyond(outline)
@@ -243,12 +224,9 @@ def _joined(storeys: tuple[Storey, ...], stairwell: Stairwell, stairs: tuple[Mod
     structure = [_raised(model, storey.floor_m) for storey in storeys for model in storey.world.structure]
     rooms = [(room, storey.floor_m) for storey in storeys for room in (*storey.world.rooms_m, stairwell.rectangle_m)]
     return World(
-        objects=numbered(placed),
-        structure=(*structure, *stairs),
-        rooms_m=tuple(room for room, _ in rooms),
-        floors_m=tuple(floor_m for _, floor_m in rooms),
-        middle_m=storeys[0].world.middle_m,
-    )
+        objects=numbered(placed), structure=(*structure, *stairs), rooms_m=tuple(room for room, _ in rooms),
+        floors_m=tuple(floor_m for _, floor_m in rooms), middle_m=storeys[0].world.middle_m,
+    )  # fmt: skip
 
 
 def _raised(model: Model, by_m: float) -> Model:

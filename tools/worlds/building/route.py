@@ -1,28 +1,19 @@
 """A walk through a building, storey by storey and back to the stairs; in rooms it looks at objects seen least."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from hickory_stream.geometry.arrays import freeze
 from hickory_stream.worlds.clearance import CELL_M, Clearance, clearance_of
-from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses, gaze
-from tools.worlds.building.stairwell import STOREY_M
+from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, camera_poses, gaze
+from tools.worlds.building.building import Building, Storey
+from tools.worlds.building.plan import STOREY_M
 from tools.worlds.routes import corners_of, way_between
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.trajectory import WalkConfig
-    from tools.worlds.building.building import Building, Storey
-
 
 STAIRS = -1
 """Stands for the stairs where a storey's number is asked for."""
@@ -49,10 +40,8 @@ class Route:
 
 
 def route_through(house: Building, length_m: float | None, walk_index: int, rng: np.random.Generator) -> Route | None:
-    """Return a way of at least `length_m`, None for one round; None if a room cannot be reached.
-
-    A round is every storey up and down. Odd walks visit storeys and rooms in reverse; every second begins elsewhere.
-    """
+    """Return a way of at least `length_m`, None for one round; None if a room cannot be reached."""
+    # A round is every storey up and down. Odd walks visit storeys and rooms in reverse; every second begins elsewhere.
     clearances = [clearance_of(storey.world) for storey in house.storeys]
     lines: list[NDArray[np.float64]] = []
     storeys: list[NDArray[np.int64]] = []
@@ -68,7 +57,7 @@ def route_through(house: Building, length_m: float | None, walk_index: int, rng:
         least_m = min(least_m, float(clearances[storey].at(flat).min()))
         lines.append(np.column_stack([flat, np.full(len(flat), house.storeys[storey].floor_m)]))
         storeys.append(np.full(len(flat), storey))
-        so_far_m += _length_m(lines[-1])
+        so_far_m += float(np.linalg.norm(np.diff(lines[-1], axis=0), axis=1).sum())
         if length_m is not None and so_far_m > length_m:
             break
     return Route(line_m=np.concatenate(lines), storeys=np.concatenate(storeys), clearance_m=least_m)
@@ -153,10 +142,6 @@ def _stairs(house: Building, a: int, b: int) -> NDArray[np.float64]:
     on = np.arange(0.0, arc[-1], CELL_M)
     line = np.stack([np.interp(on, arc, corners[:, i]) for i in range(3)], axis=1)
     return np.asarray(gaussian_filter1d(line, _SMOOTH_CELLS / 2, axis=0, mode="nearest"))
-
-
-def _length_m(line: NDArray[np.float64]) -> float:
-    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
 _CUT = 0.6

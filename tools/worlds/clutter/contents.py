@@ -1,7 +1,5 @@
-"""Ways of filling a horizontal surface with things: one function per recipe.
-
-Poses are in the frame of the surface: its origin is the centre, x points across it (depth), y along it.
-"""
+"""Ways of filling a horizontal surface with things: one function per recipe."""
+# Poses are in the frame of the surface: its origin is the centre, x points across it (depth), y along it.
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ from hickory_stream.worlds.support_placement import REST_M
 from tools.worlds.clutter.draws import about_x, about_y, chance, count, one_of, uniform
 from tools.worlds.clutter.footprints import Taken, corners_of
 from tools.worlds.clutter.heaps import heap as heaped
-from tools.worlds.clutter.kit import SHAPES, fitted
+from tools.worlds.clutter.kit import SHAPES, Kit, fitted
 from tools.worlds.clutter.objects.cloths import crumpled
 from tools.worlds.clutter.objects.solids import grounded
 
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
 
     from hickory_stream.worlds.object_models import Model
     from hickory_stream.worlds.textures import Texture
-    from tools.worlds.clutter.kit import Kit
 
     Things = list[tuple[Model, NDArray[np.float64]]]
     Filling = Callable[[np.random.Generator, Kit, "Place"], Things]
@@ -47,7 +44,6 @@ class Place:
 
 
 def spread(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return things that stand apart, each turned at random."""
     area = 4 * place.half_m[0] * place.half_m[1]
     models = [kit.small(rng) for _ in range(min(14, count(rng, 1, 3 + int(10 * area))))]
     return _scattered(rng, place, models, gap_m=uniform(rng, 0.005, 0.05))
@@ -78,7 +74,6 @@ def _is_on(model: Model, pose: NDArray[np.float64], place: Place) -> bool:
 
 
 def touching(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return a cluster in which each thing touches another one, side to side."""
     number = count(rng, 2, 8)
     models = kit.alike(rng, number) if chance(rng, 0.3) else [kit.small(rng) for _ in range(number)]
     yaw, taken = uniform(rng, -0.3, 0.3), Taken()
@@ -240,7 +235,6 @@ def laid_rows(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
 
 
 def heap(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return a heap of things as they fell."""
     number = count(rng, 4, 14)
     models = kit.alike(rng, number) if chance(rng, 0.4) else [kit.small(rng) for _ in range(number)]
     least = min(place.half_m)
@@ -263,7 +257,6 @@ def _lies_on(model: Model, pose: NDArray[np.float64], place: Place) -> bool:
 
 
 def cloth_and_things(rng: np.random.Generator, kit: Kit, place: Place) -> Things:
-    """Return a crumpled cloth with things beside it."""
     half = (place.half_m[0] * uniform(rng, 0.3, 0.9), min(place.half_m[1] * uniform(rng, 0.2, 0.6), 0.5))
     height = min(uniform(rng, 0.03, 0.18), 0.8 * place.headroom_m)
     cloth = grounded("cloth", [crumpled(rng, (1.6 * half[0], 1.6 * half[1]), height, kit.skin(rng))])

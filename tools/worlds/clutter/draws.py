@@ -1,19 +1,13 @@
 """Short functions for the random draws that recipes share."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 
 def uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Return a number between two."""
     return float(rng.uniform(low, high))
 
 
@@ -23,17 +17,14 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def chance(rng: np.random.Generator, share: float) -> bool:
-    """Return True in that share of draws."""
     return bool(rng.random() < share)
 
 
 def count(rng: np.random.Generator, least: int, most: int) -> int:
-    """Return an integer of least..most, both included."""
     return int(rng.integers(least, most + 1))
 
 
 def one_of(rng: np.random.Generator, options: Sequence[Any]) -> Any:
-    """Return one of some options."""
     return options[int(rng.integers(len(options)))]
 
 
@@ -44,12 +35,10 @@ def about_z(angle_rad: float) -> NDArray[np.float64]:
 
 
 def about_x(angle_rad: float) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation about x."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def about_y(angle_rad: float) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation about y."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

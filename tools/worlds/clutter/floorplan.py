@@ -1,32 +1,22 @@
-"""Floor plans of random rooms: outlines (K, 2) counter-clockwise, walls, floor, ceiling, columns and beams.
+"""Floor plans of random rooms: outlines (K, 2) counter-clockwise, walls, floor, ceiling, columns and beams."""
+# A wall's frame has x into the room and y along it; the wall itself lies at x <= 0.
 
-A wall's frame has x into the room and y along it; the wall itself lies at x <= 0.
-"""
-
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.worlds.clearance import is_inside
 from hickory_stream.worlds.object_models import Model, Part
 from hickory_stream.worlds.rendering import GLASS
 from hickory_stream.worlds.scene import at_place
 from hickory_stream.worlds.support_placement import Wall
-from hickory_stream.worlds.textures import Texture
+from hickory_stream.worlds.textures import Color, Texture
 from tools.worlds.clutter.draws import about_x, about_y, chance, count, log_uniform, one_of, uniform
 from tools.worlds.clutter.footprints import rectangle
+from tools.worlds.clutter.kit import Kit
 from tools.worlds.clutter.objects.solids import block, cylinder
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.textures import Color
-    from tools.worlds.clutter.kit import Kit
 
 
 def quiet(rng: np.random.Generator, kit: Kit, *, dim: float = 0.0) -> Texture:
@@ -217,18 +207,15 @@ def _pictures(
 
 
 def outline_rectangle(rng: np.random.Generator, size: tuple[float, float]) -> NDArray[np.float64]:
-    """Return a plain room."""
     return np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size
 
 
 def outline_l_shape(rng: np.random.Generator, size: tuple[float, float]) -> NDArray[np.float64]:
-    """Return a room round a corner."""
     a, b = uniform(rng, 0.4, 0.7), uniform(rng, 0.4, 0.7)
     return np.array([[0, 0], [1, 0], [1, b], [a, b], [a, 1], [0, 1]]) * size
 
 
 def outline_cut_corner(rng: np.random.Generator, size: tuple[float, float]) -> NDArray[np.float64]:
-    """Return a room with one slanting wall."""
     a, b = uniform(rng, 0.4, 0.85), uniform(rng, 0.4, 0.85)
     return np.array([[0, 0], [1, 0], [1, b], [a, 1], [0, 1]]) * size
 
@@ -247,7 +234,6 @@ def outline_octagon(rng: np.random.Generator, size: tuple[float, float]) -> NDAr
 
 
 def outline_bay(rng: np.random.Generator, size: tuple[float, float]) -> NDArray[np.float64]:
-    """Return a room with a bay in one wall."""
     a, b, deep = uniform(rng, 0.1, 0.3), uniform(rng, 0.6, 0.9), uniform(rng, 0.15, 0.35)
     slope = uniform(rng, 0.0, 0.08)
     corners = [[0, 0], [1, 0], [1, 1], [b, 1], [b - slope, 1 + deep], [a + slope, 1 + deep], [a, 1], [0, 1]]
@@ -255,13 +241,9 @@ def outline_bay(rng: np.random.Generator, size: tuple[float, float]) -> NDArray[
 
 
 OUTLINES: dict[str, Callable[[np.random.Generator, tuple[float, float]], NDArray[np.float64]]] = {
-    "rectangle": outline_rectangle,
-    "l_shape": outline_l_shape,
-    "cut_corner": outline_cut_corner,
-    "skewed": outline_skewed,
-    "octagon": outline_octagon,
-    "bay": outline_bay,
-}
+    "rectangle": outline_rectangle, "l_shape": outline_l_shape, "cut_corner": outline_cut_corner,
+    "skewed": outline_skewed, "octagon": outline_octagon, "bay": outline_bay,
+}  # fmt: skip
 """The outlines of rooms by name; all are counter-clockwise."""
 
 

@@ -1,16 +1,11 @@
 """Footprints (rectangles) on a horizontal surface: an exact and fast test of whether a place is free."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.object_models import Model
+from hickory_stream.worlds.object_models import Model
 
 
 def rectangle(half_m: tuple[float, float], at: tuple[float, float], yaw_rad: float) -> NDArray[np.float64]:
@@ -48,7 +43,6 @@ class Taken:
     corners: list[NDArray[np.float64]] = field(default_factory=list)
 
     def take(self, corners: NDArray[np.float64]) -> bool:
-        """Occupy a rectangle if it is free; return whether it was."""
         if any(do_overlap(corners, other) for other in self.corners):
             return False
         self.corners.append(corners)

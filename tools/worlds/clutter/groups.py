@@ -1,14 +1,11 @@
-"""Arrangements on the floor: one function per recipe.
+"""Arrangements on the floor: one function per recipe."""
+# A group's frame has x away from the wall (its back is at x = 0) and y along it.
 
-A group's frame has x away from the wall (its back is at x = 0) and y along it.
-"""
-
-from __future__ import annotations
-
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import from_rotation_translation
 from hickory_stream.worlds.object_models import Model, Surface
@@ -18,18 +15,10 @@ from tools.worlds.clutter.contents import CONTENTS, Place
 from tools.worlds.clutter.draws import about_y, chance, count, one_of, uniform
 from tools.worlds.clutter.footprints import Taken, corners_of, do_overlap
 from tools.worlds.clutter.heaps import heap
-from tools.worlds.clutter.kit import SHAPES
+from tools.worlds.clutter.kit import SHAPES, Kit
 from tools.worlds.clutter.objects.cloths import curtain, hung_cloth, rail, tablecloth
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import block, stretched
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from tools.worlds.clutter.kit import Kit
-    from tools.worlds.clutter.objects.materials import Skin
-
 
 # A support with an open top is accessible from all sides, so that a cloth can hang down its sides.
 _OPEN_M = 0.9
@@ -203,7 +192,6 @@ def clothes_rail(rng: np.random.Generator, kit: Kit) -> Group:
 
 
 def wall_boards(rng: np.random.Generator, kit: Kit) -> Group:
-    """Return boards fixed to the wall, one above the other, with things on them."""
     depth, length, thick = uniform(rng, 0.12, 0.35), uniform(rng, 0.4, 1.8), uniform(rng, 0.015, 0.05)
     skin, gap, placed = kit.skin(rng), uniform(rng, 0.25, 0.45), []
     for i in range(count(rng, 1, 3)):
@@ -239,7 +227,6 @@ def _is_clear(one: Placement, others: Sequence[Placement]) -> bool:
 
 
 def floor_heap(rng: np.random.Generator, kit: Kit) -> Group:
-    """Return a heap on the floor: cartons, bags or anything."""
     number, most = count(rng, 5, 16), uniform(rng, 0.15, 0.6)
     drawn = kit.alike(rng, number) if chance(rng, 0.3) else [kit.small(rng) for _ in range(number)]
     grown = [_grown(model, uniform(rng, 0.4, 1.0) * most) for model in drawn]
@@ -271,7 +258,6 @@ def _grown(model: Model, size_m: float) -> Model:
 
 
 def floor_stacks(rng: np.random.Generator, kit: Kit) -> Group:
-    """Return stacks on the floor or a pallet."""
     half = (uniform(rng, 0.25, 0.6), uniform(rng, 0.3, 0.8))
     made = CONTENTS[one_of(rng, ("stacks", "stacks", "same", "heap"))](rng, kit, Place(half_m=half, headroom_m=1.6))
     placed = [Placement(model=model, world_from_object=pose) for model, pose in made]

@@ -1,21 +1,13 @@
 """Heaps without physics: each thing drops onto a height map and tips about its contacts until it rests."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.geometry.rigid import from_rotation_translation
-from hickory_stream.worlds.object_models import model_triangles
+from hickory_stream.worlds.object_models import Model, model_triangles
 from tools.worlds.clutter.draws import about_x, about_y, about_z, chance
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.object_models import Model
 
 _CELLS = 96
 _SAMPLES = 400

@@ -1,32 +1,121 @@
 """Random draws from the recipes of a family, and recipes of the usual objects in random proportions."""
+# The recipes of each family: the one table that separates training, tuning and reporting. The families share no recipe.
+# `reporting` is never used to choose anything.
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Literal, get_args
 
 import numpy as np
 
+from hickory_stream.errors import ConfigError
 from hickory_stream.worlds import furniture, small_things
-from hickory_stream.worlds.object_models import Part
+from hickory_stream.worlds.object_models import Model, Part
+from hickory_stream.worlds.textures import Texture
 from tools.worlds import big_things, table_things
 from tools.worlds.clutter.draws import chance, one_of, uniform
-from tools.worlds.clutter.families import recipes_of
 from tools.worlds.clutter.objects.bodies import BODIES
-from tools.worlds.clutter.objects.materials import CALM, MATERIALS
+from tools.worlds.clutter.objects.materials import CALM, MATERIALS, Skin
 from tools.worlds.clutter.objects.small_frames import SMALL_FRAMES
 from tools.worlds.clutter.objects.small_solids import SMALL_SOFT, SMALL_SOLIDS
 from tools.worlds.clutter.objects.solids import stretched
 from tools.worlds.clutter.objects.supports import SUPPORTS
 from tools.worlds.clutter.objects.units import SEATS, UNITS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+Family = Literal["training", "tuning", "reporting"]
+FAMILIES: tuple[Family, ...] = get_args(Family)
 
-    from hickory_stream.worlds.object_models import Model
-    from hickory_stream.worlds.textures import Texture
-    from tools.worlds.clutter.families import Recipes
-    from tools.worlds.clutter.objects.materials import Skin
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Recipes:
+    """The names of a family's recipes, by kind."""
+
+    small: tuple[str, ...]
+    #: The small ones that can be stacked.
+    flat: tuple[str, ...]
+    #: With surfaces for other things.
+    supports: tuple[str, ...]
+    seats: tuple[str, ...]
+    bodies: tuple[str, ...]
+    #: What stands flush in rows.
+    units: tuple[str, ...]
+    materials: tuple[str, ...]
+    #: Ways of filling a horizontal surface.
+    contents: tuple[str, ...]
+    #: Arrangements on the floor.
+    groups: tuple[str, ...]
+    outlines: tuple[str, ...]
+
+
+TABLE: dict[Family, Recipes] = {
+    "training": Recipes(
+        small=(
+            "carton", "book", "tin", "turned", "open_vessel", "blob", "superquadric", "composed", "ring", "tray",
+            "crate", "pouch", "folded_cloth", "crumpled_cloth", "bent_bar", "wire_rack", "tool", "device", "framed",
+            "sprig", "paper_pile", "wire_basket", "sleeve", "bent_panel",
+            "usual_mug", "usual_bottle", "usual_can", "usual_cereal_box", "usual_small_box",
+            "usual_monitor", "usual_squeeze_bottle", "usual_vase", "usual_ball", "usual_cushion",
+        ),
+        flat=("carton", "book", "paper_pile", "folded_cloth", "device"),
+        supports=(
+            "table", "round_table", "cabinet", "counter", "shelf", "rack", "pallet", "bed", "sofa", "usual_desk",
+            "usual_shelf", "usual_dresser", "usual_coffee_table",
+        ),
+        seats=("chair", "usual_chair", "usual_stool"),
+        bodies=(
+            "big_carton", "open_carton", "barrel", "sack", "roll", "floor_lamp", "foliage", "screen", "draped",
+            "blanket_heap", "rounded_body", "machine", "usual_armchair", "usual_sofa", "usual_suitcase", "usual_lamp",
+        ),
+        units=("appliance", "kitchen_unit"),
+        materials=(
+            "uniform_paint", "worn_paint", "polished", "satin", "timber", "cardboard", "printed", "striped",
+            "speckled", "boarded",
+        ),
+        contents=("spread", "touching", "row", "same", "stacks", "heap", "cloth_and_things", "laid_rows"),
+        groups=(
+            "flush_row", "filled_support", "table_with_seats", "floor_heap", "floor_stacks", "floor_spread",
+            "carton_wall", "solitary", "leaning", "clothes_rail", "wall_boards",
+        ),
+        outlines=("rectangle", "l_shape", "cut_corner", "skewed"),
+    ),
+    "tuning": Recipes(
+        small=(
+            "ribbed_pack", "binder", "goblet", "star_prism", "wedge", "usual_kettle", "usual_jar", "usual_toy_car",
+            "usual_packet", "usual_laptop",
+        ),
+        flat=("ribbed_pack", "binder", "usual_packet"),
+        supports=("trestle", "cube_shelf", "usual_table", "usual_nightstand"),
+        seats=("shell_chair", "usual_bench"),
+        bodies=("ladder", "usual_plant", "usual_basket"),
+        units=("tower",),
+        materials=("lacquered", "veneer", "brushed", "checked", "tiled"),
+        contents=("ring_of_things", "leaning_row"),
+        groups=("back_to_back", "corner_pile", "curtained"),
+        outlines=("octagon",),
+    ),
+    "reporting": Recipes(
+        small=(
+            "lidded_case", "slab", "grating", "spool", "lattice_cube", "coil", "arch", "usual_bowl", "usual_carton",
+            "usual_pot", "usual_pan", "usual_table_lamp", "usual_clock",
+        ),
+        flat=("lidded_case", "slab"),
+        supports=("ladder_shelf", "trolley", "usual_bed"),
+        seats=("usual_office_chair",),
+        bodies=("usual_speaker", "tent"),
+        units=("locker",),
+        materials=("linen", "concrete", "enamel", "dotted", "plaid", "marbled", "patched"),
+        contents=("pyramid", "diagonal_row"),
+        groups=("island", "aisle"),
+        outlines=("bay",),
+    ),
+}  # fmt: skip
+
+
+def recipes_of(family: str) -> Recipes:
+    for name in FAMILIES:
+        if name == family:
+            return TABLE[name]
+    raise ConfigError(f"family {family!r}; expected one of {', '.join(FAMILIES)}")
 
 
 _MOST_M = 3.0
@@ -79,16 +168,8 @@ USUAL_LARGE = {f"usual_{maker.__name__}": _varied(maker, 0.25) for maker in _LAR
 
 
 SHAPES: dict[str, Callable[[np.random.Generator, Skin], Model]] = {
-    **SMALL_SOLIDS,
-    **SMALL_FRAMES,
-    **SMALL_SOFT,
-    **SUPPORTS,
-    **SEATS,
-    **UNITS,
-    **BODIES,
-    **USUAL_SMALL,
-    **USUAL_LARGE,
-}
+    **SMALL_SOLIDS, **SMALL_FRAMES, **SMALL_SOFT, **SUPPORTS, **SEATS, **UNITS, **BODIES, **USUAL_SMALL, **USUAL_LARGE,
+}  # fmt: skip
 """All recipes of things by name."""
 _LEAST_M = 0.03
 _CALM_SHARE = 0.5
@@ -109,11 +190,9 @@ class Kit:
         return any_material(rng, self.recipes)
 
     def make(self, rng: np.random.Generator, name: str) -> Model:
-        """Return a thing by the recipe of a name."""
         return SHAPES[name](rng, self.skin)
 
     def small(self, rng: np.random.Generator) -> Model:
-        """Return a small thing."""
         return self.make(rng, one_of(rng, self.recipes.small))
 
     def alike(self, rng: np.random.Generator, number: int) -> list[Model]:

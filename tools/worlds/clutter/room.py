@@ -1,28 +1,20 @@
 """A random room of a family from a seed: a floor plan, lamps, and arrangements where they fit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.worlds.clearance import is_inside
 from hickory_stream.worlds.lighting import Lamp, Lighting
 from hickory_stream.worlds.scene import Placement, World, at_place, numbered
+from hickory_stream.worlds.support_placement import Wall
+from hickory_stream.worlds.textures import Color
 from tools.worlds.clutter.draws import count, log_uniform, one_of, uniform
-from tools.worlds.clutter.families import FAMILIES
 from tools.worlds.clutter.floorplan import FloorPlan, floor_plan
 from tools.worlds.clutter.footprints import do_overlap
-from tools.worlds.clutter.groups import GROUPS
-from tools.worlds.clutter.kit import kit_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.support_placement import Wall
-    from hickory_stream.worlds.textures import Color
-    from tools.worlds.clutter.groups import Group
+from tools.worlds.clutter.groups import GROUPS, Group
+from tools.worlds.clutter.kit import FAMILIES, kit_of
 
 
 def random_lighting(rng: np.random.Generator, outline_m: NDArray[np.float64], height_m: float) -> Lighting:
@@ -85,12 +77,9 @@ def clutter_room(seed: int, family: str, index: int = 0) -> ClutterRoom:
             ]
     middle = plan.outline_m.mean(axis=0)
     world = World(
-        objects=numbered(placed),
-        structure=plan.structure,
-        rooms_m=(plan.bounds_m,),
-        middle_m=(float(middle[0]), float(middle[1])),
-        lighting=random_lighting(rng, plan.outline_m, plan.height_m),
-    )
+        objects=numbered(placed), structure=plan.structure, rooms_m=(plan.bounds_m,),
+        middle_m=(float(middle[0]), float(middle[1])), lighting=random_lighting(rng, plan.outline_m, plan.height_m),
+    )  # fmt: skip
     return ClutterRoom(world=world, plan=plan)
 
 

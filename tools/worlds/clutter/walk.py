@@ -1,24 +1,14 @@
 """A walk through a random room, between random free places, that looks at the objects."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from hickory_stream.worlds.clearance import CELL_M, clearance_among
-from hickory_stream.worlds.scene import part_boxes
-from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses, gaze
+from hickory_stream.worlds.clearance import CELL_M, Clearance, clearance_among
+from hickory_stream.worlds.scene import World, part_boxes
+from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, camera_poses, gaze
+from tools.worlds.clutter.room import ClutterRoom
 from tools.worlds.routes import smoothed, way_between
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.clearance import Clearance
-    from hickory_stream.worlds.scene import World
-    from hickory_stream.worlds.trajectory import WalkConfig
-    from tools.worlds.clutter.room import ClutterRoom
 
 _STOPS = 6
 # The minimum area of a connected piece of free floor.

@@ -1,14 +1,12 @@
-"""A street from a seed: parked cars, trees and objects on pavement, road and a rolling lawn.
+"""A street from a seed: parked cars, trees and objects on pavement, road and a rolling lawn."""
+# Objects with separate feet or wheels tilt with the ground. Crowns of trees and fronts of houses are not objects.
 
-Objects with separate feet or wheels tilt with the ground. Crowns of trees and fronts of houses are not objects.
-"""
-
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.errors import ConfigError
 from hickory_stream.geometry.arrays import freeze
@@ -21,12 +19,6 @@ from hickory_stream.worlds.textures import Texture
 from tools.worlds.clutter.draws import chance, count, uniform
 from tools.worlds.clutter.objects.solids import block, rough, sheet
 from tools.worlds.outdoor import street_things as things
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
 
 _CELL_M = 0.2
 _THICK_M = 0.4
@@ -58,7 +50,6 @@ class Terrain:
         freeze(self, "waves", np.float64, (None, 4))
 
     def height_m(self, places: NDArray[Any]) -> NDArray[np.float64]:
-        """Return the (...) heights of the ground at (..., 2) places."""
         x, y = np.asarray(places, dtype=np.float64)[..., 0], np.asarray(places, dtype=np.float64)[..., 1]
         far, near = self.kerbs_m
         along, pavement, lawn = self.slope
@@ -102,74 +93,52 @@ def random_terrain(rng: np.random.Generator, length_m: float, crossings_m: tuple
     turns = rng.uniform(0, 2 * np.pi, _WAVES)
     lengths = rng.uniform(7.0, 22.0, _WAVES)
     shares = rng.uniform(0.3, 1.0, _WAVES)
-    waves = np.column_stack(
-        [
-            2 * np.pi / lengths * np.cos(turns),
-            2 * np.pi / lengths * np.sin(turns),
-            rng.uniform(0, 2 * np.pi, _WAVES),
-            shares / shares.sum(),
-        ]
-    )
+    waves = np.column_stack([
+        2 * np.pi / lengths * np.cos(turns), 2 * np.pi / lengths * np.sin(turns), rng.uniform(0, 2 * np.pi, _WAVES),
+        shares / shares.sum(),
+    ])  # fmt: skip
     return Terrain(
-        length_m=length_m,
-        front_m=6.4,
-        back_m=-14.0,
-        kerbs_m=(-4.2, 1.6),
-        kerb_height_m=float(rng.uniform(0.11, 0.15)),
+        length_m=length_m, front_m=6.4, back_m=-14.0, kerbs_m=(-4.2, 1.6), kerb_height_m=float(rng.uniform(0.11, 0.15)),
         slope=(
             float(rng.uniform(0.01, 0.04)) * (1.0 if rng.random() < 0.5 else -1.0),
             float(rng.uniform(0.015, 0.025)),
             float(rng.uniform(0.02, 0.07)),
         ),
-        wave_m=float(rng.uniform(0.1, 0.5)),
-        waves=waves,
-        crossings_m=crossings_m,
-    )
+        wave_m=float(rng.uniform(0.1, 0.5)), waves=waves, crossings_m=crossings_m,
+    )  # fmt: skip
 
 
 def _paving(rng: np.random.Generator) -> Texture:
     grey = float(rng.uniform(0.5, 0.62))
     return Texture(
-        pattern="tiles",
-        first=(grey, grey * 0.98, grey * 0.94),
-        second=(grey * 0.8, grey * 0.79, grey * 0.77),
-        period_m=float(rng.uniform(0.4, 0.6)),
-        grain=0.2,
-    )
+        pattern="tiles", first=(grey, grey * 0.98, grey * 0.94), second=(grey * 0.8, grey * 0.79, grey * 0.77),
+        period_m=float(rng.uniform(0.4, 0.6)), grain=0.2,
+    )  # fmt: skip
 
 
 def _asphalt(rng: np.random.Generator) -> Texture:
     grey = float(rng.uniform(0.24, 0.34))
     lighter = grey * 1.25
     return Texture(
-        pattern="speckle",
-        first=(grey, grey, grey * 1.03),
-        second=(lighter, lighter, lighter),
-        period_m=0.015,
+        pattern="speckle", first=(grey, grey, grey * 1.03), second=(lighter, lighter, lighter), period_m=0.015,
         grain=0.3,
-    )
+    )  # fmt: skip
 
 
 def _stone(rng: np.random.Generator) -> Texture:
     grey = float(rng.uniform(0.62, 0.72))
     return Texture(
-        pattern="speckle",
-        first=(grey, grey, grey * 0.98),
-        second=(grey * 0.85, grey * 0.85, grey * 0.84),
-        period_m=0.01,
-        grain=0.2,
-    )
+        pattern="speckle", first=(grey, grey, grey * 0.98), second=(grey * 0.85, grey * 0.85, grey * 0.84),
+        period_m=0.01, grain=0.2,
+    )  # fmt: skip
 
 
 def _grass(rng: np.random.Generator) -> Texture:
     green = float(rng.uniform(0.36, 0.46))
     return Texture(
-        pattern="plain",
-        first=(green * 0.66, green, green * 0.36),
-        second=(green * 0.95, green * 1.08, green * 0.52),
-        period_m=0.7,
-        grain=0.55,
-    )
+        pattern="plain", first=(green * 0.66, green, green * 0.36), second=(green * 0.95, green * 1.08, green * 0.52),
+        period_m=0.7, grain=0.55,
+    )  # fmt: skip
 
 
 _HALF_M = 7.0
@@ -192,11 +161,8 @@ class Street:
 
 
 def street(seed: int, attempt: int = 0) -> Street:
-    """Return street number `attempt` of a seed, with 22 and more objects of at least nine kinds.
-
-    Raises:
-        ConfigError: no draw fits, which no seed has shown so far.
-    """
+    """Return street number `attempt` of a seed, with 22 and more objects of at least nine kinds."""
+    # Raises ConfigError: no draw fits, which no seed has shown so far.
     rng = np.random.default_rng([seed, 31, attempt])
     for _ in range(_ATTEMPTS):
         found = _draw(rng)
@@ -249,14 +215,9 @@ def _slightly(rng: np.random.Generator, spread: float) -> float:
 
 
 def _scatter(
-    rng: np.random.Generator,
-    placed: list[Placement],
-    terrain: Terrain,
-    recipe: Callable[[np.random.Generator], Model],
-    number: int,
-    span_m: tuple[float, float],
-    margin_m: float,
-) -> None:
+    rng: np.random.Generator, placed: list[Placement], terrain: Terrain, recipe: Callable[[np.random.Generator], Model],
+    number: int, span_m: tuple[float, float], margin_m: float,
+) -> None:  # fmt: skip
     middle = (terrain.kerbs_m[0] + terrain.kerbs_m[1]) / 2
     for _ in range(number):
         model = recipe(rng)
@@ -271,13 +232,9 @@ def _scatter(
 
 
 def _stand(
-    placed: list[Placement],
-    terrain: Terrain,
-    model: Model,
-    place: tuple[float, float],
-    yaw: float,
+    placed: list[Placement], terrain: Terrain, model: Model, place: tuple[float, float], yaw: float,
     margin_m: float = 0.05,
-) -> bool:
+) -> bool:  # fmt: skip
     upright = Placement(model=model, world_from_object=at_place(*place, 0.0, yaw))
     reach_m = _reach_m(model) + margin_m
     near = [
@@ -322,12 +279,9 @@ def _crown(rng: np.random.Generator, trunk: Placement) -> Model:
     # Crowns are structure, in the world's frame.
     green = uniform(rng, 0.28, 0.42)
     leaves = Texture(
-        pattern="speckle",
-        first=(0.45 * green, green, 0.3 * green),
-        second=(0.8 * green, 1.4 * green, 0.45 * green),
-        period_m=0.06,
-        grain=0.6,
-    )
+        pattern="speckle", first=(0.45 * green, green, 0.3 * green), second=(0.8 * green, 1.4 * green, 0.45 * green),
+        period_m=0.06, grain=0.6,
+    )  # fmt: skip
     x, y, z = trunk.world_from_object[:3, 3]
     half = (uniform(rng, 0.9, 1.5), uniform(rng, 0.9, 1.5), uniform(rng, 0.8, 1.2))
     ball = rough(ellipsoid(half, leaves), rng, 0.2, 0.9).moved((x, y, z + _CROWN_M + half[2]))
@@ -351,12 +305,9 @@ def _houses(rng: np.random.Generator, terrain: Terrain) -> list[Model]:
         tone = uniform(rng, 0.5, 0.8)
         warm = uniform(rng, 0.0, 0.2)
         paint = Texture(
-            pattern="tiles" if chance(rng, 0.5) else "plain",
-            first=(tone, tone * (1 - warm), tone * (1 - 1.6 * warm)),
-            second=(tone * 0.85, tone * (0.85 - warm), tone * (0.85 - 1.5 * warm)),
-            period_m=0.24,
-            grain=0.15,
-        )
+            pattern="tiles" if chance(rng, 0.5) else "plain", first=(tone, tone * (1 - warm), tone * (1 - 1.6 * warm)),
+            second=(tone * 0.85, tone * (0.85 - warm), tone * (0.85 - 1.5 * warm)), period_m=0.24, grain=0.15,
+        )  # fmt: skip
         ground = float(terrain.height_m(np.array([middle, front])))
         dark, frame = plain((0.3, 0.3, 0.3)), plain((0.86, 0.85, 0.82))
         parts = [

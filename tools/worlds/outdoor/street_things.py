@@ -1,36 +1,20 @@
-"""Outdoor objects as composed models: fronts look along +x, the origin is on the ground.
-
-Trunks and posts go on below it by `SUNK_M`, so that they meet ground that slopes.
-"""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+"""Outdoor objects as composed models: fronts look along +x, the origin is on the ground."""
+# Trunks and posts go on below it by `SUNK_M`, so that they meet ground that slopes.
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hickory_stream.worlds.object_models import Model, ellipsoid, lathe, rounded_box, tube
+from hickory_stream.worlds.object_models import Model, Part, ellipsoid, lathe, rounded_box, tube
 from hickory_stream.worlds.palettes import plain, wood
-from hickory_stream.worlds.textures import Texture
+from hickory_stream.worlds.textures import Color, Texture
 from tools.worlds.clutter.draws import about_x, about_y, chance, count, one_of, uniform
 from tools.worlds.clutter.objects.solids import block, cylinder, rough, superellipsoid, sweep, warped
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.object_models import Part
-    from hickory_stream.worlds.textures import Color
-
 SUNK_M = 0.12
 _PAINTS: tuple[Color, ...] = (
-    (0.72, 0.73, 0.75),
-    (0.13, 0.14, 0.16),
-    (0.82, 0.82, 0.80),
-    (0.55, 0.10, 0.10),
-    (0.12, 0.22, 0.42),
-    (0.30, 0.38, 0.32),
-    (0.62, 0.56, 0.45),
-)
+    (0.72, 0.73, 0.75), (0.13, 0.14, 0.16), (0.82, 0.82, 0.80), (0.55, 0.10, 0.10), (0.12, 0.22, 0.42),
+    (0.30, 0.38, 0.32), (0.62, 0.56, 0.45),
+)  # fmt: skip
 _RUBBER, _GLASS = plain((0.09, 0.09, 0.10)), plain((0.16, 0.19, 0.22), grain=0.03)
 _IRON = plain((0.16, 0.17, 0.18))
 
@@ -43,36 +27,21 @@ def car(rng: np.random.Generator) -> Model:
     hood = belt - uniform(rng, 0.02, 0.1)
     is_estate = chance(rng, 0.5)
     back = -length / 2
-    profile = np.array(
-        [
-            (back + 0.06, sill + 0.05),
-            (length / 2 - 0.1, sill + 0.02),
-            (length / 2, sill + 0.28),
-            (length / 2 - 0.06, hood - 0.14),
-            (length / 2 - 0.75, hood + 0.02),
-            (0.0, belt),
-            (back + 0.1, belt),
-            (back, sill + 0.32),
-        ]
-    )
+    profile = np.array([
+        (back + 0.06, sill + 0.05), (length / 2 - 0.1, sill + 0.02), (length / 2, sill + 0.28),
+        (length / 2 - 0.06, hood - 0.14), (length / 2 - 0.75, hood + 0.02), (0.0, belt), (back + 0.1, belt),
+        (back, sill + 0.32),
+    ])  # fmt: skip
     # The outline of a side, drawn across the car: its path runs along y.
     body = _across(profile, width, paint, taper=0.06)
-    glazed = np.array(
-        [
-            (length / 2 - 0.85, belt - 0.03),
-            (length / 2 - 1.45, top - 0.03),
-            (back + (0.45 if is_estate else 0.95), top - 0.03),
-            (back + (0.12 if is_estate else 0.3), belt - 0.03),
-        ]
-    )
-    roof = np.array(
-        [
-            (length / 2 - 1.42, top - 0.05),
-            (length / 2 - 1.55, top),
-            (back + (0.6 if is_estate else 1.05), top),
-            (back + (0.4 if is_estate else 0.9), top - 0.05),
-        ]
-    )
+    glazed = np.array([
+        (length / 2 - 0.85, belt - 0.03), (length / 2 - 1.45, top - 0.03),
+        (back + (0.45 if is_estate else 0.95), top - 0.03), (back + (0.12 if is_estate else 0.3), belt - 0.03),
+    ])  # fmt: skip
+    roof = np.array([
+        (length / 2 - 1.42, top - 0.05), (length / 2 - 1.55, top), (back + (0.6 if is_estate else 1.05), top),
+        (back + (0.4 if is_estate else 0.9), top - 0.05),
+    ])  # fmt: skip
     parts: list[Part] = [
         body,
         _across(glazed, width - 0.14, _GLASS, taper=0.12),
@@ -136,7 +105,6 @@ def park_bench(rng: np.random.Generator) -> Model:
 
 
 def bollard(rng: np.random.Generator) -> Model:
-    """Return a bollard with a head."""
     height, radius = uniform(rng, 0.7, 1.0), uniform(rng, 0.05, 0.09)
     metal = plain(one_of(rng, ((0.17, 0.2, 0.19), (0.55, 0.56, 0.57), (0.42, 0.2, 0.14))))
     profile = [(0, -SUNK_M), (radius, -SUNK_M), (radius, height - 0.14), (1.25 * radius, height - 0.12)]
@@ -192,7 +160,6 @@ def hydrant(rng: np.random.Generator) -> Model:
 
 
 def crate(rng: np.random.Generator) -> Model:
-    """Return a slatted wooden crate, closed."""
     x, y, z = uniform(rng, 0.4, 0.8), uniform(rng, 0.5, 1.0), uniform(rng, 0.35, 0.75)
     timber, slat = wood(rng, axis=1), wood(rng, axis=1)
     parts = [block((x, y, z), timber, at=(0, 0, z / 2))]
@@ -202,7 +169,6 @@ def crate(rng: np.random.Generator) -> Model:
 
 
 def boulder(rng: np.random.Generator) -> Model:
-    """Return a boulder, a third of it in the ground."""
     half = np.array([uniform(rng, 0.25, 0.55), uniform(rng, 0.25, 0.45), uniform(rng, 0.25, 0.4)])
     grey = uniform(rng, 0.4, 0.58)
     stone = Texture(
@@ -213,19 +179,15 @@ def boulder(rng: np.random.Generator) -> Model:
 
 
 def planter(rng: np.random.Generator) -> Model:
-    """Return a planter of concrete with a clipped shrub."""
     size, height = uniform(rng, 0.55, 0.9), uniform(rng, 0.4, 0.6)
     grey, green = uniform(rng, 0.55, 0.7), uniform(rng, 0.25, 0.4)
     pot = rounded_box(
         (size, size, height), plain((grey, grey, grey * 0.97), grain=0.2), at=(0, 0, height / 2 - 0.02), radius_m=0.015
     )
     leaves = Texture(
-        pattern="speckle",
-        first=(0.5 * green, green, 0.35 * green),
-        second=(0.8 * green, 1.3 * green, 0.5 * green),
-        period_m=0.03,
-        grain=0.5,
-    )
+        pattern="speckle", first=(0.5 * green, green, 0.35 * green), second=(0.8 * green, 1.3 * green, 0.5 * green),
+        period_m=0.03, grain=0.5,
+    )  # fmt: skip
     shrub = superellipsoid((0.44 * size, 0.44 * size, uniform(rng, 0.3, 0.45)), (0.7, 0.8), leaves)
     return Model(kind="planter", parts=(pot, rough(shrub, rng, 0.05, 0.3).moved((0, 0, height + 0.15))))
 
@@ -275,10 +237,6 @@ def _paint(rng: np.random.Generator) -> Texture:
 def _bark(rng: np.random.Generator) -> Texture:
     tone = uniform(rng, 0.26, 0.42)
     return Texture(
-        pattern="marble",
-        first=(tone, tone * 0.8, tone * 0.62),
-        second=(tone * 0.55, tone * 0.44, tone * 0.36),
-        period_m=0.09,
-        axis=0,
-        grain=0.5,
-    )
+        pattern="marble", first=(tone, tone * 0.8, tone * 0.62), second=(tone * 0.55, tone * 0.44, tone * 0.36),
+        period_m=0.09, axis=0, grain=0.5,
+    )  # fmt: skip

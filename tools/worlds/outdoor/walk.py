@@ -6,21 +6,17 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from hickory_stream.worlds.clearance import clearance_of
+from hickory_stream.worlds.clearance import Clearance, clearance_of
 from hickory_stream.worlds.depth_camera import D455
-from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, camera_poses, gaze
+from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, camera_poses, gaze
+from tools.worlds.outdoor.street import Street
 from tools.worlds.routes import smoothed, way_between
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.clearance import Clearance
-    from hickory_stream.worlds.trajectory import WalkConfig
-    from tools.worlds.outdoor.street import Street
     from tools.worlds.recording_config import RecordingConfig
-
 
 # The distance over which the camera's height follows a kerb.
 _STEP_M = 0.25

@@ -1,9 +1,7 @@
 """Other large objects on the floor, of random make: one function per recipe; fronts look along +x."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +9,7 @@ from hickory_stream.worlds.furniture import vessel
 from hickory_stream.worlds.object_models import Model, Surface, lathe, tube
 from tools.worlds.clutter.draws import about_x, about_y, about_z, chance, count, log_uniform, one_of, uniform
 from tools.worlds.clutter.objects.cloths import crumpled
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import (
     block,
     cylinder,
@@ -22,11 +21,6 @@ from tools.worlds.clutter.objects.solids import (
     sweep,
     torus,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from tools.worlds.clutter.objects.materials import Skin
 
 
 def big_carton(rng: np.random.Generator, skin: Skin) -> Model:
@@ -135,7 +129,6 @@ def screen(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def ladder(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a standing double ladder."""
     height, width, metal = uniform(rng, 0.6, 1.6), uniform(rng, 0.35, 0.5), skin(rng)
     out, parts = 0.35 * height, []
     for side in (-1, 1):
@@ -213,11 +206,8 @@ def machine(rng: np.random.Generator, skin: Skin) -> Model:
 def tent(rng: np.random.Generator, skin: Skin) -> Model:
     """Return a cloth over a ridge, closed on all sides: tents, drying racks with sheets on them."""
     length, half, high, sag = (
-        uniform(rng, 0.6, 1.6),
-        uniform(rng, 0.25, 0.6),
-        uniform(rng, 0.5, 1.2),
-        uniform(rng, 0.0, 0.3),
-    )
+        uniform(rng, 0.6, 1.6), uniform(rng, 0.25, 0.6), uniform(rng, 0.5, 1.2), uniform(rng, 0.0, 0.3),
+    )  # fmt: skip
     across = np.linspace(-1, 1, 21)
     rise = high * (1 - np.abs(across)) ** (1 + sag)
     outline = np.stack([np.concatenate([across * half, [0.0]]), np.concatenate([rise, [0.0]])], axis=1)[::-1]

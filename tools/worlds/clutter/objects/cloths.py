@@ -1,19 +1,12 @@
 """Cloth: draped over a table, hung over a bar, curtains; each is one thin closed sheet."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.worlds.object_models import Model, Part
+from hickory_stream.worlds.textures import Texture
 from tools.worlds.clutter.draws import count, uniform
 from tools.worlds.clutter.objects.solids import block, cylinder, sheet
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.textures import Texture
 
 _THICK_M = 0.003
 

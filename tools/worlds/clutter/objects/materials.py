@@ -1,18 +1,12 @@
 """Materials."""
 
-from __future__ import annotations
-
 import colorsys
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hickory_stream.worlds.textures import Texture
+from hickory_stream.worlds.textures import Color, Pattern, Texture
 from tools.worlds.clutter.draws import chance, log_uniform, uniform
-
-if TYPE_CHECKING:
-    from hickory_stream.worlds.textures import Color, Pattern
 
 Skin = Callable[[np.random.Generator], Texture]
 """Draws one material."""
@@ -47,47 +41,29 @@ def _hue(
 
 
 def _even(
-    rng: np.random.Generator,
-    base: Color,
-    spread: float,
-    period_m: float,
-    grain: float,
+    rng: np.random.Generator, base: Color, spread: float, period_m: float, grain: float,
     gloss: tuple[float, float] | None = None,
-) -> Texture:
+) -> Texture:  # fmt: skip
     shine = uniform(rng, *gloss) if gloss else 0.0
     second = _shade_of(rng, base, spread) if spread else base
     return Texture(pattern="plain", first=base, second=second, period_m=period_m, grain=grain, gloss=shine)
 
 
 def _shaded(
-    rng: np.random.Generator,
-    pattern: Pattern,
-    base: Color,
-    spread: float,
-    period_m: tuple[float, float],
+    rng: np.random.Generator, pattern: Pattern, base: Color, spread: float, period_m: tuple[float, float],
     grain: tuple[float, float] = (0.03, 0.25),
-) -> Texture:
+) -> Texture:  # fmt: skip
     return _texture(rng, pattern, base, _shade_of(rng, base, spread), period_m, grain)
 
 
 def _texture(
-    rng: np.random.Generator,
-    pattern: Pattern,
-    first: Color,
-    second: Color,
-    period_m: tuple[float, float],
-    grain: tuple[float, float] = (0.03, 0.25),
-    gloss: tuple[float, float] = (0.0, 0.0),
-) -> Texture:
+    rng: np.random.Generator, pattern: Pattern, first: Color, second: Color, period_m: tuple[float, float],
+    grain: tuple[float, float] = (0.03, 0.25), gloss: tuple[float, float] = (0.0, 0.0),
+) -> Texture:  # fmt: skip
     return Texture(
-        pattern=pattern,
-        first=first,
-        second=second,
-        period_m=log_uniform(rng, *period_m),
-        axis=int(rng.integers(3)),
-        grain=uniform(rng, *grain),
-        gloss=uniform(rng, *gloss) if chance(rng, 0.5) else 0.0,
-    )
+        pattern=pattern, first=first, second=second, period_m=log_uniform(rng, *period_m), axis=int(rng.integers(3)),
+        grain=uniform(rng, *grain), gloss=uniform(rng, *gloss) if chance(rng, 0.5) else 0.0,
+    )  # fmt: skip
 
 
 _ANY = (0.0, 1.0)

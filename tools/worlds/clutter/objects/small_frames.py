@@ -1,13 +1,13 @@
 """Small hollow, thin, bent and perforated things, 4 to 50 cm: one function per recipe, each standing on its base."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
 from hickory_stream.worlds.object_models import Model, Part, Surface, lathe, tube
+from hickory_stream.worlds.textures import Texture
 from tools.worlds.clutter.draws import about_x, about_y, about_z, chance, count, log_uniform, one_of, uniform
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import (
     block,
     cylinder,
@@ -19,12 +19,6 @@ from tools.worlds.clutter.objects.solids import (
     sweep,
     torus,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.worlds.textures import Texture
-    from tools.worlds.clutter.objects.materials import Skin
 
 
 def open_vessel(rng: np.random.Generator, skin: Skin) -> Model:
@@ -124,7 +118,6 @@ def sprig(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def goblet(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a hollow cup on a stem."""
     rim, height, stem = uniform(rng, 0.03, 0.06), uniform(rng, 0.12, 0.24), uniform(rng, 0.004, 0.008)
     low = height * uniform(rng, 0.35, 0.6)
     profile = [(0, 0), (rim * 0.9, 0), (rim * 0.85, 0.006), (stem, 0.012), (stem, low), (rim, (low + height) / 2)]

@@ -1,23 +1,16 @@
 """Small things of random shape, massive or soft, 4 to 50 cm: one function per recipe, each standing on its base."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.worlds.object_models import Model, Part, Surface, lathe
+from hickory_stream.worlds.textures import Texture
 from tools.worlds.clutter.draws import about_x, about_y, about_z, chance, count, log_uniform, one_of, uniform
 from tools.worlds.clutter.objects.cloths import crumpled
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import block, cylinder, grounded, prism, rough, superellipsoid, torus, warped
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from hickory_stream.worlds.textures import Texture
-    from tools.worlds.clutter.objects.materials import Skin
 
 
 def carton(rng: np.random.Generator, skin: Skin) -> Model:
@@ -135,7 +128,6 @@ def _any_turn(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def ring(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a ring: lying, or standing on its rim."""
     radius = log_uniform(rng, 0.03, 0.14)
     part = torus(radius, radius * uniform(rng, 0.1, 0.45), skin(rng), flat=uniform(rng, 0.6, 1.4))
     if chance(rng, 0.3):
@@ -188,7 +180,6 @@ def paper_pile(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def star_prism(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a prism over a star or a cross."""
     teeth, radius = count(rng, 3, 8), log_uniform(rng, 0.04, 0.12)
     turn = 2 * np.pi * np.arange(2 * teeth) / (2 * teeth)
     reach = radius * np.where(np.arange(2 * teeth) % 2 == 0, 1.0, uniform(rng, 0.4, 0.8))
@@ -197,7 +188,6 @@ def star_prism(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def wedge(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a lying wedge or roof."""
     x, z, ridge = uniform(rng, 0.06, 0.25), uniform(rng, 0.04, 0.18), uniform(rng, 0.0, 1.0)
     outline = np.array([[0, 0], [x, 0], [x * (0.05 + 0.9 * ridge), z], [x * (0.05 + 0.9 * ridge) - 0.01, z]])
     part = prism(outline, uniform(rng, 0.06, 0.3), skin(rng))

@@ -1,33 +1,23 @@
 """Watertight parts that random shapes are composed of, their faces counter-clockwise seen from outside."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.worlds.object_models import Model, Part, Surface, lathe, rounded_box
 from hickory_stream.worlds.textures import Texture
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
 
 _GREY = Texture(pattern="plain", first=(0.5, 0.5, 0.5), second=(0.5, 0.5, 0.5))
 
 
 def block(
-    size_m: Sequence[float] | NDArray[Any],
-    texture: Texture,
-    *,
-    at: Sequence[float] | NDArray[Any] = (0.0, 0.0, 0.0),
-    radius_m: float = 0.004,
-    rotation: NDArray[Any] | None = None,
-) -> Part:
+    size_m: Sequence[float] | NDArray[Any], texture: Texture, *, at: Sequence[float] | NDArray[Any] = (0.0, 0.0, 0.0),
+    radius_m: float = 0.004, rotation: NDArray[Any] | None = None,
+) -> Part:  # fmt: skip
     """Return a box with rounded edges, centred at `at`, without the cells that `rounded_box` divides its sides into."""
     sign, outward, faces = _block_template()
     half = np.asarray(size_m, dtype=np.float64) / 2
@@ -45,14 +35,9 @@ def _block_template() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray
 
 
 def cylinder(
-    radius_m: float,
-    height_m: float,
-    texture: Texture,
-    *,
-    top_radius_m: float | None = None,
-    at: Sequence[float] = (0.0, 0.0, 0.0),
-    segments: int = 32,
-) -> Part:
+    radius_m: float, height_m: float, texture: Texture, *, top_radius_m: float | None = None,
+    at: Sequence[float] = (0.0, 0.0, 0.0), segments: int = 32,
+) -> Part:  # fmt: skip
     """Return a standing cylinder or a blunt cone with its base at `at`; few segments give a prism."""
     top = radius_m if top_radius_m is None else max(top_radius_m, 1e-4)
     return lathe([(0, 0), (radius_m, 0), (top, height_m), (0, height_m)], texture, segments=segments).moved(at)
@@ -76,13 +61,9 @@ def torus(
 
 
 def superellipsoid(
-    semi_axes_m: Sequence[float] | NDArray[Any],
-    exponents: tuple[float, float],
-    texture: Texture,
-    *,
-    rings: int = 21,
+    semi_axes_m: Sequence[float] | NDArray[Any], exponents: tuple[float, float], texture: Texture, *, rings: int = 21,
     around: int = 40,
-) -> Part:
+) -> Part:  # fmt: skip
     """Return a superellipsoid about the origin: exponents 0.1 is a box, 1 an ellipsoid, 2 a double pyramid."""
     polar = np.linspace(-np.pi / 2, np.pi / 2, rings)
     turn = 2 * np.pi * np.arange(around) / around
@@ -105,16 +86,11 @@ def prism(outline_m: NDArray[np.float64], height_m: float, texture: Texture) -> 
 
 
 def sweep(
-    outline_m: NDArray[np.float64],
-    path_m: Sequence[Sequence[float]] | NDArray[np.float64],
-    texture: Texture,
-    *,
+    outline_m: NDArray[np.float64], path_m: Sequence[Sequence[float]] | NDArray[np.float64], texture: Texture, *,
     scale: Sequence[float] | None = None,
-) -> Part:
-    """Return a (K, 2) outline drawn along a path, `scale` wide at each point, both ends closed.
-
-    The outline is counter-clockwise; its frame is carried along the path without twist.
-    """
+) -> Part:  # fmt: skip
+    """Return a (K, 2) outline drawn along a path, `scale` wide at each point, both ends closed."""
+    # The outline is counter-clockwise; its frame is carried along the path without twist.
     path = np.asarray(path_m, dtype=np.float64)
     tangents = np.gradient(path, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)

@@ -1,24 +1,17 @@
 """Furniture on which things stand, of random design; fronts face +x, `surfaces` are sorted, lowest first."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hickory_stream.worlds.object_models import Model, Surface
 from tools.worlds.clutter.draws import about_x, chance, count, log_uniform, uniform
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import block, cylinder, open_box, regular, sweep, warped
 from tools.worlds.clutter.objects.units import FREE_M, four_legs, fronts, level_top
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from tools.worlds.clutter.objects.materials import Skin
 
 
 def table(rng: np.random.Generator, skin: Skin) -> Model:
@@ -39,7 +32,6 @@ def table(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def round_table(rng: np.random.Generator, skin: Skin) -> Model:
-    """Return a round or oval table on one column."""
     radius, height, top = uniform(rng, 0.2, 0.6), uniform(rng, 0.35, 1.05), uniform(rng, 0.015, 0.05)
     metal = skin(rng)
     parts = (
@@ -54,7 +46,6 @@ def round_table(rng: np.random.Generator, skin: Skin) -> Model:
 
 
 def stretched_xy(model: Model, along: float) -> Model:
-    """Return a model that is longer along y."""
     parts = tuple(warped(part, lambda vertices: vertices * (1.0, along, 1.0)) for part in model.parts)
     surfaces = tuple(replace(s, half_m=(s.half_m[0], s.half_m[1] * along)) for s in model.surfaces)
     return replace(model, parts=parts, surfaces=surfaces)

@@ -1,21 +1,14 @@
 """Chairs, units that stand flush in rows (back at -x), and the legs, fronts and tops that kinds of furniture share."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
 from hickory_stream.worlds.object_models import Model, Part, Surface, tube
+from hickory_stream.worlds.textures import Texture
 from tools.worlds.clutter.draws import about_y, chance, count, log_uniform, one_of, uniform
+from tools.worlds.clutter.objects.materials import Skin
 from tools.worlds.clutter.objects.solids import block, cylinder, grounded, regular, sheet, superellipsoid, sweep, torus
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hickory_stream.worlds.textures import Texture
-    from tools.worlds.clutter.objects.materials import Skin
-
 
 FREE_M = 1.0
 """The height above an open top that things may take."""
@@ -41,13 +34,9 @@ def level_top(depth: float, length: float, height: float, x: float = 0.0, headro
 
 
 def fronts(
-    rng: np.random.Generator,
-    size: tuple[float, float, float],
-    plinth: float,
-    fields: tuple[int, int],
-    front: Texture,
+    rng: np.random.Generator, size: tuple[float, float, float], plinth: float, fields: tuple[int, int], front: Texture,
     knob: Texture,
-) -> list[Part]:
+) -> list[Part]:  # fmt: skip
     """Return a grid of panels on the front of a body with joints between them, and a handle on each."""
     depth, width, height = size
     columns, rows = fields
