@@ -149,5 +149,5 @@ def test_old_commands_and_options_name_their_successor(words, answer, capsys):
 
 @pytest.mark.parametrize("module", ["hickory_stream.compiled", "hickory_stream.worlds.clutter.frames"])
 def test_moved_modules_name_their_new_place(module: str) -> None:
-    with pytest.raises(ModuleNotFoundError, match="is now (hickory_stream.base|tools.worlds)"):
+    with pytest.raises(ModuleNotFoundError, match=r"is now (hickory_stream.base|tools.worlds)"):
         import_module(module)
