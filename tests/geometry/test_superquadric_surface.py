@@ -92,7 +92,9 @@ def test_surface_points_lie_on_the_surface_and_leave_no_gap(primitive, count):
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     everywhere, _ = trimesh.sample.sample_surface(mesh, 3000, seed=0)
     gaps, _ = cKDTree(points).query(everywhere)
-    assert gaps.max() <= 3.5 * np.sqrt(mesh.area / count)
+    # Points of a needle stand one behind another.
+    spacing = max(np.sqrt(mesh.area / count), 2 * largest / count)
+    assert gaps.max() <= 3.5 * spacing
 
 
 @settings(max_examples=30, deadline=None)
@@ -105,7 +107,7 @@ def test_the_share_of_points_beyond_a_plane_is_that_of_the_area(primitive, direc
     along = np.array(direction) / primitive.semi_axes_m[0]
     limit = 0.3 * float((everywhere @ along).max())
     share = float((everywhere @ along > limit).mean())
-    assert float((points @ along > limit).mean()) == pytest.approx(share, abs=0.04)
+    assert float((points @ along > limit).mean()) == pytest.approx(share, abs=0.05)
 
 
 def test_the_same_primitive_gives_the_same_points():

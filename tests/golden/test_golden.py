@@ -13,5 +13,5 @@ def test_the_map_of_a_golden_log_is_the_committed_one(name, tmp_path):
     baseline = read_baseline(baseline_file("golden"))
     own = {key: entry for key, entry in baseline["figures"].items() if key.startswith(f"{name}_")}
     found = compare(figures_of(name, tmp_path / "map"), {"figures": own})
-    assert (found.regressions, found.missing) == ((), ())
+    assert (found.regressions, found.missing) == ([], [])
     assert len(own) == 4

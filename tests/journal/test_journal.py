@@ -165,7 +165,7 @@ def test_of_large_chunks_few_are_kept_at_hand(tmp_path, monkeypatch):
     with Journal(tmp_path) as journal:
         for _ in range(2):
             assert [journal.color(i) for i in range(6)] == [bytes([i]) * 1000 for i in range(6)]
-        kept = journal._chunks._messages._chunks
+        kept = journal._chunks._cache._chunks
         assert 0 < len(kept) < 3
         # The last one is, however large.
         monkeypatch.setattr("hickory_stream.journal.reader._CACHED_BYTES", 1)

@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 from hickory_stream.ports import NoShape, Reconstruction, ShapeInputs
-from hickory_stream.shapes.generated.judgement import JudgementConfig, by_other_views, newly_seen
+from hickory_stream.shapes.generated.judgement import by_other_views, newly_seen
 from tools.evaluation.shapes.spoiled_generator import Sighted, plain_mesh, sighted
-
-CONFIG = JudgementConfig()
 
 
 class Knows:
@@ -59,7 +57,7 @@ def test_a_shape_is_asked_for_what_its_own_views_did_not_show(seen):
 def test_a_made_up_back_loses_to_a_better_foretelling_shape(seen):
     true, flat = placed(seen, flattened=0.0), placed(seen, flattened=0.9)
     knows = Knows(true)
-    refused = by_other_views(flat, seen.made_from, 1, knows, CONFIG)
+    refused = by_other_views(flat, seen.made_from, 1, knows)
     assert not refused.is_accepted
     assert "the embedded one 1.00" in refused.reason
     # The embedded shape is asked with the generator's views alone, and with no points that only others saw.
@@ -70,6 +68,6 @@ def test_a_made_up_back_loses_to_a_better_foretelling_shape(seen):
 @pytest.mark.parametrize("other", ["flat", "none"])
 def test_a_shape_that_foretold_what_was_seen_is_kept(seen, other):
     embedded = NoShape(reason="no") if other == "none" else placed(seen, flattened=0.9)
-    verdict = by_other_views(placed(seen, flattened=0.0), seen.made_from, 1, Knows(embedded), CONFIG)
+    verdict = by_other_views(placed(seen, flattened=0.0), seen.made_from, 1, Knows(embedded))
     assert verdict.is_accepted
     assert verdict.reason.startswith("foretold 1.00")
