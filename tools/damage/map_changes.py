@@ -9,7 +9,6 @@ import shutil
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy as np
 import zstandard
 
 from hickory_stream.errors import HickoryError
-from hickory_stream.journal.format import JOURNAL
+from hickory_stream.journal.format import COLOR, JOURNAL
 from hickory_stream.journal.mcap_file import begin_file, end_file, write_chunk
 from hickory_stream.journal.reader import JournalChunks
 from hickory_stream.map_folder.digest import map_digest
@@ -143,12 +142,12 @@ def _change_journal(path: Path, rng: np.random.Generator) -> str:
         return f"{JOURNAL}: {change}"
     found = JournalChunks(path)
     chunks = [list(found.messages(i)) for i in range(len(found.places))]
-    numbers = [(i, k) for i, chunk in enumerate(chunks) for k in range(len(chunk)) if chunk[k].channel_id != 3]
+    numbers = [(i, k) for i, chunk in enumerate(chunks) for k in range(len(chunk)) if chunk[k].channel != COLOR]
     i, k = numbers[int(rng.integers(len(numbers)))]
     # A list is changed in place, whatever the document is.
     document = [cbor2.loads(chunks[i][k].data)]
     change = f"chunk {i}, message {k}: {_change_value(document, rng)}"
-    chunks[i][k] = replace(chunks[i][k], data=cbor2.dumps(document[0]))
+    chunks[i][k] = chunks[i][k]._replace(data=cbor2.dumps(document[0]))
     file.unlink()
     with file.open("w+b") as written:
         begin_file(written)

@@ -21,7 +21,7 @@ NOT_DECIDING = {
     "perception.network.": "how a network is run",
     "perception.dinov2.": "of a network that is not installed by default",
     "perception.semantic.": "of a network that is not installed by default",
-    "mapping.requests.": "when shapes are computed", "mapping.track.sketch_growth": "when a sketch is drawn again",
+    "mapping.requests.": "when shapes are computed", "mapping/track.py:_SKETCH_GROWTH": "when a sketch is drawn again",
     "mapping.submaps.": "in which submap an object is kept",
     "perception/descriptor.py": "appearance, for places and alignment",
     "perception/coarse.py": "for people who ask why", "perception/pixel_inputs.py": _NETWORK,
