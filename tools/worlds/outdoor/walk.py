@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,12 @@ from scipy.ndimage import gaussian_filter1d
 
 from hickory_stream.worlds.clearance import Clearance, clearance_of
 from hickory_stream.worlds.depth_camera import D455
+from hickory_stream.worlds.recording_config import RecordingConfig
 from hickory_stream.worlds.trajectory import STEP_S, NoWalk, Trajectory, WalkConfig, camera_poses, gaze
 from tools.worlds.outdoor.street import Street
 from tools.worlds.routes import smoothed, way_between
 
-if TYPE_CHECKING:
-    from tools.worlds.recording_config import RecordingConfig
+Config = TypeVar("Config", bound=RecordingConfig)
 
 # The distance over which the camera's height follows a kerb.
 _STEP_M = 0.25
@@ -71,7 +71,7 @@ def _clear_place(clearance: Clearance, wanted: NDArray[np.float64]) -> NDArray[n
     return np.asarray(grid[int(np.argmax(value))])
 
 
-def outdoors(config: RecordingConfig) -> RecordingConfig:
+def outdoors(config: Config) -> Config:
     """Return a config with the camera and the walk of a street: a D455 at 0.7 m/s, which looks a little downwards."""
     walk = replace(config.walk, speed_mps=0.7, pitch_deg=(-28.0, -10.0))
     return replace(config, depth=D455, walk=walk)
