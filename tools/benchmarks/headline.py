@@ -18,10 +18,10 @@ _MINUTES = 45.0
 _ROOMS = tuple(f"{world}:A:hand:ours" for world in ("home", "bookstore", "office", "warehouse"))
 ROWS: tuple[tuple[str, ...], ...] = (
     ("main", "--quick"),  # 1 minute
-    ("damage", "--minutes", "4"),
-    ("navigation", "--quick"),  # 1
-    ("align", "--quick"),  # 1
-    ("live", "--quick"),  # 1
+    ("damage", "--minutes", "4"),  # 1
+    ("navigation", "--quick"),  # 8
+    ("align", "--quick"),  # 2
+    ("live", "--quick"),  # 2
     ("engine", "--only", "digests", "--minutes", "3"),
     ("engine", "--only", "kills", "--minutes", "4"),
     ("foreign", "--only", "kitchen"),  # 2
