@@ -42,14 +42,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, metavar="N", help="child processes that build shapes")
     parser.add_argument("--quick", action="store_true", help="one short scene of each data set")
     arguments = sys.argv[1:] if arguments is None else arguments
-    options = parser.parse_args([] if arguments[:1] and arguments[0] in OWN else arguments)
     try:
-        return own_maps.main(arguments) if arguments[:1] and arguments[0] in OWN else _run(options)
+        if arguments and arguments[0] in OWN:
+            return own_maps.main(arguments)
+        options = parser.parse_args(arguments)
+        try:
+            return _run(options)
+        except OSError as error:
+            print(f"tools/paper: cannot write into {options.out}: {error}", file=sys.stderr)
+            return 2
     except HickoryError as error:
         print(f"tools/paper: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"tools/paper: cannot write into {options.out}: {error}", file=sys.stderr)
         return 2
 
 
