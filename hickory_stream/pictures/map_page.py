@@ -24,7 +24,6 @@ from hickory_stream.geometry.rigid import apply
 from hickory_stream.geometry.superquadric_surface import display_mesh
 from hickory_stream.geometry.voxels import centers_of_keys
 from hickory_stream.pictures.legend import GENERATED, GENERATED_TEXT
-from hickory_stream.pictures.render_parts import CUT_M
 from hickory_stream.records import Phase
 from hickory_stream.storeys import floor_of, floors_of
 
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
 
 _PAGE = Path(__file__).with_suffix(".html")
 _BEGIN, _END = "<script>", "THREE.GLTFLoader=GLTFLoader;})();"
-_FLOOR_COLOR, _WALL_COLOR, _FLOOR_BAND_M = (150, 154, 162), (176, 180, 190), 0.1
+_FLOOR_COLOR, _WALL_COLOR, _FLOOR_BAND_M, _CUT_M = (150, 154, 162), (176, 180, 190), 0.1, 2.0
 _GRID_STEPS_M = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 50.0)
 _MOST_GRID_CELLS, _MOST_TAGS = 24, 60
 
@@ -146,7 +145,7 @@ def _add_room(meshes: trimesh.Scene, snapshot: MapSnapshot) -> None:
     floors = np.array(floors_of(snapshot) or (floor_of(snapshot),))
     points = np.concatenate([np.empty((0, 3)), *clouds])
     # The ceiling of the top storey would hide the rooms.
-    points = points[points[:, 2] <= floors.max() + CUT_M]
+    points = points[points[:, 2] <= floors.max() + _CUT_M]
     is_floor = (np.abs(points[:, 2:] - floors) <= _FLOOR_BAND_M).any(axis=1)
     _add_cloud(meshes, "room", points, np.where(is_floor[:, None], _FLOOR_COLOR, _WALL_COLOR).astype(np.uint8))
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 WALL_COLOR = (214, 218, 226)
 # Structure below the first height is drawn as the floor; structure above the second, the ceiling, is not drawn.
-_FLOOR_REACH_M, CUT_M = 0.15, 2.0
+_FLOOR_REACH_M, _CUT_M = 0.15, 2.0
 _MIN_WALL_M = 0.6
 _STEPS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 _AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))
@@ -155,7 +155,7 @@ def wall_surface(submap: Submap, floor_z_m: float, viewpoint: Viewpoint) -> Surf
     space = submap.observed_space
     cells = cells_of_keys(space.structure)
     height_m = apply(submap.world_from_submap, (cells + 0.5) * space.voxel_m)[:, 2] - floor_z_m
-    cells = cells[(height_m > _FLOOR_REACH_M) & (height_m < CUT_M)]
+    cells = cells[(height_m > _FLOOR_REACH_M) & (height_m < _CUT_M)]
     if viewpoint.is_orthographic:
         return _floor_plan(cells, submap)
     parts = [_facing(cells, step, submap, viewpoint) for step in _STEPS]
@@ -198,7 +198,7 @@ def _floor_plan(cells: NDArray[np.int64], submap: Submap) -> Surface:
     voxel_m = submap.observed_space.voxel_m
     columns, counts = np.unique(keys_of_cells(cells * (1, 1, 0)), return_counts=True)
     walls = cells_of_keys(columns[counts * voxel_m >= _MIN_WALL_M])[:, :2]
-    centers = np.column_stack([(walls + 0.5) * voxel_m, np.full(len(walls), CUT_M)])
+    centers = np.column_stack([(walls + 0.5) * voxel_m, np.full(len(walls), _CUT_M)])
     up = np.broadcast_to([0.0, 0.0, 1.0], centers.shape)
     return _wall_squares(apply(submap.world_from_submap, centers), up, voxel_m)
 
