@@ -589,8 +589,16 @@ OUTPUTS: dict[str, Any] = {
         {"picture": str, "width": int, "height": int, "layers": list[int], "graph": bool},
     ),
     "export": (
-        "The written file, or the first of several `files`; `unproven` is why layer 4 is not proven, or null.",
-        {"file": str, "format": str, "objects": int, "unproven": str | None, "files": NotRequired[int]},
+        "The written file, or the first of several `files`; `unproven` is why layer 4 is not proven, or null; "
+        "`open_meshes` of glb, stl and obj are not watertight.",
+        {
+            "file": str,
+            "format": str,
+            "objects": int,
+            "unproven": str | None,
+            "open_meshes": int,
+            "files": NotRequired[int],
+        },
     ),
     "diff": Differences,
     "diff-maps": (

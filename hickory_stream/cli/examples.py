@@ -42,7 +42,7 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Draw a map from above and in perspective, without a screen.",
         "render demo.map -o demo.png --layers 3,4",
     ),
-    "export": ("Write a map in a format of other programs.", "export demo.map --format glb -o demo.glb"),
+    "export": ("Write a map in a format of other programs.", "export demo.map -o demo.html"),
     "diff": (
         "Compare two moments of a run, or two maps of a place: objects are still there, moved, gone, new, "
         "exchanged, or not seen. Exit status 3: the maps do not align.",

@@ -35,7 +35,7 @@ def outputs_of(options: argparse.Namespace) -> list[Path]:
 
 def check_ending(path: Path | None, *endings: str) -> None:
     """Raise `InputError` for an output file with another ending."""
-    if path is not None and path.suffix not in endings:
+    if path is not None and path.suffix.lower() not in endings:
         raise InputError(f"found -o {path}, expected a name that ends in {' or '.join(endings)}")
 
 

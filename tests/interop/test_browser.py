@@ -1,6 +1,7 @@
-"""The web viewer in a real browser: Chromium without a screen, opened after the run, shows the whole map at its end.
+"""The web viewer and the exported page in a real browser, Chromium without a screen.
 
-The picture is kept in the test's folder (`--basetemp`), to be looked at.
+The viewer, opened after the run, shows the whole map at its end. The pictures are kept in the test's folder
+(`--basetemp`), to be looked at.
 """
 
 from __future__ import annotations
@@ -11,15 +12,18 @@ import shutil
 import subprocess
 import urllib.request
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 import psutil
 import pytest
 from websockets.sync.client import connect
+from hickory_stream.map_folder.saved_map import open_map
 from hickory_stream.sinks.rerun.config import RerunConfig
 from hickory_stream.sinks.rerun.sink import RerunSink
 from hickory_stream.sinks.rerun.viewer import parse_viewer
+from tests.cli.test_cli import look
 from tests.players.live.robot_fixtures import eventually
 from tests.sinks.report_fixtures import boxes, reports
 
@@ -61,13 +65,21 @@ class Page:
         self._connection = self._stack.enter_context(connect(page["webSocketDebuggerUrl"], max_size=None, proxy=None))
         self._number = 0
 
-    def picture(self) -> bytes:
-        """Return what it shows now (PNG)."""
+    def ask(self, method: str, **parameters: Any) -> Any:
+        """Return the browser's answer."""
         self._number += 1
-        self._connection.send(json.dumps({"id": self._number, "method": "Page.captureScreenshot"}))
+        self._connection.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
         while (said := json.loads(self._connection.recv(60.0))).get("id") != self._number:
             pass
-        return base64.b64decode(said["result"]["data"])
+        return said["result"]
+
+    def picture(self) -> bytes:
+        """Return what it shows now (PNG)."""
+        return base64.b64decode(self.ask("Page.captureScreenshot")["data"])
+
+    def value(self, expression: str) -> Any:
+        """Return the value of an expression in the page."""
+        return self.ask("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
 
     def close(self) -> None:
         self._stack.close()
@@ -101,6 +113,37 @@ def test_a_browser_that_comes_late_shows_every_object(shown: RerunSink, tmp_path
         if pictures:
             (tmp_path / "page.png").write_bytes(pictures[-1])
     assert found, colors_of(pictures[-1])
+
+
+@pytest.mark.skipif(not BROWSER, reason="needs Chromium")
+def test_the_exported_page_shows_and_switches_layers(short_map: Path, tmp_path: Path) -> None:
+    out = tmp_path / "map.html"
+    assert look("export", short_map, "-o", out, "--texture", 64).status == 0
+    page = Page(out.as_uri(), tmp_path / "profile")
+
+    def settled() -> bytes:
+        assert eventually(lambda: page.value("document.body.dataset.state === 'ready' && !isAsked"), 60.0)
+        (tmp_path / "page.png").write_bytes(page.picture())
+        shown = cv2.imread(str(tmp_path / "page.png"))
+        assert shown is not None
+        return shown[:, 310:].tobytes()
+
+    try:
+        pictures = [settled()]
+        assert page.value("document.getElementById('message').textContent") == ""
+        for name in ("tint", "points", "object", "superquadrics", "inflated", "room", "grid", "tags"):
+            page.value(f"document.getElementById('show-{name}').click()")
+            pictures.append(settled())
+        first = open_map(short_map).snapshot.objects[0].id
+        page.value("document.querySelector('#list button').click()")
+        pictures.append(settled())
+        assert page.value("document.getElementById('facts').textContent").startswith(f"#{first}, ")
+        assert page.value("chosen") == first
+        # What the middle of the view shows can be clicked.
+        assert page.value("objectAt({offsetX: view.clientWidth / 2, offsetY: view.clientHeight / 2})") is not None
+    finally:
+        page.close()
+    assert all(a != b for a, b in pairwise(pictures))
 
 
 def test_the_page_is_reachable_from_this_machine_only(shown: RerunSink) -> None:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
+    import trimesh
+
     from hickory_stream.cli.commands import Commands
     from hickory_stream.geometry.mesh import Mesh
     from hickory_stream.map_folder.saved_map import SavedMap
@@ -36,6 +38,14 @@ if TYPE_CHECKING:
 # Higher structure does not matter to a robot.
 _WALL_HEIGHT_M = 2.0
 _MAX_LISTED = 3
+#: The endings of a format's file, by default the first one; mjcf and urdf write a folder.
+_ENDINGS = {
+    **{name: (f".{name}",) for name in ("json", "ply", "glb", "stl", "obj", "tum")},
+    "html": (".html", ".htm"),
+    "nav2": (".yaml", ".yml"),
+    "mjcf": (),
+    "urdf": (),
+}
 
 
 def add(commands: Commands) -> None:
@@ -44,8 +54,8 @@ def add(commands: Commands) -> None:
     export.add_argument(
         "--format",
         choices=sorted((*_WRITERS, *_SEVERAL)),
-        default="json",
-        help="json (default): all records; ply: layer 1; glb: layer 2, a named node an object, y up, _SEEN per vertex; "
+        help="default: as FILE ends, else json; json: all records; html: a page that shows the map; ply: layer 1; "
+        "glb: layer 2, a named node an object, y up, _SEEN per vertex; stl, obj: layer 2, z up; tum: camera poses; "
         "nav2: a grid for map_server (YAML and PGM); mjcf, urdf: a simulator folder, layer 2 visual, layer 4 collision",
     )
     add_output(
@@ -60,19 +70,21 @@ def add(commands: Commands) -> None:
     export.add_argument("--cell", type=float, default=0.05, metavar="M", help="nav2: side of a cell, default 0.05 m")
     add_at(export)
     add_floor_argument(export, "nav2, mjcf, urdf: storey of a map with several")
-    add_texture_argument(export, "glb, mjcf, urdf: the side of an object's texture", DEFAULT_TEXTURE_PX)
+    add_texture_argument(export, "glb, html, mjcf, urdf: the side of an object's texture", DEFAULT_TEXTURE_PX)
     add_allow_unverified(export)
 
 
 def run(options: argparse.Namespace) -> int:
+    options.format = _format_of(options.format, options.out)
     saved, doubt = open_verified_map_at(options)
-    ending = "yaml" if options.format == "nav2" else options.format
-    out = options.out or options.map.with_suffix(f".{ending}")
+    out = options.out or options.map.with_suffix((*_ENDINGS[options.format], f".{options.format}")[0])
     refuse_taken([out], overwrite=options.overwrite)
     if options.format in _SEVERAL:
         files = _SEVERAL[options.format](saved, out, options)
+        num_open = 0
     else:
-        files = {out: _WRITERS[options.format](saved, options)}
+        data, num_open = _WRITERS[options.format](saved, options)
+        files = {out: data}
     refuse_taken(files, overwrite=options.overwrite)
     try:
         for path, data in files.items():
@@ -83,11 +95,15 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"cannot write {out}: {error.strerror}; choose another --out") from error
     if options.json:
         report = {"file": str(out), "format": options.format, "objects": len(saved.snapshot.objects)}
-        report |= {"unproven": doubt or None}
+        report |= {"unproven": doubt or None, "open_meshes": num_open}
         print(output("export", report if len(files) == 1 else report | {"files": len(files)}))
     else:
         if doubt:
             sys.stderr.write(f"note: layer 4 is not proven: {doubt}\n")
+        if num_open:
+            has_seams = options.format == "glb" and options.texture
+            reason = "; textures double the vertices at their seams, --texture 0 does not" if has_seams else ""
+            sys.stderr.write(f"note: {num_open} of the meshes are not watertight{reason}\n")
         # `main` reports the named file.
         unnamed = [path for path in files if path != options.out]
         if len(unnamed) > _MAX_LISTED:
@@ -96,6 +112,21 @@ def run(options: argparse.Namespace) -> int:
         else:
             print("".join(f"{written_text(path)}\n" for path in unnamed), end="")
     return 0
+
+
+def _format_of(name: str | None, out: Path | None) -> str:
+    of_ending = {ending: name for name, endings in _ENDINGS.items() for ending in endings}
+    ending = "" if out is None else out.suffix.lower()
+    if name is None:
+        if out is not None and ending not in of_ending:
+            known = ", ".join(of_ending)
+            raise InputError(f"found -o {out}, expected a name that ends in {known}; or choose a --format")
+        return of_ending.get(ending, "json")
+    if ending and ending not in _ENDINGS[name] and (_ENDINGS[name] or ending in of_ending):
+        expected = " or ".join(_ENDINGS[name])
+        expected = f"a name that ends in {expected}" if expected else "the name of a folder"
+        raise InputError(f"found --format {name} and -o {out}, expected {expected}; leave out one of them")
+    return name
 
 
 def _json(saved: SavedMap, options: argparse.Namespace) -> bytes:
@@ -135,19 +166,18 @@ def _texture_of(
         raise MapFolderError(f"{error}, or write object {tracked.id} without texture: --texture 0") from error
 
 
-def _glb(saved: SavedMap, options: argparse.Namespace) -> bytes:
-    # glTF is y up; `_SEEN` of a vertex is 1 where the surface was seen, 0 where it was completed.
+def _scene(saved: SavedMap, options: argparse.Namespace, *, has_texture: bool) -> trimesh.Scene:
+    """Return layer 2, z up; `_SEEN` of a vertex is 1 where the surface was seen, 0 where it was completed."""
     import numpy as np
     import trimesh
 
     from hickory_stream.textures.textured_mesh import trimesh_visual
 
-    gltf_from_world = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     scene = trimesh.Scene()
     for tracked in saved.snapshot.objects:
         if tracked.shape is not None:
             mesh = saved.mesh(tracked.shape)
-            textured = _texture_of(saved, tracked, options, mesh)
+            textured = _texture_of(saved, tracked, options, mesh) if has_texture else None
             if textured is None:
                 visual = trimesh.visual.ColorVisuals(vertex_colors=mesh.colors)
             else:
@@ -155,12 +185,46 @@ def _glb(saved: SavedMap, options: argparse.Namespace) -> bytes:
             shown = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
             shown.vertex_attributes["_SEEN"] = mesh.is_seen.astype(np.float32)
             name = f"object-{tracked.id}"
-            pose = gltf_from_world @ tracked.shape.world_from_object
-            scene.add_geometry(shown, node_name=name, geom_name=name, transform=pose)
+            scene.add_geometry(shown, node_name=name, geom_name=name, transform=tracked.shape.world_from_object)
+    return scene
+
+
+def _meshes(saved: SavedMap, options: argparse.Namespace) -> tuple[bytes, int]:
+    """Return the file, and the number of its meshes that are not watertight."""
+    import numpy as np
+    import trimesh
+
+    scene = _scene(saved, options, has_texture=options.format == "glb")
     if not scene.geometry:
         raise InputError(f"{saved.folder} holds no meshes; write the points with --format ply")
-    exported: bytes = scene.export(file_type="glb")
-    return exported
+    # STL and OBJ have one frame, whose numbers are rounded: what a reader merges is counted there.
+    pieces = scene.geometry.values() if options.format == "glb" else scene.dump()
+    num_open = 0
+    for piece in pieces:
+        read = trimesh.Trimesh(np.float32(piece.vertices), piece.faces, visual=piece.visual, process=False)
+        read.merge_vertices()
+        num_open += not read.is_watertight
+    if options.format == "glb":
+        # glTF is y up.
+        scene.apply_transform(np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]))
+    exported = scene.export(file_type=options.format)
+    return exported.encode() if isinstance(exported, str) else exported, num_open
+
+
+def _html(saved: SavedMap, options: argparse.Namespace) -> bytes:
+    from hickory_stream.pictures.map_page import map_page
+
+    return map_page(saved, _scene(saved, options, has_texture=True))
+
+
+def _tum(saved: SavedMap, options: argparse.Namespace) -> bytes:
+    from hickory_stream.cli.logs.odometry import tum_text
+    from hickory_stream.map_folder.history.recorded import corrected_trajectory
+
+    poses = corrected_trajectory(saved.folder, None if options.at is None else saved.snapshot)
+    if not poses:
+        raise InputError(f"{saved.folder} holds no poses of the camera: its run has no keyframe yet")
+    return tum_text(list(poses), list(poses.values())).encode()
 
 
 def _nav2(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[Path, bytes]:
@@ -203,7 +267,18 @@ def _simulated(saved: SavedMap, out: Path, options: argparse.Namespace) -> dict[
     return {out / name: data for name, data in made.items()}
 
 
-_WRITERS: dict[str, Callable[[SavedMap, argparse.Namespace], bytes]] = {"json": _json, "ply": _ply, "glb": _glb}
+def _without_meshes(
+    write: Callable[[SavedMap, argparse.Namespace], bytes],
+) -> Callable[[SavedMap, argparse.Namespace], tuple[bytes, int]]:
+    return lambda saved, options: (write(saved, options), 0)
+
+
+_WRITERS: dict[str, Callable[[SavedMap, argparse.Namespace], tuple[bytes, int]]] = {
+    **{
+        name: _without_meshes(write) for name, write in {"json": _json, "ply": _ply, "html": _html, "tum": _tum}.items()
+    },
+    **dict.fromkeys(("glb", "stl", "obj"), _meshes),
+}
 _SEVERAL: dict[str, Callable[[SavedMap, Path, argparse.Namespace], dict[Path, bytes]]] = {
     "nav2": _nav2,
     "mjcf": _simulated,

@@ -14,7 +14,7 @@ from hickory_stream.cli.option_values import (
     parse_layers,
     parse_size,
 )
-from hickory_stream.cli.output_files import add_output, write_drawing, write_picture
+from hickory_stream.cli.output_files import add_output, check_ending, write_drawing, write_picture
 from hickory_stream.errors import InputError
 from hickory_stream.outputs import output
 
@@ -42,6 +42,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    check_ending(options.out, ".png", *([".svg"] if options.graph else []))
     layers = parse_layers(options.layers)
     width, height = parse_size(options.size)
     saved = open_map_at(options.map, options.at)

@@ -12,9 +12,9 @@ import numpy as np
 
 from hickory_stream.events import FrameObserved
 from hickory_stream.geometry.arrays import freeze
-from hickory_stream.geometry.rigid import invert
+from hickory_stream.geometry.rigid import compose, invert
 from hickory_stream.journal.reader import Journal
-from hickory_stream.journal.step import FramePose, JournalEntry, StepKind, Told
+from hickory_stream.journal.step import FramePose, JournalEntry, Step, StepKind, Told
 from hickory_stream.map_folder.history.core_replay import Replay
 from hickory_stream.map_folder.history.recorded_config import known_config
 from hickory_stream.map_folder.saved_map import open_map
@@ -51,8 +51,9 @@ class RecordedKeyframe:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RecordedStep:
-    """A step of a run; its keyframe is None at the end of the run."""
+    """A step of a run: what the journal says, with the keyframe, None at the end of the run."""
 
+    step: Step
     keyframe: RecordedKeyframe | None
     decisions: tuple[Decision, ...]
 
@@ -74,7 +75,7 @@ def recorded_steps(path: Path, final: MapSnapshot) -> Iterator[RecordedStep]:
                     observed=observed,
                     map_from_odometry=places.get(decided.submap_id, np.eye(4)),
                 )
-            yield RecordedStep(keyframe=keyframe, decisions=decided.decisions)
+            yield RecordedStep(step=entry.step, keyframe=keyframe, decisions=decided.decisions)
 
 
 def final_snapshot(path: Path) -> MapSnapshot:
@@ -91,6 +92,30 @@ def final_snapshot(path: Path) -> MapSnapshot:
         replay = Replay(journal, known_config(path).mapping)
         replay.seek(len(journal) - 1)
         return replay.snapshot()
+
+
+def corrected_trajectory(path: Path, at: MapSnapshot | None = None) -> dict[int, NDArray[np.float64]]:
+    """Return the camera's pose (4, 4) in the map for the stamps of all frames, in order; `at`: of an earlier moment.
+
+    Keyframes lie where the map has them; frames after them get the last correction. Of equal stamps the last counts.
+
+    Raises `MapFolderError`: there is no journal, or it is damaged or of another version.
+    """
+    poses: dict[int, NDArray[np.float64]] = {}
+    map_from_raw = np.eye(4)
+    for recorded in recorded_steps(path, final_snapshot(path) if at is None else at):
+        frames, keyframe = recorded.step.frames, recorded.keyframe
+        if at is not None and recorded.step.stamp_ns > at.stamp_ns:
+            break
+        if recorded.step.goes_back_to is not None:
+            first_ns = min((frame.stamp_ns for frame in frames), default=recorded.step.stamp_ns)
+            poses = {stamp_ns: pose for stamp_ns, pose in poses.items() if stamp_ns < first_ns}
+        for frame in frames:
+            if keyframe is not None and frame is frames[-1]:
+                pose = compose(keyframe.map_from_odometry, keyframe.observed.world_from_camera)
+                map_from_raw = compose(pose, invert(frame.world_from_camera))
+            poses[frame.stamp_ns] = compose(map_from_raw, frame.world_from_camera)
+    return dict(sorted(poses.items()))
 
 
 def frame_indices(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

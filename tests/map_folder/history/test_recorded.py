@@ -9,7 +9,13 @@ from hickory_stream.journal.reader import Journal
 from hickory_stream.journal.step import JournalEntry, StepKind
 from hickory_stream.journal.writer import JournalWriter
 from hickory_stream.map_folder.digest import map_digest
-from hickory_stream.map_folder.history.recorded import RecordedStep, final_snapshot, frame_indices, recorded_steps
+from hickory_stream.map_folder.history.recorded import (
+    RecordedStep,
+    corrected_trajectory,
+    final_snapshot,
+    frame_indices,
+    recorded_steps,
+)
 from hickory_stream.map_folder.saved_map import open_map
 from tests.engine.run_fixtures import NUM_FRAMES, SceneRun
 
@@ -86,3 +92,17 @@ def test_a_corrected_submap_is_reported_at_its_final_place(path):
         if step.keyframe is not None:
             np.testing.assert_array_equal(step.keyframe.map_from_odometry, moved)
             np.testing.assert_allclose(step.keyframe.odometry_from_map @ moved, np.eye(4), atol=1e-12)
+
+
+def test_the_trajectory_moves_with_its_submaps(path):
+    final = final_snapshot(path)
+    moved = np.eye(4)
+    moved[:3, 3] = (1.0, 2.0, 0.0)
+    submaps = tuple(replace(submap, world_from_submap=moved) for submap in final.submaps)
+    poses, elsewhere = corrected_trajectory(path), corrected_trajectory(path, replace(final, submaps=submaps))
+    assert len(poses) == NUM_FRAMES
+    for view in (view for tracked in final.objects for view in tracked.views):
+        np.testing.assert_allclose(poses[view.stamp_ns], view.world_from_camera, atol=1e-9)
+    assert list(poses) == list(elsewhere) == sorted(poses)
+    for stamp_ns, pose in poses.items():
+        np.testing.assert_allclose(elsewhere[stamp_ns], moved @ pose, atol=1e-9)
