@@ -123,7 +123,7 @@ TEXTS: dict[str, tuple[str, str]] = {
     ),
     "cache show": ("Print the folder of the caches and their sizes by kind.", "cache show --json"),
     "cache clear": ("Remove all caches, or some kinds of them.", "cache clear kernels shapes"),
-    "schema": ("Print the JSON Schema of a --json output.", "schema inspect"),
+    "schema": ("List the --json outputs, or print the JSON Schema of one.", "schema inspect"),
     "verify": (
         "Check the digest, journal and files of a map, and prove layer 4 from the meshes. Exit status 1: a check "
         "failed.",
