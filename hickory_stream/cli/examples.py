@@ -37,7 +37,10 @@ TEXTS: dict[str, tuple[str, str]] = {
         "Estimate the camera's trajectory from the LiDAR or the depth images of a log, and compare it with the truth.",
         "odometry demo.mcap -o poses.tum --pose-topic none --truth demo.mcap",
     ),
-    "inspect": ("List the objects of a map, with layers, storage and computing times.", "inspect demo.map --at 12.5"),
+    "inspect": (
+        "List the objects of a map: place, size, colour and support. --layers adds storage and computing times.",
+        "inspect demo.map --near 1,2",
+    ),
     "render": (
         "Draw a map from above and in perspective, without a screen.",
         "render demo.map -o demo.png --layers 3,4",

@@ -94,8 +94,10 @@ class _Overview(argparse.HelpFormatter):
         lines = []
         for group, modules in _GROUPS.items():
             lines.append(f"  {group}:")
-            for name in (module.__name__.rpartition(".")[2] for module in modules):
-                lines.append(fill(helps[name], 79, initial_indent=f"    {name:<13}", subsequent_indent=" " * 17))
+            names = (module.__name__.rpartition(".")[2] for module in modules)
+            lines += [
+                fill(helps[name], 79, initial_indent=f"    {name:<13}", subsequent_indent=" " * 17) for name in names
+            ]
         return "\n".join(lines) + "\n"
 
 

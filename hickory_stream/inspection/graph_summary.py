@@ -44,6 +44,11 @@ def summary_text(summary: GraphSummary) -> str:
     counts = {"accepted": summary.num_accepted, "rejected": summary.num_rejected, "withdrawn": summary.num_withdrawn}
     said = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
     return (
-        f"pose graph: {summary.num_submaps} submaps, {len(summary.loops)} loops{f' ({said})' if said else ''}; submaps "
-        f"moved by up to {summary.moved_m:.2f} m, places are known within {summary.sigma_m:.2f} m (1 sigma)"
+        f"pose graph: {_count(summary.num_submaps, 'submap')}, {_count(len(summary.loops), 'loop')}"
+        f"{f' ({said})' if said else ''}; submaps moved by up to {summary.moved_m:.2f} m, places are known within "
+        f"{summary.sigma_m:.2f} m (1 sigma)"
     )
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"
