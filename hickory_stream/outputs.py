@@ -228,6 +228,7 @@ class Queried(TypedDict):
     question: str
     counts: bool
     count: int
+    by: Literal["geometry and colour alone", "geometry, colour and an image-text network"]
     answers: list[QueryAnswer]
     nearly: list[QueryAnswer]
 

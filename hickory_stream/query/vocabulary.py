@@ -6,7 +6,21 @@ Sizes are of things in rooms: each word does not hold at its first number of met
 from __future__ import annotations
 
 from hickory_stream.query.colors import COLOR_NAMES
-from hickory_stream.query.question import Condition, HasColor, HasMeasure, HasShape, Quantity, Relation, Serves, Use
+from hickory_stream.query.question import (
+    Condition,
+    Either,
+    HasColor,
+    HasMeasure,
+    HasShape,
+    Not,
+    Quantity,
+    Related,
+    Relation,
+    Serves,
+    Sized,
+    Thing,
+    Use,
+)
 
 _SIZES: dict[str, tuple[Quantity, float, float]] = {
     "tiny": (Quantity.SIZE, 0.18, 0.10),
@@ -47,8 +61,27 @@ def _at_least(name: str, quantity: Quantity, zero_at: float, one_at: float) -> H
     return HasMeasure(name=name, quantity=quantity, zero_at=zero_at, one_at=one_at)
 
 
+def _not(*conditions: Condition) -> Not:
+    return Not(thing=Thing(conditions=conditions))
+
+
+def _either(name: str, *things: tuple[Condition, ...]) -> Either:
+    return Either(name=name, things=tuple(Thing(conditions=conditions) for conditions in things))
+
+
+_Range = tuple[float, float]
+
+
+def _sized(name: str, length_m: _Range, width_m: _Range, height_m: _Range) -> Sized:
+    return Sized(name=name, sides_m=(length_m, width_m, height_m))
+
+
 _SEAT = Serves(use=Use.SIT_ON)
 _TOP = Serves(use=Use.PUT_ON)
+_BOX = HasShape(name="box")
+_IRREGULAR = _not(_either("box, cylinder or ball", *((HasShape(name=name),) for name in ("box", "cylinder", "ball"))))
+_ON_FLOOR = Related(relation=Relation.ON, to="floor")
+_UPRIGHT = _at_least("upright", Quantity.SLENDERNESS, 1.3, 1.8)
 
 # What is asked for. Pieces of furniture are what their geometry makes of them: whatever one can sit on that is as long
 # as this is a sofa. These are definitions of words; nothing in the map is made by them.
@@ -81,7 +114,53 @@ NOUNS: dict[str, tuple[Condition, ...]] = {
     ),
 }
 
+# Things for which size, shape and place stand in, unless an image-text network judges their looks. The sizes (longer
+# and shorter side of the footprint, height) span these: bottles of the YCB set (19 to 27 cm high; Calli et al. 2015),
+# of 0.33 l, and of 2 l (10 x 42 cm); mug, bowl and plate of the YCB set (8 x 8, 16 x 5 and 26 x 2 cm), the mug with a
+# handle of 4 cm, and others half as large or twice; screens of 16:9 from 22 to 90 inches (49 x 27 to 199 x 112 cm)
+# with a foot; lamps for tables (25 to 86 cm high) and floors (147 to 183 cm), with shades of up to 51 cm; bookcases
+# (from 61 cm wide, 26 to 50 cm deep, 76 to 210 cm high). A plant is greener than shaded wood.
+STAND_INS: dict[str, tuple[Condition, ...]] = {
+    "bottle": (_sized("bottle", (0.05, 0.13), (0.05, 0.11), (0.15, 0.42)), _UPRIGHT, _not(_BOX)),
+    **dict.fromkeys(
+        ("cup", "mug", "glass"), (_sized("cup", (0.06, 0.14), (0.06, 0.11), (0.06, 0.14)), _not(_BOX), _not(_ON_FLOOR))
+    ),
+    "bowl": (_sized("bowl", (0.11, 0.32), (0.11, 0.32), (0.04, 0.15)), HasShape(name="hollow")),
+    "plate": (_sized("plate", (0.15, 0.33), (0.15, 0.33), (0.01, 0.05)), HasShape(name="flat")),
+    "lamp": (
+        _either(
+            "floor lamp or table lamp",
+            (_sized("floor lamp", (0.2, 0.55), (0.2, 0.55), (1.3, 1.9)), _ON_FLOOR),
+            (_sized("table lamp", (0.1, 0.51), (0.1, 0.51), (0.25, 0.9)), _not(_ON_FLOOR)),
+        ),
+        _UPRIGHT,
+        _not(_BOX),
+    ),
+    **dict.fromkeys(
+        ("shelf", "bookshelf", "bookcase"),
+        (_sized("bookcase", (0.6, 2.0), (0.22, 0.5), (0.75, 2.2)), _ON_FLOOR, _not(_SEAT)),
+    ),
+    **dict.fromkeys(
+        ("screen", "monitor", "television", "tv"),
+        (
+            _sized("screen", (0.45, 2.0), (0.01, 0.26), (0.27, 1.2)),
+            _at_least("wider than high", Quantity.SLENDERNESS, 1.0, 0.85),
+            _not(_ON_FLOOR),
+        ),
+    ),
+    "plant": (
+        _sized("plant", (0.15, 1.5), (0.15, 1.5), (0.2, 2.2)),
+        HasColor(name="green", share=(0.3, 0.5)),
+        _IRREGULAR,
+    ),
+}
+
 RELATIONS: dict[tuple[str, ...], Relation] = {
+    **{
+        (*words, side, "of"): Relation(f"{side} of")
+        for side in ("left", "right")
+        for words in ((), ("to", "the"), ("on", "the"))
+    },
     ("on", "top", "of"): Relation.ON,
     ("on",): Relation.ON,
     ("carrying",): Relation.CARRYING,
