@@ -57,6 +57,7 @@ class LiveStatus(TypedDict):
     event: Literal["status"]
     uri: str
     kind: str
+    has_ended: bool
     is_connected: bool
     problem: str
     clock_offset_s: float | None

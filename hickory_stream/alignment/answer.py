@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import ceil, floor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,3 +120,15 @@ class NoAlignment:
     contradictions: Contradictions = field(default_factory=Contradictions)
     notes: tuple[str, ...] = ()
     rivals: tuple[Rival, ...] = ()
+
+
+def count_text(log10_count: float) -> str:
+    """Return an expected number in decimals with two digits, rounded up, so that more than a limit also reads so."""
+    if log10_count > 6:
+        return "more than a million"
+    if log10_count < -9:
+        return "less than a billionth"
+    places = 1 - floor(log10_count)
+    value = ceil(10**log10_count * 10**places - 1e-6) / 10**places
+    text = f"{value:,.{max(places, 0)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
