@@ -127,7 +127,7 @@ def count_text(log10_count: float) -> str:
     if log10_count > 6:
         return "more than a million"
     if log10_count < -9:
-        return "less than a billionth"
+        return "less than 0.000000001"
     places = 1 - floor(log10_count)
     value = ceil(10**log10_count * 10**places - 1e-6) / 10**places
     text = f"{value:,.{max(places, 0)}f}"

@@ -175,7 +175,7 @@ def why_refused(findings: Findings, config: AlignConfig) -> NoAlignment | None:
     acceptance, judged, refusal = config.acceptance, findings.judged, findings.refusal
     most = len(judged[0].hypothesis.pairs) if judged else 0
     if most < acceptance.min_pairs:
-        reason = f"at most {most} pairs of objects agree, {acceptance.min_pairs} are needed"
+        reason = f"{most} pairs of objects agree in the likeliest alignment, {acceptance.min_pairs} are needed"
         return refusal(Refusal.TOO_FEW_PAIRS, reason)
     best, against = judged[0].hypothesis, judged[0].contradictions
     limit = acceptance.max_log10_chance

@@ -75,6 +75,11 @@ class Answers:
     found: tuple[Answer, ...]
     nearly: tuple[Answer, ...]
 
+    @property
+    def judged_by(self) -> str:
+        """The sources of the answers in words."""
+        return "geometry, colour and an image-text network" if self.by_looks else "geometry and colour alone"
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Asked:

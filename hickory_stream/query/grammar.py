@@ -212,7 +212,8 @@ class _Reader:
         # Suggested is what could stand here: before a thing a property or the thing, at the end a thing.
         is_last = self._at == len(self._tokens) or _begins_clause(self._peek())
         possible = [*self._nouns, *(() if is_last else (*words.ADJECTIVES, *words.SUPERLATIVES))]
-        near = get_close_matches(word, possible, n=2, cutoff=_ALIKE)
+        counting = [" ".join(phrase) for phrase in words.COUNTING if phrase[0] == word]
+        near = counting or get_close_matches(word, possible, n=2, cutoff=_ALIKE)
         meant = f" (did you mean {' or '.join(near)}?)" if near else ""
         # Of synonyms, the first.
         things = {conditions: noun for noun, conditions in reversed(self._nouns.items()) if conditions}.values()

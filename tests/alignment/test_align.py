@@ -98,7 +98,7 @@ def test_unrelated_maps_are_refused(seed, count, is_hard):
         (-1.999, "0.011"),
         (-2.0, "0.01"),
         (7, "more than a million"),
-        (-30, "less than a billionth"),
+        (-30, "less than 0.000000001"),
     ],
 )
 def test_expected_numbers_are_plain_and_rounded_up(log10_count, text):

@@ -58,6 +58,7 @@ def test_a_question_that_counts_is_told_from_one_that_looks():
         ("something to sit on near the window", 'the word "window"'),
         ("a gren box", '"gren" (did you mean green?)'),
         ("a botle on a table", '"botle" (did you mean bottle?)'),
+        ("how meny boxes", '"how" (did you mean how many?)'),
         ("a red botle", '"botle" (did you mean bottle?)'),
         (
             "a wine bottle",

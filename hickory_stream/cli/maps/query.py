@@ -106,7 +106,7 @@ def _as_json(index: MapIndex, answers: Answers, top: int) -> dict[str, Any]:
     return {
         "question": answers.question,
         "counts": answers.counts,
-        "by": _by(answers),
+        "by": answers.judged_by,
         "count": len(answers.found),
         "answers": [_answer_json(index, answer) for answer in answers.found[:top]],
         "nearly": [_answer_json(index, answer) for answer in answers.nearly],
@@ -128,19 +128,19 @@ def _answer_json(index: MapIndex, answer: Answer) -> dict[str, Any]:
 def _as_text(index: MapIndex, answers: Answers, top: int) -> str:
     asked = f"{answers.question}: "
     if answers.counts:
-        return f"{asked}{len(answers.found)}{_listed(answers)}, by {_by(answers)}"
+        return f"{asked}{len(answers.found)}{_listed(answers)}, by {answers.judged_by}"
     if not answers.found:
         near = [f"  nearly: {_line(index, answer)}" for answer in answers.nearly]
-        return "\n".join([f"{asked}nothing in the map answers, by {_by(answers)}", *near])
+        return "\n".join([f"{asked}nothing in the map answers, by {answers.judged_by}", *near])
     lines = [_line(index, answer) for answer in answers.found[:top]]
     more = len(answers.found) - top
     return "\n".join(
-        [f"{asked}{len(answers.found)} found, by {_by(answers)}", *lines, *([f"and {more} more"] if more > 0 else [])]
+        [
+            f"{asked}{len(answers.found)} found, by {answers.judged_by}",
+            *lines,
+            *([f"and {more} more"] if more > 0 else []),
+        ]
     )
-
-
-def _by(answers: Answers) -> str:
-    return "geometry, colour and an image-text network" if answers.by_looks else "geometry and colour alone"
 
 
 def _listed(answers: Answers) -> str:
