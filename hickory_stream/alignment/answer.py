@@ -124,11 +124,8 @@ class NoAlignment:
 
 def count_text(log10_count: float) -> str:
     """Return an expected number in decimals with two digits, rounded up, so that more than a limit also reads so."""
-    if log10_count > 6:
-        return "more than a million"
-    if log10_count < -9:
-        return "less than 0.000000001"
+    if not -9 <= log10_count <= 6:
+        return "more than a million" if log10_count > 6 else "less than 0.000000001"
     places = 1 - floor(log10_count)
     value = ceil(10**log10_count * 10**places - 1e-6) / 10**places
-    text = f"{value:,.{max(places, 0)}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
+    return f"{value:,.10f}".rstrip("0").rstrip(".")

@@ -65,7 +65,8 @@ class _Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             names = [str(name) for name in action.choices]
-            raise argparse.ArgumentError(None, f"found {value}, {_meant(value, names) or _expected(names)}")
+            one_of = "expected " + "one of " * (len(names) > 1) + ", ".join(names)
+            raise argparse.ArgumentError(None, f"found {value}, {_meant(value, names) or one_of}")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         found, unknown = super().parse_known_args(args, namespace)
@@ -74,10 +75,6 @@ class _Parser(argparse.ArgumentParser):
             meant = _meant(word.partition("=")[0], list(self._option_string_actions)) if word.startswith("-") else ""
             self.error(f"found {word}, {meant or f'which is not expected; see {self.prog} --help'}")
         return found, unknown
-
-
-def _expected(names: Sequence[str]) -> str:
-    return f"expected {'one of ' * (len(names) > 1)}{', '.join(names)}"
 
 
 def _meant(word: str, names: Sequence[str]) -> str:
@@ -94,10 +91,8 @@ class _Overview(argparse.HelpFormatter):
         lines = []
         for group, modules in _GROUPS.items():
             lines.append(f"  {group}:")
-            names = (module.__name__.rpartition(".")[2] for module in modules)
-            lines += [
-                fill(helps[name], 79, initial_indent=f"    {name:<13}", subsequent_indent=" " * 17) for name in names
-            ]
+            for name in (module.__name__.rpartition(".")[2] for module in modules):
+                lines += [fill(f"    {name:<13}{helps[name]}", 79, subsequent_indent=" " * 17)]
         return "\n".join(lines) + "\n"
 
 

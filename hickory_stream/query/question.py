@@ -76,7 +76,7 @@ class Sized:
     """Longer and shorter horizontal side and height lie in the ranges of things of this name, in metres."""
 
     name: str
-    sides_m: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+    sides_m: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -134,13 +134,8 @@ def _as_text(index: MapIndex, answers: Answers, top: int) -> str:
         return "\n".join([f"{asked}nothing in the map answers, by {answers.judged_by}", *near])
     lines = [_line(index, answer) for answer in answers.found[:top]]
     more = len(answers.found) - top
-    return "\n".join(
-        [
-            f"{asked}{len(answers.found)} found, by {answers.judged_by}",
-            *lines,
-            *([f"and {more} more"] if more > 0 else []),
-        ]
-    )
+    lines += [f"and {more} more"] if more > 0 else []
+    return "\n".join([f"{asked}{len(answers.found)} found, by {answers.judged_by}", *lines])
 
 
 def _listed(answers: Answers) -> str:
